@@ -38,15 +38,15 @@ SIZES = {
     "gauge_length": ("the gauge length", "gauge_length: 50 mm"),
     "section.area": ("the area of the cross-section", "section: {area: 20 mm^2}"),
 }
-"""Meaning and example of each size that results need."""
-SECTIONS = (["section.width", "section.thickness"], ["section.outer_diameter"])
-"""Sets of sizes from which the area of a section is computed."""
+"""Meaning of each size that results need, and an example of its entry in the sheet."""
+AREA_SIZES = (["section.width", "section.thickness"], ["section.outer_diameter"])
+"""Sets of sizes, each of which replaces ``section.area``, because it determines the area."""
 _T = TypeVar("_T")
 
 
 @dataclass(slots=True)
 class CheckReport:
-    """The checked files and their faults.
+    """Checked files and their faults.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ class CheckReport:
         Parameters
         ----------
         function : function without arguments, such as one that loads a file
-        place : prefix of the message of a `ProcessingError`
+        place : prefix of the message of a `ProcessingError`, which does not name the file
 
         Returns
         -------
@@ -81,7 +81,7 @@ class CheckReport:
         return None
 
     def add(self, *errors: LabpipeError) -> None:
-        """Record the faults of errors, one per line."""
+        """Record the faults of errors; each line of a message is one fault."""
         self.faults += [fault for error in errors for fault in str(error).splitlines()]
 
 
@@ -107,9 +107,9 @@ def check_paths(paths: Sequence[Path] = (), *, follow_links: bool = False) -> Ch
         ]
         files |= dict.fromkeys(yaml_files)
         if not yaml_files:
-            content = "a folder without any" if path.is_dir() else "another file"
-            found = content if path.exists() else "nothing of that name"
-            report.add(ProtocolError.about("process.nothing_to_check", path, found=found))
+            content = "a folder without YAML files" if path.is_dir() else "a file of another kind"
+            path_content = content if path.exists() else "nothing of that name"
+            report.add(ProtocolError.about("process.nothing_to_check", path, found=path_content))
     for file in files:
         load = _select_loader(file)
         if file.name == SHEET_NAME:
@@ -120,11 +120,9 @@ def check_paths(paths: Sequence[Path] = (), *, follow_links: bool = False) -> Ch
         else:
             report.protocols.append(file)
             protocol = report.attempt(partial(load_protocol, file))
-            if protocol is not None and (name := protocol.name) != file.stem:
-                place, stem = "(name)", file.stem
-                report.add(
-                    ProtocolError.about("process.other_name", file, place, file=stem, name=name)
-                )
+            if protocol is not None and protocol.name != file.stem:
+                facts = {"file": file.stem, "name": protocol.name}
+                report.add(ProtocolError.about("process.other_name", file, "(name)", **facts))
     sheets = {file: _check_test(file, report, follow_links=follow_links) for file in report.tests}
     report.add(*_find_duplicate_names({file: sheet for file, sheet in sheets.items() if sheet}))
     report.faults = list(dict.fromkeys(report.faults))
@@ -132,7 +130,7 @@ def check_paths(paths: Sequence[Path] = (), *, follow_links: bool = False) -> Ch
 
 
 def _select_loader(path: Path) -> Callable[[Path], object] | None:
-    """Select the function that loads a plan or harness file; None for a protocol or test sheet."""
+    """Select the loader of a plan or harness file; None for any other file."""
     from labpipe.protocol.harness_file import HarnessFile
     from labpipe.protocol.sheet_grammar import PLAN_NAME, CalibrationPlan
 
@@ -142,11 +140,12 @@ def _select_loader(path: Path) -> Callable[[Path], object] | None:
         data = parse_yaml(read_text(path), str(path)).data
     except ProtocolError:
         return None
-    keys = set(data) if isinstance(data, Mapping) else set()
-    other_keys = set() if "sources" in keys else keys - {*Protocol.list_keys()}
-    if other_keys & {*HarnessFile.list_keys()} - {*CalibrationPlan.list_keys()}:
+    if not isinstance(data, Mapping) or "sources" in data:  # only protocols have sources
+        return None
+    non_protocol_keys, plan_keys = {*data} - {*Protocol.list_keys()}, {*CalibrationPlan.list_keys()}
+    if non_protocol_keys & {*HarnessFile.list_keys()} - plan_keys:
         return load_harness
-    return load_calibration_plan if other_keys & {*CalibrationPlan.list_keys()} else None
+    return load_calibration_plan if non_protocol_keys & plan_keys else None
 
 
 def _check_test(path: Path, report: CheckReport, *, follow_links: bool) -> TestSheet | None:
@@ -160,27 +159,25 @@ def _check_test(path: Path, report: CheckReport, *, follow_links: bool) -> TestS
     if sheet is None:
         return None
     protocol = report.attempt(partial(resolve_protocol, sheet, path, follow_links=follow_links))
-    n_faults_before = len(report.faults)
-    for size, results in (find_missing_sizes(protocol) if protocol is not None else {}).items():
+    missing_sizes = find_missing_sizes(protocol) if protocol is not None else {}
+    for size, results in missing_sizes.items():
         meaning, example = SIZES[size]
-        where, entries = f"specimen.{size}", ", ".join(results)
-        error = ProtocolError.about(
-            "process.size_missing", path, where, meaning=meaning, results=entries, example=example
-        )
-        report.add(error)
-        n_faults_before += size != "gauge_length"  # the only one of these sizes that steps need
+        facts = {"meaning": meaning, "results": ", ".join(results), "example": example}
+        report.add(ProtocolError.about("process.size_missing", path, f"specimen.{size}", **facts))
+    n_faults_before = len(report.faults)
     report.add(*filter(None, [find_missing_exports(sheet, path)]))
     recordings_by_role: dict[str, list[Recording]] = {role: [] for role in sheet.files}
-    for role, names in sheet.files.items():
-        for file in filter(path_exists, (path.parent / name for name in names)):
+    for role, file_names in sheet.files.items():
+        for file in filter(path_exists, (path.parent / name for name in file_names)):
             if protocol is None:
                 report.attempt(partial(recognise_export, file))
                 continue
-            part = report.attempt(partial(read_role, file, protocol.sources[role]))
-            if part is not None:
-                recordings_by_role[role].append(part)
-                report.add(*_find_missing_markers(part.markers, protocol.markers, file))
-    if protocol is not None and len(report.faults) == n_faults_before:
+            recording = report.attempt(partial(read_role, file, protocol.sources[role]))
+            if recording is not None:
+                recordings_by_role[role].append(recording)
+                report.add(*_find_missing_markers(recording.markers, protocol.markers, file))
+    has_sizes = "gauge_length" not in missing_sizes  # steps need no other size
+    if protocol is not None and has_sizes and len(report.faults) == n_faults_before:
         _check_steps(path, sheet, protocol, recordings_by_role, report)
     return sheet
 
@@ -192,7 +189,7 @@ def _check_steps(
     recordings_by_role: Mapping[str, list[Recording]],
     report: CheckReport,
 ) -> None:
-    """Join and calibrate the exports, run the steps on single channels, and report faults."""
+    """Join and calibrate the exports, run the steps on single channels, and report their faults."""
 
     def join_and_calibrate() -> PreparedTest:
         recordings: dict[str, Recording] = {
@@ -201,7 +198,8 @@ def _check_steps(
         }
         return calibrate(recordings, protocol)[0]
 
-    prepared, place = report.attempt(join_and_calibrate, place=f"{path}, "), f"{path}, "
+    place = f"{path}, "
+    prepared = report.attempt(join_and_calibrate, place=place)
     for step in protocol.steps:
         if (
             prepared is not None
@@ -229,15 +227,16 @@ def find_missing_sizes(protocol: Protocol, sizes: Collection[str] = ()) -> dict[
     known_sizes |= {f"section.{key}" for key, size in section or () if size is not None}
     results_by_size: dict[str, list[str]] = {}
     for entry in protocol.results:
-        is_bent = isinstance(entry, BendingStiffness) and entry.support == "three-point"
-        if isinstance(entry, MidSpan | Twist) or is_bent:
+        is_three_point = isinstance(entry, BendingStiffness) and entry.support == "three-point"
+        if isinstance(entry, MidSpan | Twist) or is_three_point:
             results_by_size.setdefault("span", []).append(entry.result)
         if isinstance(entry, TensionResult):
             results_by_size.setdefault("gauge_length", []).append(entry.result)
             results_by_size.setdefault("section.area", []).append(entry.result)
-    curve = protocol.curve and protocol.channels.get(protocol.curve.displacement)
-    is_extension = bool(curve and curve.is_extension)
-    alternatives = {"gauge_length": [] if is_extension else [["length"]], "section.area": SECTIONS}
+    channel = protocol.curve and protocol.channels.get(protocol.curve.displacement)
+    is_extension = bool(channel and channel.is_extension)  # of the gauge length, by an extensometer
+    length_sizes: list[list[str]] = [] if is_extension else [["length"]]
+    alternatives = {"gauge_length": length_sizes, "section.area": AREA_SIZES}
     return {
         size: results
         for size, results in results_by_size.items()
@@ -248,12 +247,13 @@ def find_missing_sizes(protocol: Protocol, sizes: Collection[str] = ()) -> dict[
 def _find_missing_markers(
     tracks: MarkerTracks | None, markers: Markers | None, path: Path
 ) -> Iterator[ReadError]:
-    """Report a clamp or markers that the protocol names and the take lacks."""
+    """Yield an error for a clamp or markers that the protocol names and the take lacks."""
     if tracks is None or markers is None:
         return
     bodies, names = [body.name for body in tracks.bodies], list(tracks.names)
     patterns = () if markers.along == "all" else markers.along
-    missing = [("markers", "markers.along", x) for x in patterns if not fnmatch.filter(names, x)]
+    unmatched = [pattern for pattern in patterns if not fnmatch.filter(names, pattern)]
+    missing = [("markers", "markers.along", pattern) for pattern in unmatched]
     if markers.clamp is not None and markers.clamp not in bodies:
         missing.insert(0, ("rigid body", "markers.clamp", markers.clamp))
     for kind, key, name in missing:
@@ -265,7 +265,7 @@ def _find_missing_markers(
 
 
 def _find_duplicate_names(sheets: Mapping[Path, TestSheet]) -> Iterator[ProtocolError]:
-    """Report tests of one campaign with equal names, which would overwrite each other."""
+    """Yield an error for each test with the name of another test of its campaign."""
     first_paths: dict[tuple[Path, str], Path] = {}
     for path, sheet in sheets.items():
         campaign = path.resolve().parent.parent

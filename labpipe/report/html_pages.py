@@ -19,7 +19,7 @@ from labpipe.report.figure_page import encode_figure, use_style
 from labpipe.report.figures import FIGURES, is_for_journal
 from labpipe.report.issues import join_sentences, write_sentence
 from labpipe.report.table_records import DASH, Cell, Record, Table, tabulate
-from labpipe.statistics.lots import find_verdict
+from labpipe.statistics.lots import judge_results
 
 
 def fill_template(template: str, **values: Any) -> str:
@@ -180,7 +180,7 @@ def _list_facts(result: TestResult) -> list[tuple[str, str]]:
     texts |= specimen.labels
     dimensions = [f"{name.replace('_', ' ')} {text}" for name, text in texts.items()]
     observations = [f"{name.replace('_', ' ')}: {text}" for name, text in specimen.observed.items()]
-    verdict = find_verdict(result.results)
+    verdict = judge_results(result.results)
     instruments = ", ".join(
         f"{instrument.channel} {instrument.certificate} (calibrated {instrument.calibrated},"
         f" {f'due {instrument.due}' if instrument.due else 'no due date'})"

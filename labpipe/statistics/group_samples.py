@@ -1,4 +1,4 @@
-"""Compare the samples of a group: fields, division into subsets, quality notes."""
+"""Compare the fields of samples, divide samples into groups, and make quality notes on groups."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from labpipe.records.harness_bundle import NONE, TAPINGS
 from labpipe.records.quality import QualityNote, Reason
 from labpipe.records.result import Specimen, Status
 
-TYPE, SPOOL = "type", "spool"
-BORE = "conduit_bore"
+TYPE, SPOOL, BORE = "type", "spool", "conduit_bore"
+"""Names of fields of a specimen."""
 SECTION_SIZES = ("outer_diameter", "inner_diameter", "wall", "width", "thickness")
 """Sizes of the cross-section, which follow from the type of a specimen, or from its conduit."""
 NOT_STATED = "not stated"
@@ -22,15 +22,16 @@ NOT_STATED = "not stated"
 
 
 def list_fields(specimen: Specimen) -> dict[str, str]:
-    """List all grouping fields of a specimen, as text.
+    """List the fields of a specimen by which samples can be grouped, as text.
 
     Parameters
     ----------
-    specimen : the specimen, with its dimensions and the bore of its conduit
+    specimen : specimen with its dimensions, labels and bundle
 
     Returns
     -------
-    Texts, keyed by field; type and spool are first.
+    Text of each field, keyed by field. Type and spool are first; dimensions and the bore of the
+    conduit are last.
 
     Examples
     --------
@@ -61,7 +62,8 @@ def find_shared_fields(samples: Sequence[Sample]) -> dict[str, str]:
 
     Returns
     -------
-    Texts, keyed by field; the text of the mean for a dimension that varies by at most 1 %.
+    Text of each field, keyed by field. A dimension that varies by at most 1 % counts as equal, with
+    the text of its mean.
     """
     shared_fields: dict[str, str] = {}
     all_fields = [list_fields(sample.specimen) for sample in samples]
@@ -113,7 +115,8 @@ def find_differing_fields(
 
     Returns
     -------
-    Texts of both groups, keyed by field. Dimensions differ if their means differ by more than 1 %.
+    Text of the first and of the second group, keyed by field. Dimensions differ if their means
+    differ by more than 1 %.
 
     Notes
     -----
@@ -141,7 +144,7 @@ def find_differing_fields(
 
 
 def _have_similar_sizes(first: Group, second: Group, name: str) -> bool:
-    """Return whether both groups have a dimension and its means are similar."""
+    """Return whether both groups have a dimension, and its means differ by at most 1 %."""
     means = [
         sum(sizes) / len(sizes)
         for group in (first, second)
@@ -160,9 +163,9 @@ def _find_dependent_fields(
 
     Parameters
     ----------
-    differences : texts of both groups, keyed by field that differs
-    values : texts of both groups, keyed by field
-    first, second : groups
+    differences : texts of both groups, keyed by the fields that differ
+    values : texts of both groups, keyed by the fields that are compared
+    first, second : groups that are compared
     """
     dependent_fields: set[str] = set()
     samples = (*first.samples, *second.samples)
@@ -191,8 +194,8 @@ def make_field_sort_key(name: str, text: str) -> tuple[object, ...]:
 
     Returns
     -------
-    Key with which ``none`` and ``not stated`` come first, tapings are sorted by coverage, and 7 is
-    before 12.
+    The key. It puts ``none`` and ``not stated`` first, tapings in order of coverage, and 7 before
+    12.
 
     Examples
     --------
@@ -223,7 +226,7 @@ A field that does not divide the samples further than the fields before it is no
 
 @dataclass(frozen=True, slots=True)
 class Subset:
-    """Samples of a type that have the same values of the dividing fields.
+    """Samples of one type with equal values of the fields that divide the type.
 
     Parameters
     ----------
@@ -246,10 +249,10 @@ def divide_samples(samples: Sequence[Sample]) -> list[Subset]:
     Returns
     -------
     The subsets in order of their first sample. A dimension divides between adjacent sizes that
-    differ by more than 5 %, so individually measured specimens stay together. A label divides
-    unless each test has a different value, which then is the name of a specimen and not a
-    treatment. Spools do not divide, since means are nested in them. A field that does not divide
-    further is not named.
+    differ by more than 5 %, so that individually measured specimens stay together. A label divides
+    unless each test has a different value, which is then the name of a specimen and not a
+    treatment. Spools do not divide, since means are nested in them. `Subset.fields` omits a field
+    that does not divide further than the fields before it.
 
     Examples
     --------
@@ -272,7 +275,7 @@ def divide_samples(samples: Sequence[Sample]) -> list[Subset]:
 
 
 def _list_candidates(samples: Sequence[Sample]) -> dict[str, list[str]]:
-    """List the fields that may divide, with the value of each sample."""
+    """List the fields that may divide samples, with the text of each sample, keyed by field."""
     all_fields = [list_fields(sample.specimen) for sample in samples]
     specimens = [sample.specimen for sample in samples]
     sizes = dict.fromkeys(name for specimen in specimens for name in specimen.dimensions)
@@ -296,12 +299,11 @@ def _list_candidates(samples: Sequence[Sample]) -> dict[str, list[str]]:
 
 def _format_clustered_sizes(sizes: Sequence[float | None]) -> list[str]:
     """Format each size as the mean of its cluster, in mm."""
-    # Nominal sizes differ by a larger fraction (6 % in R 40 of ISO 3, the finest series in use),
-    # and measured sizes of single specimens differ by a smaller one.
+    # Nominal sizes differ by a larger fraction (6 % in R 40 of ISO 3, the finest series in use).
+    # Measured sizes of specimens with one nominal size differ by a smaller fraction.
     min_size_step = 0.05
-    distinct = sorted({size for size in sizes if size is not None})
     clusters: list[list[float]] = []
-    for size in distinct:
+    for size in sorted({size for size in sizes if size is not None}):
         if clusters and size <= (1.0 + min_size_step) * clusters[-1][-1]:
             clusters[-1].append(size)
         else:
@@ -313,13 +315,14 @@ def _format_clustered_sizes(sizes: Sequence[float | None]) -> list[str]:
     return [texts[size] for size in sizes]
 
 
-_IN_COMPOSITION = ("wire", "number")
-"""Fields that are part of a composition."""
+_COMPOSITION_FIELDS = ("wire", "number")
+"""Fields that follow from the composition of a bundle."""
 PROTOCOLS_DIFFER = "protocols_differ"
+"""Code of notes on results or slips for which the tests of a group used different methods."""
 
 
 def name_samples(samples: Sequence[Sample]) -> list[str]:
-    """Make a unique name of each sample: its test, with the file if several tests have this name.
+    """Make a unique name for each sample: its test, with the file if several tests have this name.
 
     Parameters
     ----------
@@ -331,13 +334,13 @@ def name_samples(samples: Sequence[Sample]) -> list[str]:
     """
     counts = Counter(sample.test for sample in samples)
     return [
-        sample.test if counts[sample.test] == 1 else f"{sample.test} ({sample.source or number})"
-        for number, sample in enumerate(samples, start=1)
+        sample.test if counts[sample.test] == 1 else f"{sample.test} ({sample.source or index})"
+        for index, sample in enumerate(samples, start=1)
     ]
 
 
 def make_sample_notes(samples: Sequence[Sample]) -> Iterator[QualityNote]:
-    """Make notes on missing, single, repeated and differing samples.
+    """Make notes on a group without samples, of one sample, and with repeated or unlike samples.
 
     Parameters
     ----------
@@ -368,7 +371,7 @@ def _make_dimension_notes(samples: Sequence[Sample]) -> Iterator[QualityNote]:
 
 
 def _make_field_notes(samples: Sequence[Sample]) -> list[QualityNote]:
-    """Make warnings on differing bundles of a group, and notes on differing labels."""
+    """Make notes on fields of bundles and on labels that differ within a group."""
     bundles = [sample.specimen.bundle for sample in samples if sample.specimen.bundle]
     bundle_fields = dict.fromkeys(name for bundle in bundles for name in bundle.fields)
     labels = dict.fromkeys(name for sample in samples for name in sample.specimen.labels)
@@ -379,13 +382,13 @@ def _make_field_notes(samples: Sequence[Sample]) -> list[QualityNote]:
             values=values,
         )
         for name in bundle_fields | labels
-        if (name in labels or name not in _IN_COMPOSITION)
-        and (values := _describe_differing(samples, name))
+        if (name in labels or name not in _COMPOSITION_FIELDS)
+        and (values := _describe_differing_values(samples, name))
     ]
 
 
-def _describe_differing(samples: Sequence[Sample], name: str) -> str:
-    """Describe which samples have which value of a field; empty if all have the same value."""
+def _describe_differing_values(samples: Sequence[Sample], name: str) -> str:
+    """Describe which samples have which value of a field; empty if the values are equal."""
     tests_by_value: dict[str, list[str]] = {}
     for test, sample in zip(name_samples(samples), samples, strict=True):
         tests_by_value.setdefault(sample.specimen.fields.get(name, ""), []).append(test)
@@ -409,11 +412,11 @@ def make_grouping_notes(
 
 
 def make_number_notes(numbers: Sequence[GroupNumber]) -> Iterator[QualityNote]:
-    """Make notes on means with doubtful values, and on numbers that are not tested for outliers.
+    """Make notes on means with doubtful values, and on results that are not tested for outliers.
 
     Parameters
     ----------
-    numbers : results over the samples of one group
+    numbers : results of one group
     """
     doubtful_numbers = []
     for number in numbers:
@@ -440,7 +443,7 @@ def describe_missing_samples(spools: Sequence[str]) -> str:
 
 
 def _describe_too_few(number: GroupNumber) -> str:
-    """Describe why no value of a number can be marked as an outlier; empty if one can be marked."""
+    """Describe why a result cannot be tested for outliers; empty if it can, or has no values."""
     if not number.values:
         return ""
     spools = [name for name, mean in number.mean.spool_means.items() for _ in range(mean.n)]
@@ -448,7 +451,7 @@ def _describe_too_few(number: GroupNumber) -> str:
 
 
 def find_mixed_methods(samples: Sequence[Sample]) -> dict[str, dict[str, list[str]]]:
-    """Find numbers that were computed by several methods, and numbers that depend on them.
+    """Find results that were computed by several methods, and results that depend on them.
 
     Parameters
     ----------
@@ -456,8 +459,8 @@ def find_mixed_methods(samples: Sequence[Sample]) -> dict[str, dict[str, list[st
 
     Returns
     -------
-    Tests, keyed by result and then by method. A number that depends on another number has the
-    methods of that number.
+    Names of the samples, keyed by result and then by method. A result that depends on another
+    result has the methods of that result.
     """
     methods_by_name: dict[str, dict[str, list[str]]] = {}
     sources: dict[str, set[str]] = {}
@@ -481,7 +484,7 @@ def find_mixed_methods(samples: Sequence[Sample]) -> dict[str, dict[str, list[st
 
 
 def find_other_methods(samples: Sequence[Sample]) -> dict[str, dict[str, Reason]]:
-    """Find the tests whose number was computed by another method, and is thus not averaged.
+    """Find the samples whose result was computed by another method, and is thus not averaged.
 
     Parameters
     ----------
@@ -489,14 +492,15 @@ def find_other_methods(samples: Sequence[Sample]) -> dict[str, dict[str, Reason]
 
     Returns
     -------
-    Reasons (``made_otherwise``), keyed by result and then by test. For example, slopes from 0 to
-    10 mm and from 0 to 8 mm are two quantities without a common mean. Results of the most frequent
-    method are averaged; if several methods are equally frequent, that of the first test is used.
+    Reasons (``made_otherwise``), keyed by result and then by name of the sample. For example,
+    slopes from 0 to 10 mm and from 0 to 8 mm are two quantities without a common mean. The values
+    of the most frequent method are averaged; of equally frequent methods, those of the method of
+    the first sample.
     """
     reasons_by_name: dict[str, dict[str, Reason]] = {}
     for name, tests_by_method in find_mixed_methods(samples).items():
         usual_method = max(tests_by_method, key=lambda method: len(tests_by_method[method]))
-        reasons_of_tests = {
+        reasons_by_name[name] = {
             test: Reason.of(
                 "statistics.made_otherwise", way=method or "no stated method", usual=usual_method
             )
@@ -504,60 +508,59 @@ def find_other_methods(samples: Sequence[Sample]) -> dict[str, dict[str, Reason]
             if method != usual_method
             for test in tests
         }
-        reasons_by_name[name] = reasons_of_tests
     return reasons_by_name
 
 
 def make_method_notes(
-    made_otherwise: Mapping[str, Mapping[str, Reason]], samples: Sequence[Sample]
+    exclusions: Mapping[str, Mapping[str, Reason]], samples: Sequence[Sample]
 ) -> Iterator[QualityNote]:
-    """Make warnings on numbers with different methods.
+    """Make notes on results and slips for which the samples of a group used different methods.
 
     Parameters
     ----------
-    made_otherwise : reasons from `find_other_methods`, keyed by result and test
+    exclusions : reasons from `find_other_methods`, keyed by result and then by name of the sample
     samples : samples of the group, with their decisions on slips
 
     Yields
     ------
-    Notes ``protocols_differ``: one on each number, and one on slips.
+    Notes ``protocols_differ``, one for each result, and one for slips.
     """
-    for name, reasons_by_name in made_otherwise.items():
-        tests, reason = ", ".join(reasons_by_name), next(iter(reasons_by_name.values())).message
+    for name, reasons in exclusions.items():
+        tests, reason = ", ".join(reasons), next(iter(reasons.values())).message
         note = QualityNote.of("statistics.protocols_differ", name, tests=tests, why=reason)
-        yield replace(note, tests=tuple(reasons_by_name))
-    decisions: dict[str, list[str]] = {}
+        yield replace(note, tests=tuple(reasons))
+    tests_by_decision: dict[str, list[str]] = {}
     for sample in samples:
         for decision in dict.fromkeys(slip.decision for slip in sample.slips):
-            decisions.setdefault(decision, []).append(sample.test)
-    if len(decisions) > 1:
-        decision_list = describe_values(decisions)
-        note = QualityNote.of("statistics.slips_differ", "slips", decisions=decision_list)
-        yield replace(note, tests=list_minority_tests(decisions))
+            tests_by_decision.setdefault(decision, []).append(sample.test)
+    if len(tests_by_decision) > 1:
+        decisions = describe_values(tests_by_decision)
+        note = QualityNote.of("statistics.slips_differ", "slips", decisions=decisions)
+        yield replace(note, tests=list_minority_tests(tests_by_decision))
 
 
-def list_minority_tests(tests: Mapping[str, Sequence[str]]) -> tuple[str, ...]:
-    """List the tests without the most frequent value.
+def list_minority_tests(tests_by_value: Mapping[str, Sequence[str]]) -> tuple[str, ...]:
+    """List the tests that do not have the most frequent value.
 
     Parameters
     ----------
-    tests : tests with each value, keyed by value
+    tests_by_value : names of the tests with each value, keyed by value
 
     Examples
     --------
     >>> list_minority_tests({"2 mm": ["a", "b"], "1 mm": ["f"]})
     ('f',)
     """
-    *minorities, _ = sorted(tests.values(), key=len)
-    return tuple(dict.fromkeys(test for entries in minorities for test in entries))
+    *minorities, _ = sorted(tests_by_value.values(), key=len)
+    return tuple(dict.fromkeys(test for tests in minorities for test in tests))
 
 
-def describe_values(tests: Mapping[str, Sequence[str]]) -> str:
+def describe_values(tests_by_value: Mapping[str, Sequence[str]]) -> str:
     """Describe which tests have which value, with the most frequent value last.
 
     Parameters
     ----------
-    tests : tests with each value, keyed by value
+    tests_by_value : names of the tests with each value, keyed by value; two values or more
 
     Examples
     --------
@@ -565,24 +568,21 @@ def describe_values(tests: Mapping[str, Sequence[str]]) -> str:
     '1 mm (f) and 2 mm (the other 5)'
     """
     max_named_tests = 4
-    rarest_first = sorted(tests.items(), key=lambda entry: len(entry[1]))
-    parts = [f"{text or 'not stated'} ({', '.join(names)})" for text, names in rarest_first]
-    last_text, last_names = rarest_first[-1]
-    if len(last_names) > max_named_tests:
-        parts[-1] = f"{last_text or 'not stated'} (the other {len(last_names)})"
-    return f"{'; '.join(parts[:-1])} and {parts[-1]}"
+    rarest_first = sorted(tests_by_value.items(), key=lambda entry: len(entry[1]))
+    clauses = [f"{value or 'not stated'} ({', '.join(tests)})" for value, tests in rarest_first]
+    last_value, last_tests = rarest_first[-1]
+    if len(last_tests) > max_named_tests:
+        clauses[-1] = f"{last_value or 'not stated'} (the other {len(last_tests)})"
+    return f"{'; '.join(clauses[:-1])} and {clauses[-1]}"
 
 
 def make_method_caveats(first_number: GroupNumber, second_number: GroupNumber) -> tuple[str, ...]:
-    """Make a caveat if a number of two groups was computed by more than one method."""
+    """Make a caveat if a result of two groups was computed by more than one method."""
     first, second = (
-        list(dict.fromkeys(result.method for result in number.values.values()))
+        dict.fromkeys(result.method for result in number.values.values())
         for number in (first_number, second_number)
     )
-    if first == second and len(first) == 1:
+    if len(first | second) == 1:
         return ()
-    return (
-        format_sentence(
-            "statistics.methods_differ", first=" or ".join(first), second=" or ".join(second)
-        ),
-    )
+    facts = {"first": " or ".join(first), "second": " or ".join(second)}
+    return (format_sentence("statistics.methods_differ", **facts),)

@@ -1,4 +1,4 @@
-"""Build groups of samples (means, mean curves with 95 % bands, notes), and compare two groups."""
+"""Average the results and curves of a group of samples, and compare two groups."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ from labpipe.statistics.group_samples import (
     name_samples,
 )
 from labpipe.statistics.means import (
+    ALPHA,
     DEFAULT_LIMITS,
-    LEVEL,
     PoolingLimits,
     add_common_causes,
     are_positive,
@@ -40,10 +40,10 @@ __all__ = ["PoolingLimits", "average_result", "build_group", "compare_groups"]
 _MIN_BLOCK_MEANS = 500
 """Smallest number of block means to which a curve is reduced.
 
-Noise within a block has no information on the sample, and would widen the simultaneous band.
+The noise within a block has no information on the sample, and would widen the simultaneous band.
 """
 N_DISPLACEMENTS = 201
-"""Number of displacements of a mean curve, for steps of 0.25 mm over 50 mm."""
+"""Number of displacements of a mean curve; the step is 0.25 mm over 50 mm."""
 
 
 def average_loading(
@@ -64,23 +64,21 @@ def average_loading(
     Returns
     -------
     The band, reduced for few curves (`reduce_band`), and notes. Spool means are averaged, unless
-    there is one spool, or the mean forces over the common range allow pooling. One decision applies
-    to the whole curve, because separate decisions would make the width of the band discontinuous.
+    there is one spool, or `compute_nested_mean` pools the mean forces over the common range. One
+    decision applies to the whole curve, because separate decisions would make the width of the band
+    discontinuous.
     """
     named_samples = [
-        (test, sample)
-        for test, sample in zip(name_samples(samples), samples, strict=True)
-        if sample.loading and (divisors is None or test in divisors)
+        (name, sample)
+        for name, sample in zip(name_samples(samples), samples, strict=True)
+        if sample.loading and (divisors is None or name in divisors)
     ]
-    curves = [
-        (
-            average_blocks(sample.loading[0].displacement, _MIN_BLOCK_MEANS),
-            average_blocks(sample.loading[0].force, _MIN_BLOCK_MEANS)
-            / (divisors or {}).get(test, 1.0),
-        )
-        for test, sample in named_samples
-    ]
-    common_curves = interpolate_curves(curves, [test for test, _ in named_samples])
+    curves = []
+    for name, sample in named_samples:
+        loading, divisor = sample.loading[0], 1.0 if divisors is None else divisors[name]
+        displacement = average_blocks(loading.displacement, _MIN_BLOCK_MEANS)
+        curves.append((displacement, average_blocks(loading.force, _MIN_BLOCK_MEANS) / divisor))
+    common_curves = interpolate_curves(curves, [name for name, _ in named_samples])
     notes = [*_make_curve_notes(samples, common_curves)]
     if not len(common_curves.displacement):
         return compute_band(common_curves), notes
@@ -99,7 +97,7 @@ def average_loading(
 
 
 def reduce_band(band: Band) -> Band:
-    """Reduce or remove the bands of a mean of few curves.
+    """Reduce or remove the bands of a mean of a few curves.
 
     Parameters
     ----------
@@ -109,25 +107,24 @@ def reduce_band(band: Band) -> Band:
     -------
     The band of one curve, or of six and more curves, is unchanged. The band of three to five curves
     (``few_curves``) has pointwise intervals at a quarter, at half and at the end of the
-    displacements, and is NaN elsewhere, because an area of intervals would look like a simultaneous
-    band and hide the curves. The band of two curves (``two_curves``) has no interval, because t is
-    12.7.
+    displacements. It is NaN elsewhere, because a filled area would look like a simultaneous band
+    and hide the curves. The band of two curves (``two_curves``) has no interval, because the
+    quantile of t is 12.7.
     """
-    # With fewer curves, the quantile of the simultaneous band is 4 to 60.
+    # The quantile of the simultaneous band of fewer curves is 4 to 60, too wide to be useful.
     min_band_curves = 6
     if not 2 <= band.n < min_band_curves or not len(band.displacement):
         return band
-    empty = np.full(len(band.displacement), np.nan)
-    lower, upper = empty.copy(), empty.copy()
+    nans = np.full(len(band.displacement), np.nan)
+    lower, upper = nans.copy(), nans.copy()
     reason = Reason.of("statistics.too_few_curves", members=band.members)
     if band.n > 2:
-        marked_rows = [round(fraction * (len(empty) - 1)) for fraction in (0.25, 0.5, 1.0)]
-        lower[marked_rows], upper[marked_rows] = band.lower[marked_rows], band.upper[marked_rows]
+        rows = [round(fraction * (len(nans) - 1)) for fraction in (0.25, 0.5, 1.0)]
+        lower[rows], upper[rows] = band.lower[rows], band.upper[rows]
         reason = Reason.of(
             "statistics.few_curves", count=band.n, members=band.members, least=min_band_curves
         )
-    band = replace(band, lower=lower, upper=upper, lower_all=empty, upper_all=empty)
-    return replace(band, reason=reason)
+    return replace(band, lower=lower, upper=upper, lower_all=nans, upper_all=nans, reason=reason)
 
 
 def average_scaled_loading(
@@ -142,13 +139,14 @@ def average_scaled_loading(
 
     Returns
     -------
-    The band (force without a unit), and the notes of `average_loading` as information, with codes
-    that end in ``_scaled``; a note on missing peak forces replaces the note on missing curves.
+    The band, with forces relative to the peak force, and the notes of `average_loading` with
+    severity info and codes that end in ``_scaled``. A note on missing peak forces replaces the note
+    on missing curves.
     """
     peaks = dict(zip(name_samples(samples), map(_find_peak, samples), strict=True))
-    divisors = {test: peak for test, peak in peaks.items() if peak > 0}
+    divisors = {name: peak for name, peak in peaks.items() if peak > 0}
     band, notes = average_loading(samples, limits, divisors=divisors)
-    tests_without_peak = [test for test in peaks if test not in divisors]
+    names_without_peak = [name for name in peaks if name not in divisors]
     scaled_notes = []
     for note in notes:
         if note.code != "no_curve":
@@ -156,14 +154,17 @@ def average_scaled_loading(
             scaled_notes.append(
                 QualityNote(f"{note.code}_scaled", Severity.INFO, "group", sentence)
             )
-    if tests_without_peak:
-        tests = ", ".join(tests_without_peak)
+    if names_without_peak:
+        tests = ", ".join(names_without_peak)
         scaled_notes.append(QualityNote.of("statistics.no_peak_force", "group", tests=tests))
     return band, scaled_notes
 
 
 def _find_peak(sample: Sample) -> float:
-    """Find the peak force of the first cycle or, without this result, the largest force, N."""
+    """Return the peak force of the first cycle or, without this result, the largest force, N.
+
+    Without a finite force it is NaN.
+    """
     peak = find_result(sample.results, "peak_force.1")
     if peak is not None:
         return float("nan") if peak.value is None else peak.value
@@ -174,19 +175,15 @@ def _find_peak(sample: Sample) -> float:
 
 def _make_curve_notes(samples: Sequence[Sample], curves: CommonCurves) -> Iterator[QualityNote]:
     """Make notes on samples without a curve, and on gaps in the common range of the curves."""
-    tests_without_curve = [
-        test
-        for test, sample in zip(name_samples(samples), samples, strict=True)
-        if not sample.loading
-    ]
-    if tests_without_curve:
-        yield QualityNote.of("statistics.no_curve", "group", tests=", ".join(tests_without_curve))
+    named_samples = zip(name_samples(samples), samples, strict=True)
+    if tests := ", ".join(name for name, sample in named_samples if not sample.loading):
+        yield QualityNote.of("statistics.no_curve", "group", tests=tests)
     if gaps := ", ".join(_describe_gaps(curves.displacement)):
         yield QualityNote.of("statistics.gap_in_curves", "group", gaps=gaps)
 
 
 def _describe_gaps(displacement: Floats) -> list[str]:
-    """Describe the ranges in which an evenly spaced grid has missing points."""
+    """Describe the ranges in which evenly spaced displacements, m, are missing."""
     max_step_ratio = 1.5  # a larger step shows that at least one point is missing
     steps = np.diff(displacement)
     gaps = np.flatnonzero(steps > max_step_ratio * steps.min(initial=np.inf))
@@ -196,13 +193,14 @@ def _describe_gaps(displacement: Floats) -> list[str]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CommonCurves:
-    """Curves at their common displacements.
+    """Curves that are interpolated at common displacements.
 
     Parameters
     ----------
     displacement : shape (n,), m, increasing; empty without a common range
     force : shape (curves, n), N, without NaN
-    reason : ``empty_group``, ``no_data`` or ``no_overlap``; None with a common range
+    reason : reason without a common range, ``empty_group``, ``no_data`` or ``no_overlap``;
+        otherwise None
     """
 
     displacement: Floats
@@ -213,7 +211,7 @@ class CommonCurves:
 def interpolate_curves(
     curves: Sequence[tuple[Floats, Floats]],
     names: Sequence[str] = (),
-    points: int = N_DISPLACEMENTS,
+    n_displacements: int = N_DISPLACEMENTS,
 ) -> CommonCurves:
     """Interpolate curves at common displacements.
 
@@ -222,17 +220,17 @@ def interpolate_curves(
     curves : displacement (m) and force (any unit) of each curve, both of the same shape (n,), where
         n may differ between curves
     names : name of each curve, for messages
-    points : number of evenly spaced displacements from the last start to the first end
+    n_displacements : number of evenly spaced displacements from the last start to the first end
 
     Returns
     -------
-    Forces by linear interpolation, without extrapolation. A NaN makes a gap between its neighbours;
-    displacements in a gap of any curve are excluded. Curves are sorted by displacement.
+    The curves, interpolated linearly and without extrapolation. They are sorted by displacement
+    before. A NaN is a gap between its neighbours. Displacements in a gap of any curve are excluded.
     """
     empty = np.zeros(0), np.zeros((len(curves), 0))
     if not curves:
         return CommonCurves(*empty, Reason.of("statistics.no_curves"))
-    labels = list(names) or [f"curve {number}" for number in range(1, len(curves) + 1)]
+    labels = list(names) or [f"curve {index}" for index in range(1, len(curves) + 1)]
     sorted_curves = [_sort_by_displacement(*curve) for curve in curves]
     spans = [_find_span(*curve) for curve in sorted_curves]
     names_without_data = [
@@ -244,7 +242,7 @@ def interpolate_curves(
     start, stop = max(span[0] for span in spans), min(span[1] for span in spans)
     if stop <= start:
         return CommonCurves(*empty, _make_no_overlap_reason(labels, spans))
-    grid = np.linspace(start, stop, points)
+    grid = np.linspace(start, stop, n_displacements)
     force = np.array([np.interp(grid, *curve) for curve in sorted_curves])
     is_common = ~np.isnan(force).any(axis=0)
     return CommonCurves(grid[is_common], force[:, is_common])
@@ -262,7 +260,7 @@ def _sort_by_displacement(displacement: Floats, force: Floats) -> tuple[Floats, 
 
 
 def _find_span(displacement: Floats, force: Floats) -> tuple[float, float]:
-    """Find the first and the last displacement with a force, m; NaN if there is no force."""
+    """Return the first and the last displacement with a force, m; NaN if there is no force."""
     finite_rows = np.flatnonzero(~np.isnan(force))
     if not len(finite_rows):
         return float("nan"), float("nan")
@@ -270,7 +268,7 @@ def _find_span(displacement: Floats, force: Floats) -> tuple[float, float]:
 
 
 def _make_no_overlap_reason(names: Sequence[str], spans: Sequence[tuple[float, float]]) -> Reason:
-    """Make the reason why curves with these spans, m, have no common range."""
+    """Make the reason why curves with these first and last displacements, m, do not overlap."""
     starts, stops = (np.array(ends) for ends in zip(*spans, strict=True))
     last_start, first_stop = int(np.argmax(starts)), int(np.argmin(stops))
     return Reason.of(
@@ -293,8 +291,9 @@ def compute_band(curves: CommonCurves, members: str = "samples") -> Band:
     Returns
     -------
     The mean and its bands. The pointwise band contains the true mean at any given displacement in
-    95 % of groups; the simultaneous band contains the whole true mean curve in at least 95 %. One
-    curve has no band (``one_curve``), two curves have no simultaneous band (``two_curves``).
+    95 % of groups. The simultaneous band contains the whole true mean curve in at least 95 % of
+    groups. The mean of one curve has no band (``one_curve``), that of two curves has no
+    simultaneous band (``two_curves``).
 
     Notes
     -----
@@ -313,30 +312,31 @@ def compute_band(curves: CommonCurves, members: str = "samples") -> Band:
     error = curves.force.std(axis=0, ddof=1) / np.sqrt(n)
     pointwise = compute_t_quantile(n - 1) * error
     simultaneous = compute_simultaneous_quantile(curves.force) * error
-    reason_of_two = None if n > 2 else Reason.of("statistics.two_curves", members=members)
+    band_reason = None if n > 2 else Reason.of("statistics.two_curves", members=members)
     ends = (mean - pointwise, mean + pointwise, mean - simultaneous, mean + simultaneous)
-    return Band(curves.displacement, mean, *ends, n, members, reason_of_two)
+    return Band(curves.displacement, mean, *ends, n, members, band_reason)
 
 
 def _make_curve_without_band(
     displacement: Floats, mean: Floats, n: int, members: str, reason: Reason
 ) -> Band:
     """Make the record of a mean curve whose bands are NaN."""
-    empty = np.full(len(displacement), np.nan)
-    return Band(displacement, mean, empty, empty, empty, empty, n, members, reason)
+    nans = np.full(len(displacement), np.nan)
+    return Band(displacement, mean, nans, nans, nans, nans, n, members, reason)
 
 
 def compute_simultaneous_quantile(curves: Floats) -> float:
-    """Compute the multiple of the standard error that covers a whole mean curve in 95 % of groups.
+    """Compute the half width of the simultaneous band as a multiple of the standard error.
 
     Parameters
     ----------
-    curves : shape (n, points), without NaN
+    curves : shape (n, points), values of the curves in any unit, without NaN
 
     Returns
     -------
-    The dimensionless multiple, at least the quantile of t. NaN for fewer than three curves, because
-    two curves have no scatter where they cross.
+    The multiple with which the band covers the whole mean curve in 95 % of groups, at least the
+    quantile of t. NaN for fewer than three curves, because two curves have no scatter where they
+    cross.
 
     Notes
     -----
@@ -344,23 +344,23 @@ def compute_simultaneous_quantile(curves: Floats) -> float:
     first point plus the expected number of later upcrossings of c. By the Gaussian kinematic
     formula of t processes (Telschow and Schwartzman, J. Stat. Plan. Inference 216 (2022) 70), this
     bound is 2 [P(t > c) + L / (2 pi) (1 + c^2 / v)^(-(v - 1) / 2)] with v = n - 1. L is estimated
-    by the length of the path of the residuals, normalised to unit length, which is unbiased (Taylor
-    and Worsley, J. Am. Stat. Assoc. 102 (2007) 913). The union bound over the points (Bonferroni)
-    is used if it is smaller, as for curves as rough as noise. The explanation
-    docs/explanations/statistics.md has the measured coverage.
+    by the length of the path that the vector of the n residuals, normalised to unit length, follows
+    along the curve. The estimate is unbiased (Taylor and Worsley, J. Am. Stat. Assoc. 102 (2007)
+    913). The union bound over the points (Bonferroni) is used if it is smaller, as for curves as
+    rough as noise. The explanation docs/explanations/statistics.md states the measured coverage.
     """
-    n, points = curves.shape
+    n, n_points = curves.shape
     if n < 3:
         return float("nan")
-    degrees, probability_outside = n - 1, 1.0 - LEVEL
+    degrees = n - 1
     path_length = _compute_path_length(curves - curves.mean(axis=0))
 
     def compute_excess(c: float) -> float:
         decay: float = (1.0 + c**2 / degrees) ** (-0.5 * (degrees - 1))
         upcrossings = path_length / (2.0 * np.pi) * decay
-        return 2.0 * (float(special.stdtr(degrees, -c)) + upcrossings) - probability_outside
+        return 2.0 * (float(special.stdtr(degrees, -c)) + upcrossings) - ALPHA
 
-    union_bound = compute_t_quantile(degrees, probability_outside / points)
+    union_bound = compute_t_quantile(degrees, ALPHA / n_points)
     if compute_excess(union_bound) >= 0.0:
         return union_bound
     from scipy.optimize import brentq  # slow import, needed for bands only
@@ -369,10 +369,10 @@ def compute_simultaneous_quantile(curves: Floats) -> float:
 
 
 def _compute_path_length(residuals: Floats) -> float:
-    """Compute the path length of normalised residuals, without points that have no scatter."""
+    """Compute the path length of normalised residuals; points without scatter are excluded."""
+    rounding_error = 1e-12  # relative to the largest residual
     norm = np.linalg.norm(residuals, axis=0)
-    size = np.abs(residuals).max(initial=0.0)
-    has_scatter = norm > 1e-12 * size
+    has_scatter = norm > rounding_error * np.abs(residuals).max(initial=0.0)
     unit = residuals[:, has_scatter] / norm[has_scatter]
     cosine = np.clip(np.sum(unit[:, 1:] * unit[:, :-1], axis=0), -1.0, 1.0)
     return float(np.sum(np.arccos(cosine)))
@@ -403,18 +403,22 @@ def build_group(
 
     Returns
     -------
-    The group, with samples in order of spool, sample and test; one number for each result of any
-    sample, in the order in which they first appear; the mean of the first loading branches; notes,
-    also on exclusions; and the fields that have one value in all specimens.
+    The group. Its samples are in order of spool, sample and test. It has a number for each result
+    of any sample, in the order of their first occurrence, the mean of the first loading branches,
+    notes, also on exclusions, and the fields with one value in all specimens.
     """
     samples = tuple(sorted(samples, key=_make_sample_sort_key))
     exclusions = find_other_methods(samples)
     numbers = []
-    for key in dict.fromkeys(result.name for sample in samples for result in sample.results):
-        stem, excluded = key.partition(".")[0], exclusions.get(key, {})
-        is_signed = stem in signed_names
-        number = average_result(key, samples, limits, excluded=excluded, is_signed=is_signed)
-        numbers.append(replace(number, is_set_by_rig=stem in rig_names))
+    for result_name in dict.fromkeys(
+        result.name for sample in samples for result in sample.results
+    ):
+        quantity, excluded = result_name.partition(".")[0], exclusions.get(result_name, {})
+        is_signed = quantity in signed_names
+        number = average_result(
+            result_name, samples, limits, excluded=excluded, is_signed=is_signed
+        )
+        numbers.append(replace(number, is_set_by_rig=quantity in rig_names))
     band, notes = average_loading(samples, limits)
     scaled_band, scaled_notes = average_scaled_loading(samples, limits) if scaled else (None, [])
     all_notes = (
@@ -451,7 +455,7 @@ def average_result(
     name : name of the result
     samples : samples with or without the result
     limits : conditions under which spools are pooled
-    excluded : reasons why numbers are excluded from the mean, keyed by name of the sample
+    excluded : reasons why samples are excluded from the mean, keyed by name of the sample
         (`name_samples`)
     is_signed : whether the result can be negative; otherwise intervals are on a log scale
         (`convert_to_log_scale`), if all values and estimates are positive
@@ -504,7 +508,7 @@ def _find_exclusion_reasons(result: Result | None, name: str, unit: str) -> tupl
 def _average_nested(
     results_by_spool: Mapping[str, Sequence[Result]], limits: PoolingLimits, *, is_signed: bool
 ) -> NestedMean:
-    """Average the results of spools, with common causes and on a log scale if it is possible."""
+    """Average the results of spools, with common causes, and on a log scale if it is possible."""
     values = {
         spool: np.array([result.value for result in results], dtype=np.float64)
         for spool, results in results_by_spool.items()
@@ -529,8 +533,8 @@ def compare_groups(
     Returns
     -------
     The difference in each result that has a mean in both groups in the same unit, in the order of
-    `names` or of the first group, without a verdict, which `judge_family` adds. Its caveats state
-    different methods, groups of a single spool, and common causes.
+    `names` or of the first group. Caveats state different methods, groups of a single spool, and
+    common causes. The verdict is added by `judge_family`.
     """
     first_numbers = {number.name: number for number in first.numbers}
     second_numbers = {number.name: number for number in second.numbers}

@@ -1,6 +1,6 @@
-"""Judge samples, and the lot from which they were taken, by the smallest allowed force.
+"""Judge samples, and the lot from which they were taken, by the smallest allowed peak force.
 
-Forces are stated as fractions of the limit: the peak force divided by the smallest allowed force.
+The smallest allowed force is the limit. Peak forces are stated as fractions of the limit.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from labpipe.records.quality import Reason
 from labpipe.records.result import Result, Status, find_result
 
 FORCE_LIMIT, PEAK_OVER_LIMIT = "force_limit", "peak_over_limit"
-"""Names of the results that determine a verdict."""
+"""Names of the results on which a verdict is based."""
 MIN_SAMPLES = 2
-"""Smallest number of samples that have a scatter."""
+"""Smallest number of samples from which a standard deviation can be computed."""
 MAX_SAMPLES = 100_000
-"""Largest number of samples that is tried for a lot to pass."""
+"""Largest number of samples that `count_samples_to_pass` tries."""
 
 
 def judge_sample(peak_over_limit: Result) -> SampleVerdict:
-    """Judge a sample by its number, as standards do, and by its 95 % interval.
+    """Judge a sample by its value, as standards do, and by its 95 % interval.
 
     Parameters
     ----------
@@ -34,9 +34,9 @@ def judge_sample(peak_over_limit: Result) -> SampleVerdict:
 
     Returns
     -------
-    Both verdicts. By the number, a sample passes at or above 1. By the interval, the verdict is the
-    same if the number is not doubtful and the whole interval is at or above 1 or below 1, and
-    ``cannot tell`` otherwise. Without a number both verdicts are ``cannot tell``.
+    Both verdicts. By its value, a sample passes at or above 1. By its interval, the verdict is the
+    same if the value is not doubtful and the whole interval is at or above 1 or below 1, and
+    ``cannot tell`` otherwise. Without a value both verdicts are ``cannot tell``.
     """
     if peak_over_limit.value is None:
         return SampleVerdict(Answer.CANNOT_TELL, Answer.CANNOT_TELL)
@@ -47,20 +47,20 @@ def judge_sample(peak_over_limit: Result) -> SampleVerdict:
     return SampleVerdict(by_number, by_number if is_certain else Answer.CANNOT_TELL)
 
 
-def find_verdict(results: Iterable[Result]) -> SampleVerdict | None:
+def judge_results(results: Iterable[Result]) -> SampleVerdict | None:
     """Judge a sample by the results of its test; None if its protocol states no limit."""
     peak_over_limit = find_result(results, PEAK_OVER_LIMIT)
     return None if peak_over_limit is None else judge_sample(peak_over_limit)
 
 
 def compute_tolerance_factor(n: int, coverage: float, confidence: float) -> float:
-    """Compute the factor k of a one-sided tolerance bound of normal numbers, mean - k s.
+    """Compute the factor k of the one-sided tolerance bound mean - k s of normal values.
 
     Parameters
     ----------
     n : number of samples, at least 2
-    coverage : fraction of the lot above the bound
-    confidence : probability that the bound is correct
+    coverage : smallest fraction of the lot that is above the bound
+    confidence : probability that this fraction is above the bound
 
     Notes
     -----
@@ -90,14 +90,14 @@ def count_samples_to_pass(
 
     Returns
     -------
-    The smallest number; None if `MAX_SAMPLES` samples are not enough.
+    The smallest number of samples; None if `MAX_SAMPLES` samples are not enough.
     """
 
-    def passes(n: int) -> bool:
+    def reaches_limit(n: int) -> bool:
         factor = compute_tolerance_factor(n, coverage, confidence)
         return mean - factor * deviation >= 1.0
 
-    n = MIN_SAMPLES + bisect_left(range(MIN_SAMPLES, MAX_SAMPLES + 1), True, key=passes)
+    n = MIN_SAMPLES + bisect_left(range(MIN_SAMPLES, MAX_SAMPLES + 1), True, key=reaches_limit)
     return n if n <= MAX_SAMPLES else None
 
 
@@ -116,11 +116,11 @@ def judge_lot(samples: Sequence[Sample], *, coverage: float, confidence: float) 
 
     Notes
     -----
-    The lot fails if a sample fails by its number and is not doubtful. The scatter is judged if all
-    samples pass by their numbers, there are at least two samples, and their limits are equal. The
+    The lot fails if a sample fails by its value and is not doubtful. The scatter is judged if all
+    samples pass by their values, there are at least two samples, and their limits are equal. The
     lot then passes if the one-sided lower tolerance bound reaches the limit. It fails if, at the
     required confidence, a smaller fraction of the lot than the coverage reaches the limit.
-    Otherwise the answer is ``cannot tell``. Strengths are assumed to be normally distributed; the
+    Otherwise the answer is ``cannot tell``. Peak forces are assumed to be normally distributed. The
     bound does not include errors that are common to all tests of a rig.
     """
     fractions = {
@@ -135,8 +135,8 @@ def judge_lot(samples: Sequence[Sample], *, coverage: float, confidence: float) 
         for sample in samples
         if (result := find_result(sample.results, FORCE_LIMIT)) and result.value is not None
     }
-    all_values = (fraction.value for fraction in fractions.values())
-    values = np.array([value for value in all_values if value is not None])
+    results = fractions.values()
+    values = np.array([result.value for result in results if result.value is not None])
     n = len(values)
     mean = float(values.mean()) if n else np.nan
     deviation = float(values.std(ddof=1)) if n >= MIN_SAMPLES else np.nan
@@ -161,7 +161,14 @@ def judge_lot(samples: Sequence[Sample], *, coverage: float, confidence: float) 
 
 
 def _add_answer(lot: Lot, fractions: Mapping[str, Result], limits: Collection[float | None]) -> Lot:
-    """Add the answer of a lot, and its reasons."""
+    """Add the answer of a lot, and its reasons.
+
+    Parameters
+    ----------
+    lot : lot with its verdicts and numbers
+    fractions : peak force divided by its limit for each test, keyed by test
+    limits : distinct limits of the tests, N
+    """
     is_certain = {test: fraction.status is Status.OK for test, fraction in fractions.items()}
     failing_tests = [
         test for test, verdict in lot.verdicts.items() if verdict.by_number is Answer.FAIL
@@ -187,7 +194,7 @@ def _add_answer(lot: Lot, fractions: Mapping[str, Result], limits: Collection[fl
 
 
 def _judge_scatter(lot: Lot) -> tuple[Answer, Reason]:
-    """Judge a lot whose samples all pass by its tolerance bound."""
+    """Judge a lot by its tolerance bound; all its samples pass."""
     bound, n_needed = lot.format_fraction(lot.bound), lot.n_needed
     coverage, confidence = map(write_percent, (lot.coverage, lot.confidence))
     if lot.bound >= 1.0:

@@ -1,4 +1,7 @@
-"""Compute means of samples nested in spools, with the common causes of a rig, and group budgets."""
+"""Compute means of samples nested in spools, and budgets of their uncertainty.
+
+The intervals of the means include the causes that are common to all tests of a rig.
+"""
 
 from __future__ import annotations
 
@@ -21,12 +24,15 @@ from labpipe.records.group import Decision, GroupNumber, MeanInterval, NestedMea
 from labpipe.records.quality import Reason
 from labpipe.records.result import Contribution, Result
 
-LEVEL = 0.95
-"""Level of two-sided intervals, before the correction for several comparisons."""
-_MAX_PARTITIONS = 100
-"""Largest number of assignments of samples to spools for which all are counted.
+ALPHA = 1.0 - 0.95
+"""Significance level of tests, and probability outside two-sided 95 % intervals.
 
-The p-value of the Anderson-Darling test is then exact.
+It is divided if several results are compared.
+"""
+_MAX_PARTITIONS = 100
+"""Largest number of assignments of samples to spools for which the Anderson-Darling test is exact.
+
+The statistic is computed for each of the assignments.
 """
 
 
@@ -63,10 +69,10 @@ def compute_nested_mean(
 
     Returns
     -------
-    The mean, in the unit of the values. `chosen` is the mean of the spool means with equal weights,
-    unless the Anderson-Darling test finds no difference between the spools *and* the upper
-    confidence limit of the share of variance between spools is below its limit; it is then the mean
-    of the samples. For one spool it is the mean of the samples as well, and `decision` states the
+    The mean, in the unit of the values. `chosen` is the mean of the samples if the Anderson-Darling
+    test finds no difference between the spools *and* the upper confidence limit of the fraction of
+    the variance between spools is below its limit. Otherwise it is the mean of the spool means with
+    equal weights. For one spool it is the mean of the samples, and `decision` states the
     limitation.
 
     Notes
@@ -85,7 +91,7 @@ def compute_nested_mean(
         return NestedMean(sample_mean, True, decision, means, sample_mean.deviation)
     scatter = estimate_spool_scatter(values, limits.confidence)
     p = compute_spools_p(values)
-    is_pooled = bool(p >= limits.min_p and scatter.share_upper < limits.max_spool_share)
+    is_pooled = bool(p >= limits.min_p and scatter.max_spool_share < limits.max_spool_share)
     mean_of_spools = compute_mean([mean.mean for mean in means.values()], "spool")
     return NestedMean(
         chosen=sample_mean if is_pooled else mean_of_spools,
@@ -130,21 +136,23 @@ def _describe_decision(
 
 
 def _describe_shares(scatter: SpoolScatter, limits: PoolingLimits) -> tuple[str, ...]:
-    """Describe the share of the variance between spools, and its limit for pooling."""
+    """Describe the fraction of the variance between spools, and its limit for pooling."""
     if np.isnan(scatter.within):
         return (format_sentence("statistics.scatter_unknown"),)
-    share, upper, ratio = scatter.share, 100.0 * scatter.share_upper, ""
+    ratio_text = ""
     if scatter.within > 0.0:
-        times = scatter.between_spools / scatter.within
-        ratio = format_sentence("statistics.scatter_ratio", times=times)
+        ratio = scatter.between_spools / scatter.within
+        ratio_text = format_sentence("statistics.scatter_ratio", ratio=ratio)
+    percent, max_percent = 100.0 * scatter.spool_share, 100.0 * scatter.max_spool_share
+    facts = {"percent": percent, "ratio": ratio_text, "max_percent": max_percent}
     text = (
-        format_sentence("statistics.spools_alike", upper=upper)
+        format_sentence("statistics.spools_alike", max_percent=max_percent)
         if scatter.between_spools == 0.0
-        else format_sentence("statistics.share", share=100.0 * share, ratio=ratio, upper=upper)
+        else format_sentence("statistics.share", **facts)
     )
-    max_share, confidence = 100.0 * limits.max_spool_share, 100.0 * limits.confidence
+    limit, confidence = 100.0 * limits.max_spool_share, 100.0 * limits.confidence
     return text, format_sentence(
-        "statistics.share_needed", max_share=max_share, confidence=confidence
+        "statistics.share_needed", limit_percent=limit, confidence_percent=confidence
     )
 
 
@@ -155,26 +163,26 @@ def _describe_test(p: float, counts: tuple[int, ...], limits: PoolingLimits) -> 
     smallest_p = compute_smallest_p(counts)
     if smallest_p >= limits.min_p:
         sizes = f"{', '.join(map(str, counts[:-1]))} and {counts[-1]}"
-        return format_sentence("statistics.blind_test", sizes=sizes, smallest_p=smallest_p)
-    is_equal = p >= limits.min_p
+        return format_sentence("statistics.test_without_power", sizes=sizes, smallest_p=smallest_p)
     return format_sentence(
-        "statistics.equal" if is_equal else "statistics.unequal", p=p, needed=limits.min_p
+        "statistics.equal" if p >= limits.min_p else "statistics.unequal", p=p, min_p=limits.min_p
     )
 
 
-def compute_t_quantile(degrees: float, tail_probability: float = 1.0 - LEVEL) -> float:
+def compute_t_quantile(degrees: float, tail_probability: float = ALPHA) -> float:
     """Compute the two-sided quantile of Student's t-distribution.
 
     Parameters
     ----------
     degrees : degrees of freedom, above 0
-    tail_probability : probability outside, half of it on each side; 0.05 for a 95 % interval
+    tail_probability : probability outside the interval, half of it on each side; 0.05 for a 95 %
+        interval
 
     Notes
     -----
-    For 95 % it is 12.706, 4.303, 2.776 and 2.571 for 1, 2, 4 and 5 degrees of freedom, as for the
-    mean of 2, 3, 5 and 6 values. Equation (2.1) of [1]_ prints another quantile; this one has the
-    stated coverage.
+    For 95 % the quantile is 12.706, 4.303, 2.776 and 2.571 for 1, 2, 4 and 5 degrees of freedom, as
+    for the mean of 2, 3, 5 and 6 values. Equation (2.1) of [1]_ prints another quantile; this one
+    has the stated coverage.
 
     References
     ----------
@@ -215,21 +223,22 @@ def compute_mean(values: Iterable[float], value_name: str = "value") -> MeanInte
 
 @dataclass(frozen=True, slots=True)
 class SpoolScatter:
-    """Scatter of samples within spools, and of spools.
+    """Scatter of samples within spools, and of the means of spools.
 
     Parameters
     ----------
     within : standard deviation of samples of one spool; NaN if no spool has two samples
     between_spools : standard deviation of the true means of spools; 0 if the scatter of the samples
         explains the scatter of the spool means; NaN if `within` is NaN
-    share : between_spools^2 / (between_spools^2 + within^2); NaN if both are 0 or NaN
-    share_upper : upper confidence limit of the share; 1 if not available
+    spool_share : fraction of the variance that is between spools, between_spools^2 /
+        (between_spools^2 + within^2); NaN if both are 0 or NaN
+    max_spool_share : upper confidence limit of `spool_share`; 1 if not available
     """
 
     within: float
     between_spools: float
-    share: float
-    share_upper: float
+    spool_share: float
+    max_spool_share: float
 
 
 def estimate_spool_scatter(spools: Sequence[Floats], confidence: float) -> SpoolScatter:
@@ -238,7 +247,7 @@ def estimate_spool_scatter(spools: Sequence[Floats], confidence: float) -> Spool
     Parameters
     ----------
     spools : values of the samples of each spool, two spools or more, none empty, without NaN
-    confidence : one-sided level of the upper limit of the share
+    confidence : one-sided confidence level of the upper limit of the fraction between spools
 
     Returns
     -------
@@ -248,28 +257,36 @@ def estimate_spool_scatter(spools: Sequence[Floats], confidence: float) -> Spool
     -----
     This is the one-way analysis of variance of unweighted spool means. With the harmonic mean h of
     the numbers of samples and the variance S^2 of the spool means, between_spools^2 = S^2 -
-    within^2 / h. The limit of the share inverts the F distribution of h S^2 / within^2 (Thomas and
-    Hultquist, Annals of Statistics 6 (1978) 582); it is exact for equal numbers of samples.
+    within^2 / h. The upper limit of the fraction inverts the F distribution of h S^2 / within^2
+    [1]_. It is exact for equal numbers of samples.
+
+    References
+    ----------
+    .. [1] Thomas and Hultquist, Annals of Statistics 6 (1978) 582.
     """
     counts = np.array([len(values) for values in spools])
     degrees = int(np.sum(counts - 1))
     if degrees == 0:
         return SpoolScatter(np.nan, np.nan, np.nan, 1.0)
-    within = float(sum(np.sum((values - values.mean()) ** 2) for values in spools)) / degrees
+    sum_of_squares = float(sum(np.sum((values - values.mean()) ** 2) for values in spools))
+    within_variance = sum_of_squares / degrees
     harmonic_mean = len(spools) / float(np.sum(1.0 / counts))
-    variance_of_means = float(np.var([values.mean() for values in spools], ddof=1))
-    between = max(variance_of_means - within / harmonic_mean, 0.0)
-    share = between / (between + within) if between + within > 0.0 else np.nan
+    mean_variance = float(np.var([values.mean() for values in spools], ddof=1))
+    spool_variance = max(mean_variance - within_variance / harmonic_mean, 0.0)
+    variance = spool_variance + within_variance
+    share = spool_variance / variance if variance > 0.0 else np.nan
     f_quantile = float(special.fdtri(len(spools) - 1, degrees, 1.0 - confidence))
-    share_upper = 1.0  # share for which the observed mean square is the quantile
-    if within * f_quantile != 0.0:
-        excess = max(harmonic_mean * variance_of_means / (within * f_quantile) - 1.0, 0.0)
-        share_upper = excess / (excess + harmonic_mean)
-    return SpoolScatter(float(np.sqrt(within)), float(np.sqrt(between)), share, share_upper)
+    max_share = 1.0
+    if within_variance * f_quantile != 0.0:
+        # The limit is the fraction for which the observed ratio of variances is the quantile.
+        excess = max(harmonic_mean * mean_variance / (within_variance * f_quantile) - 1.0, 0.0)
+        max_share = excess / (excess + harmonic_mean)
+    deviations = float(np.sqrt(within_variance)), float(np.sqrt(spool_variance))
+    return SpoolScatter(*deviations, share, max_share)
 
 
 def compute_spools_p(spools: Sequence[Floats]) -> float:
-    """Compute the p-value of the k-sample Anderson-Darling test of equal spools.
+    """Compute the p-value of the k-sample Anderson-Darling test that spools are equal.
 
     Parameters
     ----------
@@ -281,9 +298,13 @@ def compute_spools_p(spools: Sequence[Floats]) -> float:
 
     Notes
     -----
-    The test is that of Scholz and Stephens, J. Am. Stat. Assoc. 82 (1987) 918, with midranks. For
-    few assignments of samples to spools (20 for two spools of three), all are counted and p is
-    exact; otherwise it is from their table, which ends at 0.001 and 0.25.
+    The test is that of [1]_ with midranks. For few assignments of samples to spools (20 for two
+    spools of three), the statistic is computed for all of them, and p is exact. Otherwise p is
+    interpolated in the table of [1]_, which ends at 0.001 and 0.25.
+
+    References
+    ----------
+    .. [1] Scholz and Stephens, J. Am. Stat. Assoc. 82 (1987) 918.
     """
     from scipy import stats  # imported here, because it takes a third of a second
 
@@ -292,7 +313,7 @@ def compute_spools_p(spools: Sequence[Floats]) -> float:
         return float("nan")
     exact = stats.PermutationMethod(n_resamples=_MAX_PARTITIONS)
     with warnings.catch_warnings():
-        # The ends of the table are documented above.
+        # SciPy warns at the ends of the table, which the docstring states.
         warnings.filterwarnings("ignore", message="p-value (capped|floored)", category=UserWarning)
         outcome = stats.anderson_ksamp(
             spools,
@@ -303,13 +324,13 @@ def compute_spools_p(spools: Sequence[Floats]) -> float:
 
 
 def _count_partitions(counts: Sequence[int]) -> int:
-    """Count the assignments of samples to spools with these numbers of samples."""
+    """Count the assignments of samples to spools, given the number of samples of each spool."""
     return factorial(sum(counts)) // prod(factorial(count) for count in counts)
 
 
 @lru_cache(maxsize=64)
 def compute_smallest_p(counts: tuple[int, ...]) -> float:
-    """Compute the smallest p-value of `compute_spools_p`, which is that of separated spools.
+    """Compute the smallest p-value of `compute_spools_p`, that of spools without overlap.
 
     Parameters
     ----------
@@ -317,8 +338,8 @@ def compute_smallest_p(counts: tuple[int, ...]) -> float:
 
     Returns
     -------
-    The p-value, such as 0.1 for 3 and 3 samples, of which 2 of 20 assignments are separated. It is
-    0.001, the end of the table, if not all assignments are counted; NaN without a test.
+    The p-value, such as 0.1 for 3 and 3 samples, since 2 of the 20 assignments have no overlap. It
+    is 0.001, the end of the table, if the test is not exact; NaN without a test.
     """
     if len(counts) < 2 or min(counts) < 2:
         return float("nan")
@@ -335,42 +356,42 @@ SCATTER = "scatter of the tests"
 
 @dataclass(frozen=True, slots=True)
 class GroupBudget:
-    """Contributions to the variance of one number of a group, as fractions with the sum one.
+    """Contributions of causes to the uncertainty of one result of a group.
 
     Parameters
     ----------
-    test_shares : median fraction of each cause in the variance of the tests, keyed by cause; empty
-        without budgets
-    mean_shares : fraction of `SCATTER` and of each common cause in the squared half width of the
-        mean, keyed by cause; empty without an interval
+    test_shares : fraction of the variance of a test that each cause contributes, the median of the
+        tests, keyed by cause; the fractions sum to one; empty without budgets
+    mean_shares : fraction of the squared half width of the mean that `SCATTER` and each common
+        cause contribute, keyed by cause; the fractions sum to one; empty without an interval
     """
 
     test_shares: Mapping[str, float]
     mean_shares: Mapping[str, float]
 
 
-def summarise_budget(number: GroupNumber) -> GroupBudget:
+def summarise_budget(group_result: GroupNumber) -> GroupBudget:
     """Summarise the budgets of the tests of a group, and compute the budget of their mean.
 
     Parameters
     ----------
-    number : result of a group; tests without a budget do not count
+    group_result : result of a group; tests without a budget are ignored
 
     Returns
     -------
-    The budget, with causes in the order of `IS_COMMON`. Medians are scaled to the sum one; a test
-    without a cause has the share zero.
+    The budget, with causes in the order of `IS_COMMON`. Medians are scaled so that they sum to one.
+    The fraction of a cause that a test does not have is zero.
     """
-    tests = [
-        {row.cause: share for row, share in zip(value.budget, value.shares, strict=True)}
-        for value in number.values.values()
-        if value.largest_share is not None
+    shares_by_test = [
+        {row.cause: share for row, share in zip(result.budget, result.shares, strict=True)}
+        for result in group_result.values.values()
+        if result.largest_share is not None
     ]
-    causes = sort_causes({cause for test in tests for cause in test})
-    medians = {cause: median(test.get(cause, 0.0) for test in tests) for cause in causes}
+    causes = sort_causes(chain(*shares_by_test))
+    medians = {cause: median(test.get(cause, 0.0) for test in shares_by_test) for cause in causes}
     total = sum(medians.values())
-    shares = {cause: share / total for cause, share in medians.items() if share > 0.0}
-    return GroupBudget(shares, _compute_mean_budget(number.mean.chosen))
+    test_shares = {cause: share / total for cause, share in medians.items() if share > 0.0}
+    return GroupBudget(test_shares, _compute_mean_budget(group_result.mean.chosen))
 
 
 def sort_causes(causes: Iterable[str]) -> list[str]:
@@ -383,25 +404,29 @@ def sort_causes(causes: Iterable[str]) -> list[str]:
 
 
 def _compute_mean_budget(mean: MeanInterval) -> dict[str, float]:
-    """Compute the fraction of each cause in the squared half width of a mean, keyed by cause."""
+    """Compute the contribution of each cause to the squared half width of a mean.
+
+    The contributions are fractions that sum to one, keyed by cause.
+    """
     if mean.interval is None or not mean.interval.upper > mean.interval.lower:
         return {}
     normal_factor = Interval.normal_95(0.0, 1.0).upper / mean.half_width
-    common = {
+    common_shares = {
         contribution.cause: (normal_factor * contribution.change) ** 2
         for contribution in mean.common
         if contribution.change
     }
-    scatter = 1.0 - (normal_factor * combine_changes(mean.common)) ** 2
-    return {SCATTER: scatter, **{cause: common[cause] for cause in sort_causes(common)}}
+    scatter_share = 1.0 - (normal_factor * combine_changes(mean.common)) ** 2
+    sorted_shares = {cause: common_shares[cause] for cause in sort_causes(common_shares)}
+    return {SCATTER: scatter_share, **sorted_shares}
 
 
 _BIAS = ""
 """Key of the difference of value and estimate in `_Errors`."""
 _Errors = Mapping[str, float]
-"""Errors of a result or a mean that do not contribute to the scatter.
+"""Errors of a result or a mean that do not contribute to the scatter, in the unit of the result.
 
-They are the change by each common cause, keyed by cause, and the difference of value and estimate.
+They are the change by each common cause, keyed by cause, and value minus estimate.
 """
 
 
@@ -420,13 +445,15 @@ def add_common_causes(mean: NestedMean, spools: Mapping[str, Sequence[Result]]) 
 
     Notes
     -----
-    A common cause changes all numbers at the same time, each by its own signed change, and their
-    mean by the mean of the changes. Causes are independent (GUM, JCGM 100:2008, 5.2.2, note 1).
+    A common cause changes all results at the same time, each by its own signed change, and their
+    mean by the mean of the changes. This is the linear sum for correlation coefficients of +1
+    (GUM, JCGM 100:2008, 5.2.2, note 1). Different causes are independent of each other.
     """
     errors = {name: [_list_errors(result) for result in spools[name]] for name in mean.spool_means}
-    means = {name: _average_errors(rows) for name, rows in errors.items()}
-    averaged_errors = [*chain(*errors.values())] if mean.is_pooled else [*means.values()]
-    chosen = _shift_interval(mean.chosen, _average_errors(averaged_errors))
+    spool_errors = {name: _average_errors(rows) for name, rows in errors.items()}
+    # The mean is that of the samples or of the spools, and so is its error.
+    terms = [*chain(*errors.values())] if mean.is_pooled else [*spool_errors.values()]
+    chosen = _shift_interval(mean.chosen, _average_errors(terms))
     decision = mean.decision
     if causes := ", ".join(contribution.cause for contribution in chosen.common):
         clause = format_sentence("statistics.common_causes", causes=causes)
@@ -435,7 +462,7 @@ def add_common_causes(mean: NestedMean, spools: Mapping[str, Sequence[Result]]) 
         mean,
         chosen=chosen,
         spool_means={
-            name: _shift_interval(spool_mean, means[name])
+            name: _shift_interval(spool_mean, spool_errors[name])
             for name, spool_mean in mean.spool_means.items()
         },
         decision=decision,
@@ -451,7 +478,7 @@ def _list_errors(result: Result) -> _Errors:
 
 
 def _average_errors(rows: Sequence[_Errors]) -> _Errors:
-    """Average errors; a missing cause counts as no change."""
+    """Average the errors of results or spools; the change by a missing cause is zero."""
     causes = dict.fromkeys([_BIAS, *chain(*rows)])
     if not rows:
         return {_BIAS: 0.0}
@@ -475,7 +502,7 @@ def _shift_interval(mean: MeanInterval, errors: _Errors) -> MeanInterval:
 
 
 def combine_changes(common: Sequence[Contribution]) -> float:
-    """Combine the changes by independent causes to one standard uncertainty."""
+    """Combine the changes by independent causes into one standard uncertainty."""
     return hypot(*(contribution.change for contribution in common))
 
 
@@ -489,14 +516,15 @@ def widen_interval(interval: Interval, common: Sequence[Contribution]) -> Interv
 
     Returns
     -------
-    The interval about the same middle, with its half width and the normal 95 % half width of the
-    common causes in quadrature; unchanged without common causes.
+    The interval about the same middle. Its half width is the root of the sum of squares of the half
+    width of `interval` and the normal 95 % half width of the common causes. The interval is
+    unchanged without common causes.
 
     Notes
     -----
     With effective degrees of freedom (GUM, G.4.1) a common cause would make the interval of two
-    values *shorter*, since t decreases from 12.7 faster than the uncertainty increases. Half widths
-    in quadrature are never shorter; docs/explanations/statistics.md has their coverage.
+    values *shorter*, since t decreases from 12.7 faster than the uncertainty increases. The root of
+    the sum of squares is never shorter; docs/explanations/statistics.md states its coverage.
     """
     middle = 0.5 * (interval.lower + interval.upper)
     common_half_width = Interval.normal_95(0.0, combine_changes(common)).upper
@@ -515,20 +543,14 @@ def subtract_changes(
     ----------
     first, second : changes of two means of tests on one rig, in which a cause acts on both means
     """
-    first_changes, second_changes = (
-        {contribution.cause: contribution.change for contribution in contributions}
-        for contributions in (first, second)
-    )
-    return tuple(
-        Contribution(
-            cause, second_changes.get(cause, 0.0) - first_changes.get(cause, 0.0), is_common=True
-        )
-        for cause in dict.fromkeys([*first_changes, *second_changes])
-    )
+    changes = {row.cause: 0.0 - row.change for row in first}
+    for row in second:
+        changes[row.cause] = row.change + changes.get(row.cause, 0.0)
+    return tuple(Contribution(cause, change, is_common=True) for cause, change in changes.items())
 
 
 def are_positive(results: Sequence[Result]) -> bool:
-    """Return whether all values and estimates of results are above zero.
+    """Return whether the values and estimates of all results are above zero.
 
     Parameters
     ----------
@@ -543,7 +565,7 @@ def are_positive(results: Sequence[Result]) -> bool:
 
 
 def convert_to_log_scale(mean: NestedMean) -> NestedMean:
-    """Convert the intervals of the mean of a positive number to a log scale.
+    """Make the intervals of the mean of a positive result symmetric on a log scale.
 
     Parameters
     ----------
@@ -551,16 +573,16 @@ def convert_to_log_scale(mean: NestedMean) -> NestedMean:
 
     Returns
     -------
-    The same means and scatters; each interval with a positive middle is middle x exp(-+ half width
-    / middle).
+    The same means and scatters. An interval with a positive middle m and half width w becomes
+    m exp(-w / m) to m exp(w / m); other intervals are unchanged.
 
     Notes
     -----
-    The standard error of log(mean) is the standard error of the mean divided by the mean. The
-    interval is therefore for the arithmetic mean, not for the geometric mean. A spreadsheet
-    computes its upper end, without common causes, by
+    The standard error of log(mean) is, to first order, the standard error of the mean divided by
+    the mean. The interval is therefore that of the arithmetic mean, not of the geometric mean. A
+    spreadsheet computes its upper end, without common causes, by
     ``AVERAGE(x)*EXP(T.INV.2T(0.05;n-1)*STDEV.S(x)/SQRT(n)/AVERAGE(x))``. The explanation
-    docs/explanations/statistics.md has its coverage.
+    docs/explanations/statistics.md states the coverage.
     """
     return replace(
         mean,
@@ -572,7 +594,7 @@ def convert_to_log_scale(mean: NestedMean) -> NestedMean:
 
 
 def _convert_interval(mean: MeanInterval) -> MeanInterval:
-    """Convert the interval of a mean with a positive middle to a log scale."""
+    """Make the interval of a mean with a positive middle symmetric on a log scale."""
     max_exponent = 300.0  # keeps the ends finite and above zero
     if mean.interval is None or not mean.middle > 0.0:
         return mean

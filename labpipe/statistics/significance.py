@@ -1,6 +1,6 @@
-"""Test for significance: difference and equivalence of two groups, and outliers of a report.
+"""Test the difference and the equivalence of two groups, and find the outliers of a report.
 
-The false-alarm rate of outliers applies to the whole report. No value is removed.
+The false-alarm rate of outliers applies to the whole report. Outliers are marked, not removed.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from labpipe.records.group import (
     Verdict,
 )
 from labpipe.statistics.group_samples import name_samples
-from labpipe.statistics.means import LEVEL, combine_changes, compute_t_quantile, subtract_changes
+from labpipe.statistics.means import ALPHA, combine_changes, compute_t_quantile, subtract_changes
 
 
 def subtract_means(first: MeanInterval, second: MeanInterval) -> MeanInterval:
@@ -40,9 +40,9 @@ def subtract_means(first: MeanInterval, second: MeanInterval) -> MeanInterval:
 
     Returns
     -------
-    The difference, with the number of values of both and a deviation of NaN. If one of the means
-    has no interval, the difference has none, for the same reason. The middle of the interval is the
-    difference of the estimates; the interval includes the effect of common causes.
+    The difference, with the number of values of both means together and a deviation of NaN. If one
+    of the means has no interval, the difference has none, for the same reason. The middle of the
+    interval is the difference of the estimates. The interval includes the effect of common causes.
 
     Notes
     -----
@@ -68,27 +68,28 @@ def compute_contrast(
     *,
     is_log: bool | None = None,
 ) -> Contrast | None:
-    """Compute the contrast of two means: their difference on the scale of the judgement.
+    """Compute the contrast of two means, which is their difference on the scale of the tests.
 
     Parameters
     ----------
     first, second : means of independent values; their standard deviations may differ
     margin : largest difference without practical importance, as a fraction of the first mean
-    is_log : whether the scale is logarithmic; None for the scale of both intervals, if it is equal
+    is_log : whether the scale is logarithmic; if None, it is so if both intervals are on a log
+        scale
 
     Returns
     -------
     The contrast; None if a mean has no interval. On a log scale, standard errors and common causes
-    are relative to the means, so an error of the gain cancels, and a margin m is the range from
-    1 / (1 + m) to 1 + m.
+    are relative to the means, so that an error of the gain cancels. A margin m then allows a ratio
+    of the means from 1 / (1 + m) to 1 + m.
     """
     if first.interval is None or second.interval is None:
         return None
     is_log = first.is_log and second.is_log if is_log is None else is_log
     first_scale, second_scale = (first.middle, second.middle) if is_log else (1.0, 1.0)
     common = [
-        [replace(row, change=row.change / size) for row in mean.common]
-        for mean, size in ((first, first_scale), (second, second_scale))
+        [replace(row, change=row.change / scale) for row in mean.common]
+        for mean, scale in ((first, first_scale), (second, second_scale))
     ]
     log_or_absolute_margin = None
     if margin is not None:
@@ -107,11 +108,11 @@ def compute_contrast(
 
 
 def _compute_standard_error(mean: MeanInterval) -> float:
-    """Compute the standard error of a mean from the scatter of its values."""
+    """Compute the standard error of a mean from the standard deviation of its values."""
     return mean.deviation / sqrt(mean.n)
 
 
-def compute_half_width(contrast: Contrast, tail_probability: float = 1.0 - LEVEL) -> float:
+def compute_half_width(contrast: Contrast, tail_probability: float = ALPHA) -> float:
     """Compute the half width of the interval of a difference.
 
     Parameters
@@ -121,8 +122,8 @@ def compute_half_width(contrast: Contrast, tail_probability: float = 1.0 - LEVEL
 
     Returns
     -------
-    The half widths from scatter and from common causes, in quadrature, as for a mean; on the scale
-    of the contrast.
+    The root of the sum of squares of the half widths from scatter and from common causes, on the
+    scale of the contrast. The interval of a mean is computed in the same way.
     """
     quantile = compute_t_quantile(contrast.degrees, tail_probability) if contrast.error else 0.0
     common_half_width = float(special.ndtri(1.0 - 0.5 * tail_probability)) * contrast.shared
@@ -130,11 +131,15 @@ def compute_half_width(contrast: Contrast, tail_probability: float = 1.0 - LEVEL
 
 
 def compute_difference_p(contrast: Contrast) -> float:
-    """Compute the p-value of no difference, which is the level whose interval ends at zero.
+    """Compute the p-value of the test that two means are equal.
 
     Parameters
     ----------
     contrast : contrast of two means
+
+    Returns
+    -------
+    The tail probability for which the interval of the difference ends at zero.
     """
     return min(1.0, 2.0 * _compute_tail(abs(contrast.difference), contrast))
 
@@ -154,8 +159,8 @@ def compute_equivalence_p(contrast: Contrast) -> float:
     Notes
     -----
     The tests are those of Schuirmann, J. Pharmacokinetics and Biopharmaceutics 15 (1987) 657, with
-    Welch's degrees of freedom. Common causes are added as in the interval: at the tail probability
-    p, the quantiles of scatter and of common causes reach the margin in quadrature.
+    Welch's degrees of freedom. Common causes are added as in the interval. At the tail probability
+    p, the root of the sum of squares of both half widths equals the distance to the margin.
     """
     if contrast.margin is None:
         return float("nan")
@@ -208,7 +213,7 @@ def compare_means(
     difference = subtract_means(first_mean, second_mean)
     contrast = compute_contrast(first_mean, second_mean, margin)
     caveats = []
-    single_spool_groups = [name for name, mean in (first, second) if len(mean.spool_means) == 1]
+    single_spool_groups = [group for group, mean in (first, second) if len(mean.spool_means) == 1]
     if groups := " and ".join(single_spool_groups):
         caveats.append(format_sentence("statistics.single_spool", groups=groups))
     if causes := ", ".join(contribution.cause for contribution in difference.common):
@@ -237,9 +242,9 @@ def judge_family(family: str, differences: Sequence[Difference]) -> list[Differe
 
     Returns
     -------
-    The differences with verdicts, in the same order. In at most 5 % of reports any verdict
-    *different* of the family is wrong, and likewise any *equivalent*: `correct_p_values` corrects
-    both for the number of tests. The verdict is
+    The differences with verdicts, in the same order. At most 5 % of reports have a wrong verdict
+    *different* in the family, and at most 5 % a wrong *equivalent*, since `correct_p_values`
+    corrects both for the number of tests. The verdict is
 
     - ``equivalent`` if the two one-sided tests find the difference within the margin, even if zero
       is outside the corrected interval;
@@ -259,7 +264,7 @@ def judge_family(family: str, differences: Sequence[Difference]) -> list[Differe
 def _judge_difference(
     family: str, difference: Difference, difference_test: CorrectedP, equivalence: CorrectedP
 ) -> Difference:
-    """Add the verdict to a comparison, from its p-values in the family."""
+    """Add the verdict to a difference, given its corrected p-values."""
     max_log_ratio = 20.0  # keeps the ends of an interval finite
     contrast = difference.contrast
     if contrast is None:
@@ -268,18 +273,18 @@ def _judge_difference(
         return replace(
             difference, family=family, verdict=Verdict.CANNOT_TELL, verdict_reason=verdict_reason
         )
-    tail_probability = (1.0 - LEVEL) / difference_test.divisor
+    tail_probability = ALPHA / difference_test.divisor
     middle, half_width = contrast.difference, compute_half_width(contrast, tail_probability)
     interval = Interval(middle - half_width, middle + half_width, 1.0 - tail_probability)
     if contrast.is_log:
         upper = expm1(min(interval.upper, max_log_ratio))
         interval = Interval(expm1(interval.lower), upper, interval.level)
-    is_different, is_equivalent = difference_test.p < 1.0 - LEVEL, equivalence.p < 1.0 - LEVEL
+    is_different, is_equivalent = difference_test.p < ALPHA, equivalence.p < ALPHA
     verdict = Verdict.DIFFERENT if is_different else Verdict.CANNOT_TELL
     verdict_reason = format_sentence(
         "statistics.p_value",
         p=_format_p(difference_test.p),
-        corrected=_describe_correction(difference_test.tests),
+        corrected=_describe_correction(difference_test.n_tests),
     )
     if is_equivalent:
         verdict = Verdict.EQUIVALENT
@@ -288,7 +293,7 @@ def _judge_difference(
             real=format_sentence("statistics.real_but") if is_different else "",
             margin=_describe_margin(contrast),
             p=_format_p(equivalence.p),
-            corrected=_describe_correction(equivalence.tests),
+            corrected=_describe_correction(equivalence.n_tests),
         )
     elif not is_different and contrast.margin is None:
         verdict_reason = format_sentence("statistics.zero_no_margin")
@@ -302,16 +307,16 @@ def _judge_difference(
     return replace(
         difference,
         family=family,
-        tests=difference_test.tests,
+        tests=difference_test.n_tests,
         interval=interval,
         verdict=verdict,
         verdict_reason=verdict_reason,
     )
 
 
-def _describe_correction(tests: int) -> str:
+def _describe_correction(n_tests: int) -> str:
     """Describe the correction for the number of tests; empty for a single test."""
-    return format_sentence("statistics.corrected", tests=tests) if tests > 1 else ""
+    return format_sentence("statistics.corrected", tests=n_tests) if n_tests > 1 else ""
 
 
 def _format_p(p: float) -> str:
@@ -325,7 +330,7 @@ def _describe_margin(contrast: Contrast) -> str:
     return f"{100 * expm1(contrast.margin or 0.0):.3g} %" if is_percentage else "the margin"
 
 
-def count_needed_samples(contrast: Contrast, tail_probability: float = 1.0 - LEVEL) -> int | None:
+def count_needed_samples(contrast: Contrast, tail_probability: float = ALPHA) -> int | None:
     """Count the values per group that are needed to distinguish different from equivalent.
 
     Parameters
@@ -335,16 +340,16 @@ def count_needed_samples(contrast: Contrast, tail_probability: float = 1.0 - LEV
 
     Returns
     -------
-    Smallest number, above the present numbers, for which the interval is not wider than the margin:
-    it then excludes zero or is within the margin. None for more than 50 samples per group, without
-    a margin, or without scatter.
+    The smallest count, above the present counts, for which the interval is not wider than the
+    margin, so that it excludes zero or is within the margin. None for more than 50 values per
+    group, without a margin, or without scatter.
     """
-    max_advised_samples = 50  # samples of each group
+    max_advised_count = 50  # more values per group are rarely affordable
     if contrast.margin is None or not contrast.error:
         return None
-    scatter = [e * sqrt(n) for e, n in zip(contrast.errors, contrast.counts, strict=True)]
-    for n in range(max(contrast.counts) + 1, max_advised_samples + 1):
-        errors = scatter[0] / sqrt(n), scatter[1] / sqrt(n)
+    deviations = [e * sqrt(n) for e, n in zip(contrast.errors, contrast.counts, strict=True)]
+    for n in range(max(contrast.counts) + 1, max_advised_count + 1):
+        errors = deviations[0] / sqrt(n), deviations[1] / sqrt(n)
         larger_groups = replace(contrast, errors=errors, counts=(n, n))
         if compute_half_width(larger_groups, tail_probability) <= 0.5 * contrast.margin:
             return n
@@ -353,19 +358,19 @@ def count_needed_samples(contrast: Contrast, tail_probability: float = 1.0 - LEV
 
 @dataclass(frozen=True, slots=True)
 class CorrectedP:
-    """A p-value, corrected for the number of tests in its family.
+    """p-value that is corrected for the number of tests in its family.
 
     Parameters
     ----------
     p : adjusted p-value, below the level of the family if the test is significant; NaN without a
         test
     divisor : level of the family divided by the level of this test
-    tests : number of tests in the family
+    n_tests : number of tests in the family
     """
 
     p: float
     divisor: int
-    tests: int
+    n_tests: int
 
 
 def correct_p_values(p_values: Sequence[float], level: float = 0.05) -> list[CorrectedP]:
@@ -374,13 +379,13 @@ def correct_p_values(p_values: Sequence[float], level: float = 0.05) -> list[Cor
     Parameters
     ----------
     p_values : p-values of the tests; NaN without a test
-    level : probability of any false positive in the family
+    level : probability that at least one test of the family is a false positive
 
     Returns
     -------
-    The corrected p-values, in the same order. All tests from the first test that is not significant
-    have the divisor of that test, so that an interval at the level of a test excludes zero exactly
-    if the test is significant.
+    The corrected p-values, in the same order. In the order of increasing p-values, all tests from
+    the first that is not significant have the divisor of that test. An interval at the level of a
+    test therefore excludes zero exactly if the test is significant.
 
     Notes
     -----
@@ -408,7 +413,7 @@ def correct_p_values(p_values: Sequence[float], level: float = 0.05) -> list[Cor
 
 @dataclass(frozen=True, slots=True)
 class _TestStep:
-    """One step of an outlier test: the most extreme of the remaining values.
+    """Step of an outlier test, which tests the most extreme of the remaining values.
 
     Parameters
     ----------
@@ -424,14 +429,13 @@ class _TestStep:
 
 @dataclass(frozen=True, slots=True)
 class OutlierTest:
-    """Result of an outlier test of one number, before the correction for all numbers of a report.
+    """Outlier test of one result of a group, before the correction for all results of a report.
 
     Parameters
     ----------
-    names : name of each sample that has a value
-    values : value of each of these samples
-    steps : the most extreme value, then the most extreme of the remaining values, and so on; empty
-        if no test is possible
+    names : names of the samples that have a value
+    values : value of each of these samples, in the unit of the result
+    steps : steps of the test, the most extreme value first; empty if no test is possible
     method : name of the test
     """
 
@@ -450,10 +454,10 @@ class OutlierTest:
 
         Parameters
         ----------
-        max_p_value : limit of the p-values of single steps
+        max_p_value : p-value below which a step is significant
         """
-        # Each step gets the smallest p-value of itself and all later steps, because a significant
-        # step marks all earlier steps.
+        # A significant step marks all earlier steps. Each step therefore gets the smallest p-value
+        # of itself and all later steps.
         p_values = np.minimum.accumulate([step.p_value for step in self.steps[::-1]])[::-1]
         steps = zip(self.steps, p_values.tolist(), strict=True)
         significant_steps = [(step, p_value) for step, p_value in steps if p_value < max_p_value]
@@ -473,19 +477,19 @@ class OutlierTest:
 def run_outlier_test(
     values: Mapping[str, float], spools: Mapping[str, str], *, max_outliers: int | None = None
 ) -> OutlierTest:
-    """Test whether values are farther from the mean of their spool than chance explains.
+    """Test whether the most extreme values are farther from the mean of their spool than by chance.
 
     Parameters
     ----------
-    values : value of each sample, keyed by its name; NaN are ignored
+    values : value of each sample, keyed by name of the sample; NaN are ignored
     spools : spool of each sample, keyed by the name of the sample
     max_outliers : largest number of outliers; if None, a tenth of the samples, but at least one
 
     Returns
     -------
-    The test. It has no steps if `describe_missing_samples` gives a reason, or if all samples of
-    each spool are equal within rounding. Values with equal p-values are all marked, and the name of
-    the method lists them; this always applies to the two values of a spool with two samples.
+    The test. It has no steps if there are too few samples (`describe_missing_samples`), or if all
+    samples of each spool are equal within rounding. Values with equal p-values are all marked, and
+    the name of the method lists them. This always applies to the values of a spool of two samples.
 
     Notes
     -----
@@ -500,33 +504,33 @@ def run_outlier_test(
     names = [name for name, value in values.items() if not np.isnan(value)]
     tested_values = np.array([values[name] for name in names])
     spool_index = np.unique([spools[name] for name in names], return_inverse=True)[1]
-    limit = max(1, len(names) // 10) if max_outliers is None else max_outliers
-    method = "generalised ESD test" if limit > 1 else "Grubbs' test"
+    max_steps = max(1, len(names) // 10) if max_outliers is None else max_outliers
+    method = "generalised ESD test" if max_steps > 1 else "Grubbs' test"
     method += " within spools" if len(set(spool_index.tolist())) > 1 else ""
-    steps = _find_steps(tested_values, spool_index, limit)
+    steps = _list_steps(tested_values, spool_index, max_steps)
     return OutlierTest(names, tested_values.tolist(), steps, method)
 
 
 def mark_outliers(groups: Sequence[Group], level: float = 0.05) -> list[Group]:
-    """Mark outliers among all numbers of a report.
+    """Mark the outliers among all results of a report.
 
     Parameters
     ----------
-    groups : groups of the report. Outliers that they already have are replaced. Numbers that the
+    groups : groups of the report. Outliers that they already have are replaced. Results that the
         rig sets are not tested
     level : false-alarm rate for the whole report
 
     Returns
     -------
-    The groups with outliers in their numbers.
+    The groups with the outliers of their results.
 
     Notes
     -----
-    The smallest p-values of all numbers form one family. `correct_p_values` corrects them, which is
-    also valid for dependent numbers of one test. Each step of the ESD test counts as one test,
+    The smallest p-values of all results form one family. `correct_p_values` corrects them, which is
+    also valid for dependent results of one test. Each step of the ESD test counts as one test,
     since its false-alarm rate exceeds its level (1.14 times for two steps at 5 % and 20 samples).
     """
-    outlier_tests = [[_test_number(group, number) for number in group.numbers] for group in groups]
+    outlier_tests = [[_test_result(group, number) for number in group.numbers] for group in groups]
     p_values = [len(test.steps) * test.smallest_p_value for test in chain(*outlier_tests)]
     corrected = iter(correct_p_values(p_values, level))
 
@@ -540,8 +544,8 @@ def mark_outliers(groups: Sequence[Group], level: float = 0.05) -> list[Group]:
     ]
 
 
-def _test_number(group: Group, number: GroupNumber) -> OutlierTest:
-    """Test a number of a group for outliers, unless the rig sets it."""
+def _test_result(group: Group, number: GroupNumber) -> OutlierTest:
+    """Test a result of a group for outliers, unless the rig sets it."""
     if number.is_set_by_rig:
         return OutlierTest()
     names = name_samples(group.samples)
@@ -552,14 +556,12 @@ def _test_number(group: Group, number: GroupNumber) -> OutlierTest:
     return run_outlier_test(values, spools)
 
 
-def _find_steps(
-    values: Floats, spool_index: NDArray[np.intp], max_outliers: int
-) -> list[_TestStep]:
-    """Find the most extreme value, then the most extreme of the remaining values, and so on."""
+def _list_steps(values: Floats, spool_index: NDArray[np.intp], max_steps: int) -> list[_TestStep]:
+    """List the most extreme value, then the most extreme of the remaining values, and so on."""
     max_tied_ratio = 1.001  # p-values of equally extreme values differ by rounding
     indices = np.arange(len(values))
     steps: list[_TestStep] = []
-    for _ in range(max_outliers):
+    for _ in range(max_steps):
         p_values = _compute_p_values(values[indices], spool_index[indices])
         if p_values is None:
             break
@@ -572,10 +574,12 @@ def _find_steps(
 
 
 def _compute_p_values(values: Floats, spool_index: NDArray[np.intp]) -> Floats | None:
-    """Compute the p-value of each value with Bonferroni's correction.
+    """Compute the p-value of each value with Bonferroni's correction for the number of values.
 
     Return None if there are too few values, or if the values of each spool are equal.
     """
+    rounding_error = 1e-12  # of a sum of values, relative to the largest value
+    min_remaining_fraction = 1e-15  # prevents a division by zero
     spools, spool_index = np.unique(spool_index, return_inverse=True)
     degrees_of_freedom = len(values) - len(spools) - 1
     if degrees_of_freedom < 1:
@@ -584,14 +588,16 @@ def _compute_p_values(values: Floats, spool_index: NDArray[np.intp]) -> Floats |
     means = np.bincount(spool_index, weights=values) / counts
     residual = values - means[spool_index]
     sum_of_squares = float(residual @ residual)
-    if sum_of_squares <= (1e-12 * float(np.abs(values).max())) ** 2:  # equal within rounding
+    if sum_of_squares <= (rounding_error * float(np.abs(values).max())) ** 2:
         return None
     # Removing a value from a spool of n reduces the sum of squares by residual^2 / (1 - 1 / n).
     variance_factor = 1.0 - 1.0 / counts[spool_index]
     reduction = np.divide(
         residual**2, variance_factor, out=np.zeros(len(values)), where=variance_factor > 0
     )
-    remaining_squares = np.maximum(sum_of_squares - reduction, 1e-15 * sum_of_squares)
+    remaining_squares = np.maximum(
+        sum_of_squares - reduction, min_remaining_fraction * sum_of_squares
+    )
     t = np.sqrt(reduction * degrees_of_freedom / remaining_squares)
     p_values: Floats = np.minimum(1.0, 2.0 * len(values) * special.stdtr(degrees_of_freedom, -t))
     return p_values

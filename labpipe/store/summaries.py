@@ -16,7 +16,7 @@ import numpy as np
 from labpipe import __version__
 from labpipe.errors import StoreError
 from labpipe.records.result import InputFile, Result, Specimen, TestResult, compute_seal
-from labpipe.statistics.lots import find_verdict
+from labpipe.statistics.lots import judge_results
 from labpipe.store.replace import locked, replace_file
 
 SUMMARY_FILE = "summary.json"
@@ -37,7 +37,7 @@ def build_summary(result: TestResult) -> dict[str, object]:
     The content of ``summary.json``. A number that is not finite or not available is None. Status
     and reasons explain it.
     """
-    verdict = find_verdict(result.results)  # None if the protocol states no limit
+    verdict = judge_results(result.results)  # None if the protocol states no limit
     return {
         "schema": SUMMARY_SCHEMA,
         "test": result.test,

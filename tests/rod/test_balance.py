@@ -15,12 +15,12 @@ from labpipe.mechanics.rod.assembly import (
     Shape,
 )
 from labpipe.mechanics.rod.banded import Band
-from labpipe.mechanics.rod.bands import Fields, compute_band, respond
+from labpipe.mechanics.rod.bands import Fields, compute_band, compute_response
 from labpipe.mechanics.rod.boundaries import Gravity, Held, Load, Plane, Ring, String
 from labpipe.mechanics.rod.input_distributions import build_stated_distribution, join_distributions
 from labpipe.mechanics.rod.line import Line, Section
 from labpipe.mechanics.rod.rotations import from_rotation_vectors, multiply, skew
-from labpipe.mechanics.rod.supports import split_supports
+from labpipe.mechanics.rod.supports import split_cells_at_clamps
 from labpipe.records.arrays import Floats
 from tests.builders.rods import (
     LENGTH,
@@ -53,7 +53,7 @@ class Case:
         random = np.random.default_rng(6)
         self.line = bent_line(section)
         grips = ((0, True), (3, False), (N, True))
-        supports = split_supports(self.line, grips)
+        supports = split_cells_at_clamps(self.line, grips)
         # every node is in, and half of them slide
         plane = Plane(np.array([0.0, 0.0, 0.1]), np.array([0.1, 0.2, 1.0]), 0.4)
         strings = (np.array([2]), np.array([0.05]))
@@ -63,7 +63,7 @@ class Case:
             0.5 * random.normal(size=(len(supports.nodes), 3, 2)), contacts[None], np.array([4.2])
         )
         self.imposed = ImposedValues(
-            held=self.line.positions[supports.held],
+            held=self.line.positions[supports.held_nodes],
             clamps=multiply(
                 self.line.frames[[0, -1]], from_rotation_vectors(0.1 * random.normal(size=(2, 3)))
             ),
@@ -171,7 +171,7 @@ def test_a_cell_that_slides_loses_what_its_sliders_carry() -> None:
     """The half cell at the clamp of a single element, bent by a force across its end."""
     line = straight_line(0.02, 1, sliding_section())
     path = walked(line, [clamp(line), Load(-1, ramp((0.0, 0.3, 0.0), 12))], 12)
-    curvature = float(path.last.bendings[0])
+    curvature = float(path.last.bending_curvatures[0])
     ring_stations = np.maximum(curvature - SLIDING.slip_curvatures, 0.0)
     assert np.all(ring_stations > 0.0)
     lost = SLIDING.stiffnesses * SLIDING.slip_curvatures @ ring_stations
@@ -192,15 +192,16 @@ def linear_fields(inputs: Mapping[str, float]) -> Fields:
 
 
 def test_a_straight_line_has_the_band_of_its_inputs() -> None:
-    response = respond(linear_fields, BELIEF)
+    response = compute_response(linear_fields, BELIEF)
     assert response is not None
     band = compute_band([response], "sum")
     assert band.value.tolist() == [0.0, 0.0]
     assert band.upper == pytest.approx([1.96 * 0.5, 1.96 * 0.6], rel=0.04)
     assert band.lower == pytest.approx([-1.96 * 0.5, -1.96 * 0.6], rel=0.04)
-    assert response.find_shares("one") == pytest.approx({"a": 0.0, "b": 1.0})
-    assert response.find_shares("sum")["a"] == pytest.approx(5 * 0.09 / (5 * 0.09 + 0.16), rel=0.05)
-    assert respond(lambda _: None, BELIEF) is None
+    assert response.compute_variance_fractions("one") == pytest.approx({"a": 0.0, "b": 1.0})
+    fractions = response.compute_variance_fractions("sum")
+    assert fractions["a"] == pytest.approx(5 * 0.09 / (5 * 0.09 + 0.16), rel=0.05)
+    assert compute_response(lambda _: None, BELIEF) is None
 
 
 @pytest.mark.parametrize(
@@ -216,7 +217,7 @@ def test_a_cause_that_makes_most_of_a_band_is_exact_where_the_band_ends(
     answer: Callable[[float], float], ends: tuple[float, float]
 ) -> None:
     """The line is solved there."""
-    response = respond(
+    response = compute_response(
         lambda inputs: {"y": np.array(answer(inputs["a"]))}, build_stated_distribution("a", 0.3)
     )
     assert response is not None
@@ -226,7 +227,7 @@ def test_a_cause_that_makes_most_of_a_band_is_exact_where_the_band_ends(
 
 def test_a_parabola_is_met_and_goes_on_straight() -> None:
     belief = build_stated_distribution("a", 1.0, freedom=4.0)
-    response = respond(lambda inputs: {"y": np.array((1.0 + inputs["a"]) ** 2)}, belief)
+    response = compute_response(lambda inputs: {"y": np.array((1.0 + inputs["a"]) ** 2)}, belief)
     assert response is not None
     assert response.max_amounts.tolist() == [2.0]
     amounts = belief.amounts[:, 0]
@@ -241,7 +242,7 @@ def test_a_side_without_equilibrium_borrows_the_other() -> None:
     def partly(inputs: Mapping[str, float]) -> Fields | None:
         return None if inputs["a"] > 0.1 or abs(inputs["b"]) > 0.1 else linear_fields(inputs)
 
-    response = respond(partly, BELIEF)
+    response = compute_response(partly, BELIEF)
     assert response is not None
     assert (response.one_sided, response.unsolved) == (("a",), ("b",))
     assert compute_band([response], "sum").upper[1] == pytest.approx(1.96 * 0.6, rel=0.04)
@@ -280,7 +281,7 @@ def test_the_bend_at_a_clamp_is_of_second_order() -> None:
         line = straight_line(LENGTH, elements, section)
         state = walked(line, [clamp(line), Gravity()], 1).last
         curvature = np.linalg.norm(state.reaction_moments[0]) / section.law.stiffness
-        assert int(np.argmax(state.bendings)) == 0
-        errors.append(abs(state.bendings[0] / curvature - 1.0))
+        assert int(np.argmax(state.bending_curvatures)) == 0
+        errors.append(abs(state.bending_curvatures[0] / curvature - 1.0))
     assert errors[0] < 0.01
     assert errors[0] > 4.0 * errors[1] > 16.0 * errors[2]

@@ -97,16 +97,15 @@ def test_sides_without_equilibrium_and_jumps_at_other_steps_are_noted() -> None:
         return replace(pushed(inputs), status="failed" if inputs["law_factor"] > 0.0 else "ok")
 
     def jumping(inputs: Mapping[str, float]) -> RodPath:
-        return replace(pushed(inputs), snapped=(0, 3) if inputs["law_factor"] < 0.0 else (0,))
+        return replace(pushed(inputs), snapped=(0,) if inputs["law_factor"] < 0.0 else (0, 3))
 
-    for solve, code in ((torn, "one_sided"), (jumping, "jumps")):
-        bands = predict_line_bands([solve], [build_stated_distribution("law_factor", 0.05)])
+    distribution = build_stated_distribution("law_factor", 0.05)
+    for solve, code, facts in ((torn, "one_sided", "law_factor"), (jumping, "jumps", "3 at the")):
+        bands = predict_line_bands([pushed, solve], [distribution, distribution])
         assert bands is not None
         assert [note.code for note in bands.notes] == [code]
-    assert (
-        predict_line_bands([torn], [build_stated_distribution("law_factor", 0.05, centre=0.2)])
-        is None
-    )
+        assert facts in bands.notes[0].message
+    assert predict_line_bands([torn], [replace(distribution, centre=np.array([0.2]))]) is None
     with pytest.raises(ValueError, match="at least one"):
         predict_line_bands([], [])
 

@@ -30,7 +30,7 @@ from labpipe.mechanics.rod.rotations import (
     unit,
 )
 from labpipe.mechanics.rod.schedule import Schedule
-from labpipe.mechanics.rod.supports import END_SHARE, split_supports
+from labpipe.mechanics.rod.supports import CLAMP_WEIGHT, split_cells_at_clamps
 from labpipe.records.arrays import Floats
 from tests.approved import Approve
 from tests.builders.rods import linear_section, straight_line
@@ -142,26 +142,26 @@ def uneven() -> Line:
 
 
 def test_clamps_part_cells() -> None:
-    free = split_supports(uneven(), ((0, False), (4, False)))
+    free = split_cells_at_clamps(uneven(), ((0, False), (4, False)))
     assert free.nodes.tolist() == [1, 2, 3]
     assert free.lengths == pytest.approx([0.15, 0.25, 0.35])
-    assert free.sides[0] == pytest.approx([0.05 / 0.15, 0.1 / 0.15])
-    assert free.held.tolist() == [0, 4]
-    assert len(free.ends) == 0
-    supports = split_supports(uneven(), ((2, True), (0, True)))
+    assert free.side_weights[0] == pytest.approx([0.05 / 0.15, 0.1 / 0.15])
+    assert free.held_nodes.tolist() == [0, 4]
+    assert len(free.clamped_elements) == 0
+    supports = split_cells_at_clamps(uneven(), ((2, True), (0, True)))
     assert supports.nodes.tolist() == [0, 1, 2, 2, 3]
     assert supports.before.tolist() == [-2, 0, 1, -1, 2]
     assert supports.after.tolist() == [0, 1, -1, 2, 3]
     assert supports.lengths == pytest.approx([0.05, 0.15, 0.1, 0.15, 0.35])
     assert supports.rest_curvature[0].tolist() == [0.0, 1.0, 2.0]  # of its neighbour
-    assert supports.ends.tolist() == [0, 1, 2]
-    assert supports.own_weights == pytest.approx([1.0 - END_SHARE] * 3)
+    assert supports.clamped_elements.tolist() == [0, 1, 2]
+    assert supports.own_weights == pytest.approx([1.0 - CLAMP_WEIGHT] * 3)
 
 
 def test_an_element_between_two_clamps_has_a_share_of_both() -> None:
-    supports = split_supports(uneven(), ((1, True), (2, True)))
-    row = supports.ends.tolist().index(1)
-    assert supports.own_weights[row] == pytest.approx(1.0 - 2.0 * END_SHARE)
+    supports = split_cells_at_clamps(uneven(), ((1, True), (2, True)))
+    row = supports.clamped_elements.tolist().index(1)
+    assert supports.own_weights[row] == pytest.approx(1.0 - 2.0 * CLAMP_WEIGHT)
     assert sorted(supports.clamp_pairs[supports.clamp_pairs[:, 0] == row, 1].tolist()) == [0, 1]
 
 

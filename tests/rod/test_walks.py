@@ -31,7 +31,7 @@ from labpipe.mechanics.rod.rotations import (
     to_rotation_vectors,
 )
 from labpipe.mechanics.rod.statics import RodSettings, follow
-from labpipe.mechanics.rod.supports import Grip, split_supports
+from labpipe.mechanics.rod.supports import Grip, split_cells_at_clamps
 from labpipe.mechanics.studies.harness_numbers import compute_residual_curvature
 from tests.approved import Approve
 from tests.builders.rods import (
@@ -83,7 +83,7 @@ def test_forces_and_moments_balance_and_lengths_are_kept() -> None:
     state = walked(line, boundaries, 6).last
     np.testing.assert_allclose(element_lengths(state), line.lengths, rtol=1e-8)
     across = np.hypot(state.node_curvatures[..., 0], state.node_curvatures[..., 1])
-    np.testing.assert_allclose(state.bendings, across.max(axis=1))
+    np.testing.assert_allclose(state.bending_curvatures, across.max(axis=1))
     loads = np.zeros((13, 3))
     loads[4] = (0.0, 0.02, -0.01)
     loads[1:, 2] -= 0.02 * 9.81 * line.lengths / 2.0
@@ -189,7 +189,7 @@ def test_each_cell_of_what_falls_springs_back_by_what_it_carries(max_turn: float
     path = follow(line, [clamp(line), grip], steps=41, settings=settings)
     held, free = path.states[40:]
     expected = compute_residual_curvature(held, line.section.law)
-    assert np.max(held.bendings) > 8.0
+    assert np.max(held.bending_curvatures) > 8.0
     curvature = np.linalg.norm(free.curvatures[:, :, :2], axis=2).max(axis=1)
     np.testing.assert_allclose(curvature, expected, atol=1e-6)
     assert not np.any(free.rests[13:])
@@ -249,13 +249,13 @@ LINE = straight_line(LENGTH, N, linear_section())
 
 def column(grips: tuple[Grip, ...], *, load: float) -> tuple[StabilityCheck, Balance, Shape]:
     """A straight line pressed along itself."""
-    supports = split_supports(LINE, grips)
+    supports = split_cells_at_clamps(LINE, grips)
     strings = (np.zeros(0, dtype=np.int64), np.zeros(0))
     assembly = Assembly(LINE, supports, (), strings, n_rings=0, force=STIFFNESS / LENGTH**2)
     forces, none = np.zeros((N + 1, 3)), np.zeros((0, 3))
     forces[-1, 0] = -load
     clamps = LINE.frames[-np.arange(len(supports.clamps))]
-    asked = ImposedValues(LINE.positions[supports.held], clamps, forces, none, none)
+    asked = ImposedValues(LINE.positions[supports.held_nodes], clamps, forces, none, none)
     history = LineHistory(
         np.zeros((len(supports.nodes), 0, 2)), np.zeros((0, N + 1, 3)), np.zeros(0)
     )

@@ -43,8 +43,8 @@ def test_no_samples_and_one_sample_say_so() -> None:
     assert (single.mean, single.interval, single.n) == (3.0, None, 1)
     assert str(single.reason).endswith("needs two values, there is one spool")
     scatter = estimate_spool_scatter([np.array([1.0]), np.array([2.0])], 0.95)
-    assert np.isnan([scatter.within, scatter.between_spools, scatter.share]).all()
-    assert scatter.share_upper == 1.0
+    assert np.isnan([scatter.within, scatter.between_spools, scatter.spool_share]).all()
+    assert scatter.max_spool_share == 1.0
 
 
 def test_spools_count_alike() -> None:
@@ -79,7 +79,7 @@ def test_upper_limit_of_the_share_holds(counts: tuple[int, ...], share: float) -
     hits = 0
     for _ in range(runs):
         spools = [rng.normal(rng.normal(0.0, spread), 1.0, count) for count in counts]
-        hits += estimate_spool_scatter(spools, 0.95).share_upper >= share
+        hits += estimate_spool_scatter(spools, 0.95).max_spool_share >= share
     assert binomtest(hits, runs, 0.95).pvalue > 0.01, hits
 
 

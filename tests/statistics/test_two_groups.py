@@ -173,7 +173,7 @@ def test_an_example_by_hand() -> None:
     *corrected, untested = correct_p_values([0.03, 0.01, 0.2, 0.015, nan])
     assert [finding.p for finding in corrected] == pytest.approx([0.06, 0.04, 0.2, 0.045])
     assert [finding.divisor for finding in corrected] == [2, 4, 2, 3]
-    assert {finding.tests for finding in [*corrected, untested]} == {4}
+    assert {finding.n_tests for finding in [*corrected, untested]} == {4}
     assert isnan(untested.p)
     smaller, larger = correct_p_values([0.02, 0.03])
     assert (smaller.p, larger.p) == (0.04, 0.04)

@@ -344,7 +344,7 @@ def test_a_laid_line_keeps_what_its_own_law_says() -> None:
     )
     residual = compute_residual_curvature(path.last, law)
     largest = bound_residual_curvature(path, law)
-    bends = np.array([state.bendings for state in path.states])
+    bends = np.array([state.bending_curvatures for state in path.states])
     node = int(np.argmax(largest))
     assert residual[node] == pytest.approx(1.49, abs=0.01)
     assert residual[node] < largest[node] < bends[:, node].max()

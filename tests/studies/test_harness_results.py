@@ -218,7 +218,7 @@ def test_curvature_at_rest_counts_in_the_radius() -> None:
 def test_beyond_what_backs_the_law() -> None:
     _, material, path = followed(NAMED)
     assert find_reasons(path, material) == ()
-    peak = max(float(state.bendings.max()) for state in path.states)
+    peak = max(float(state.bending_curvatures.max()) for state in path.states)
     half = replace(material, curvature_limit=0.5 * peak)
     (reason,) = find_reasons(path, half)
     assert reason.code == "beyond_backed"

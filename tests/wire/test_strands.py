@@ -161,7 +161,7 @@ def test_copper_against_adaptive_integration() -> None:
         exact = quad(part, 0.0, DIAMETER / 2.0, args=(curvature,), epsrel=1e-9, epsabs=0.0)[0]
         strand = compute_strand_moment(ANNEALED_COPPER, DIAMETER, np.array([curvature]))
         assert strand.moment[0] == pytest.approx(exact, rel=3e-4)
-    fine = compute_elastic_ratio(ANNEALED_COPPER, np.geomspace(1e-6, 0.05, 60), laminae=400)
+    fine = compute_elastic_ratio(ANNEALED_COPPER, np.geomspace(1e-6, 0.05, 60), n_points=400)
     assert compute_elastic_ratio(ANNEALED_COPPER, np.geomspace(1e-6, 0.05, 60)) == pytest.approx(
         fine
     )

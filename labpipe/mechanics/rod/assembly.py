@@ -254,9 +254,9 @@ class Assembly:
         lengths = self.line.lengths * (1.0 + shape.stretches)
         cells = self._bend_cells(shape, imposed, history, drag)
         rotations = to_matrices(shape.frames)
-        element_moments = lengths[:, None] * shape.forces
-        clamp_pairs = compute_clamp_directions(self.supports, imposed.clamps)
-        directions = compute_directions(self.supports, rotations, clamp_pairs, element_moments)
+        scaled_forces = lengths[:, None] * shape.forces
+        clamp_directions = compute_clamp_directions(self.supports, imposed.clamps)
+        directions = compute_directions(self.supports, rotations, clamp_directions, scaled_forces)
         turns, by_turn = self._sum_cell_moments(cells, directions)
         nodes, by_position, plane_contacts, tensions = self._sum_forces(shape, imposed, history)
         ring_contacts = tuple(
@@ -265,7 +265,7 @@ class Assembly:
         )
         ring_tangents = self._add_ring_forces(ring_contacts, nodes, by_position)
         chords = shape.positions[1:] - shape.positions[:-1]
-        gaps = chords - lengths[:, None] * directions.along
+        gaps = chords - lengths[:, None] * directions.unit_vectors
         stretch, by_stretch, by_force = self._compute_stretch_residuals(shape, directions, cells)
         residual = join_unknowns(nodes, stretch, turns, gaps)
         drag_factor = min_drag if drag is None else translation_drag * drag.size
@@ -276,7 +276,7 @@ class Assembly:
         mirrored_blocks = [
             self._chord_signs,
             by_force.ravel(),
-            (-lengths[:, None, None] * directions.by_turn).ravel(),
+            (-lengths[:, None, None] * directions.turn_derivatives).ravel(),
             (directions.moments / (1.0 + shape.stretches)[:, None]).ravel(),
             cells.coupling[self._inner].ravel(),
             *self._list_coupling_values(cells),
@@ -294,7 +294,7 @@ class Assembly:
                 [*mirrored_blocks, *mirrored_blocks, *diagonal_blocks]
             )
         new_history = LineHistory(
-            cells.rests,
+            cells.slider_rests,
             np.array([contact.contacts for contact in plane_contacts]).reshape(-1, self.n + 1, 3),
             np.array([contact.parameter for contact in ring_contacts]),
         )
@@ -345,7 +345,7 @@ class Assembly:
         """
         p, s = self.indices, self.supports
         right = -balance.residual
-        right[p.positions[s.held][:, None] + _AXIS_NUMBERS] = held_moves
+        right[p.positions[s.held_nodes][:, None] + _AXIS_NUMBERS] = held_moves
         if self.is_rigid:
             right[p.stretches] = -shape.stretches
         if np.any(clamp_turns):
@@ -355,11 +355,12 @@ class Assembly:
             self._subtract_clamp_moments(right, s.before, s.after, coupling, clamp_turns)
             row, clamp = s.clamp_pairs.T
             turns = np.matvec(to_matrices(imposed.clamps), clamp_turns)[clamp]
-            changes = np.zeros((len(s.ends), 3))
+            elements = s.clamped_elements
+            changes = np.zeros((len(elements), 3))
             np.add.at(changes, row, cross(turns, compute_clamp_directions(s, imposed.clamps)))
-            changes = np.matvec(balance.directions.by_clamp, changes)
-            lengths = (self.line.lengths * (1.0 + shape.stretches))[s.ends]
-            right[p.forces[s.ends][:, None] + _AXIS_NUMBERS] += lengths[:, None] * changes
+            changes = np.matvec(balance.directions.clamp_derivatives, changes)
+            lengths = (self.line.lengths * (1.0 + shape.stretches))[elements]
+            right[p.forces[elements][:, None] + _AXIS_NUMBERS] += lengths[:, None] * changes
         return right
 
     def _subtract_clamp_moments(
@@ -378,11 +379,12 @@ class Assembly:
         s, cells = self.supports, balance.cells
         moments = sum_at_nodes(s.clamp_pairs[:, 1], balance.directions.clamp_moments, len(s.clamps))
         rotations = to_matrices(imposed.clamps)
-        for elements, moments_on_frame in ((s.before, cells.before), (s.after, cells.after)):
+        for elements, gradient in zip((s.before, s.after), cells.gradients, strict=True):
             rows = np.flatnonzero(elements < 0)
             clamp = -1 - elements[rows]
-            np.add.at(moments, clamp, np.matvec(rotations[clamp], moments_on_frame[rows]))
-        return balance.residual[self.indices.positions[s.held][:, None] + _AXIS_NUMBERS], moments
+            np.add.at(moments, clamp, np.matvec(rotations[clamp], gradient[rows]))
+        held_unknowns = self.indices.positions[s.held_nodes][:, None] + _AXIS_NUMBERS
+        return balance.residual[held_unknowns], moments
 
     def compute_turns(self, shape: Shape, imposed: ImposedValues) -> Floats:
         """Return rotation vectors from frames before to frames after cells, rad, (cells, 3)."""
@@ -410,19 +412,18 @@ class Assembly:
             self._select_frames(shape, imposed),
             s.lengths,
             s.rest_curvature,
-            rests=history.rests,
+            slider_rests=history.rests,
             torques=torques,
-            drag=None if drag is None else (drag.size, drag.turns),
+            artificial_stiffness=None if drag is None else (drag.size, drag.turns),
         )
 
     def _sum_cell_moments(self, cells: BentCells, directions: Directions) -> tuple[Floats, Floats]:
         """Return the residuals of the turns, and the diagonal blocks of their tangent."""
         residual, tangent = directions.moments.copy(), directions.stiffness.copy()
-        sides = ((cells.before, cells.by_before), (cells.after, cells.by_after))
         # No element is twice on the same side of a cell, so that plain indexing suffices.
-        for (rows, elements), (moments, stiffness) in zip(self._cell_elements, sides, strict=True):
-            residual[elements] += moments[rows]
-            tangent[elements] += stiffness[rows]
+        for side, (rows, elements) in enumerate(self._cell_elements):
+            residual[elements] += cells.gradients[side][rows]
+            tangent[elements] += cells.stiffnesses[side][rows]
         return residual, tangent
 
     def _sum_forces(
@@ -484,17 +485,17 @@ class Assembly:
             return np.zeros(self.n), np.zeros(self.n), np.zeros((self.n, 3))
         stiffness = self.line.section.axial_stiffness * lengths
         residual = stiffness * shape.stretches
-        residual -= lengths * np.vecdot(shape.forces, directions.along)
+        residual -= lengths * np.vecdot(shape.forces, directions.unit_vectors)
         if self._is_coupled:
             for side, rows in enumerate(self._has_element):
                 elements = self._sides[rows, side]
                 residual[elements] += self._couplings[rows, side] * cells.curvatures[rows, 2]
-        return residual, stiffness, -lengths[:, None] * directions.along
+        return residual, stiffness, -lengths[:, None] * directions.unit_vectors
 
     def _list_coupling_values(self, cells: BentCells) -> list[Floats]:
         """Return the entries of the tangent between stretches and turns."""
         couplings = self._couplings / self.supports.lengths[:, None]
-        sides = -cells.tangents[:, :, 2], cells.tangents[:, 2, :]
+        sides = -cells.tangent_maps[:, :, 2], cells.tangent_maps[:, 2, :]
         return [
             (sides[turn][rows] * couplings[rows, stretch, None]).ravel()
             for stretch, turn, rows in self._coupled_cells
@@ -548,7 +549,7 @@ class Assembly:
     def _find_fixed(self) -> Flags:
         """Return which unknowns are prescribed."""
         fixed = np.zeros(self.indices.total, dtype=np.bool_)
-        fixed[self.indices.positions[self.supports.held][:, None] + _AXIS_NUMBERS] = True
+        fixed[self.indices.positions[self.supports.held_nodes][:, None] + _AXIS_NUMBERS] = True
         fixed[self.indices.stretches] = self.is_rigid
         return fixed
 

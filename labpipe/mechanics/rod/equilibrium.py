@@ -95,7 +95,7 @@ def find_equilibrium(
     progress = 0.8  # ratio of an iteration's turn to the smallest turn before
     min_fraction = 0.1  # of an iteration step; shorter steps do not converge
     start, target = imposed
-    nodes = assembly.supports.held
+    nodes = assembly.supports.held_nodes
     # Held nodes and clamps move with the first iteration step, or the fraction of it that is taken.
     current = replace(target, held=start.held, clamps=start.clamps)
     balance = start_balance and _update_balance(start_balance, start, target, guess)
@@ -279,8 +279,8 @@ class StabilityCheck:
         lengths = line.lengths * (1.0 + shape.stretches)
         stretch_gradient = np.zeros((len(lengths), 3, FORCE + 3))
         stretch_gradient[:, :, :3] = -np.eye(3)
-        stretch_gradient[:, :, 3] = -line.lengths[:, None] * balance.directions.along
-        stretch_gradient[:, :, 4:7] = -lengths[:, None, None] * balance.directions.by_turn
+        stretch_gradient[:, :, 3] = -line.lengths[:, None] * balance.directions.unit_vectors
+        stretch_gradient[:, :, 4:7] = -lengths[:, None, None] * balance.directions.turn_derivatives
         stretch_gradient[:, :, 7:] = np.eye(3)
         stiffness = np.swapaxes(stretch_gradient, 1, 2) @ stretch_gradient
         stiffness *= (penalty / line.lengths)[:, None, None]

@@ -57,7 +57,7 @@ class RodState(ArrayRecord):
     reaction_moments: Annotated[Floats, "boundaries", 3]
 
     @property
-    def bendings(self) -> Floats:
+    def bending_curvatures(self) -> Floats:
         """Return the bending curvature at the nodes minus that at rest, 1/m, shape (n + 1,).
 
         At a clamp it is the larger curvature of both sides.

@@ -11,7 +11,7 @@ from labpipe.mechanics.rod.assembly import Assembly, Balance, ImposedValues, Lin
 from labpipe.mechanics.rod.path import RodState
 from labpipe.mechanics.rod.rotations import to_matrices
 from labpipe.mechanics.rod.schedule import Schedule, format_boundary
-from labpipe.mechanics.rod.supports import END_SHARE, Supports
+from labpipe.mechanics.rod.supports import CLAMP_WEIGHT, Supports
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import Reason
 
@@ -53,7 +53,7 @@ def merge_rests(supports: Supports, rests: Floats) -> Floats:
     -------
     Shape (cells, sliders, 2), 1/m.
     """
-    return np.asarray(np.einsum("cs,csjx->cjx", supports.sides, rests[supports.nodes]))
+    return np.asarray(np.einsum("cs,csjx->cjx", supports.side_weights, rests[supports.nodes]))
 
 
 def split_sides(supports: Supports, values: Floats) -> Floats:
@@ -70,7 +70,7 @@ def split_sides(supports: Supports, values: Floats) -> Floats:
     """
     sides = np.zeros((supports.n_nodes, 2, *values.shape[1:]))
     for side in (0, 1):
-        has_side = supports.sides[:, side] > 0.0
+        has_side = supports.side_weights[:, side] > 0.0
         sides[supports.nodes[has_side], side] = values[has_side]
     return sides
 
@@ -122,7 +122,7 @@ def build_state(
 def _extrapolate_to_clamps(supports: Supports, curvatures: Floats) -> Floats:
     """Return the curvatures of the cells, shape (cells, 3), extrapolated to the clamps.
 
-    The curvature of a half cell at a clamp is that of the line at the distance `END_SHARE` times
+    The curvature of a half cell at a clamp is that of the line at the distance `CLAMP_WEIGHT` times
     the length of its element from the clamp. The extrapolation is linear through that point and the
     next cell.
     """
@@ -130,7 +130,7 @@ def _extrapolate_to_clamps(supports: Supports, curvatures: Floats) -> Floats:
     for neighbours, offset in ((supports.after, -1), (supports.before, 1)):
         cells = np.flatnonzero(neighbours < 0)  # half cells with a clamp on that side
         cells = cells[(cells + offset >= 0) & (cells + offset < len(lengths))]
-        distance = END_SHARE * 2.0 * lengths[cells]
+        distance = CLAMP_WEIGHT * 2.0 * lengths[cells]
         factor = distance / (lengths[cells] + 0.5 * lengths[cells + offset] - distance)
         extrapolated[cells] += factor[:, None] * (curvatures[cells] - curvatures[cells + offset])
     return extrapolated
@@ -143,11 +143,11 @@ def _compute_moments(assembly: Assembly, current: SolverState) -> Floats:
     """
     supports, cells = assembly.supports, current.balance.cells
     frames = np.concatenate([current.shape.frames, current.imposed.clamps[::-1]])
-    moments = np.einsum("nxy,ny->nx", to_matrices(frames[supports.after]), cells.after)
+    moments = np.einsum("nxy,ny->nx", to_matrices(frames[supports.after]), cells.gradients[1])
     for (row, clamp), clamp_moment in zip(
         supports.clamp_pairs, current.balance.directions.clamp_moments, strict=True
     ):
-        element, clamp_code = supports.ends[row], -1 - clamp
+        element, clamp_code = supports.clamped_elements[row], -1 - clamp
         moments[(supports.before == clamp_code) & (supports.after == element)] -= clamp_moment
         moments[(supports.after == clamp_code) & (supports.before == element)] += clamp_moment
     return np.asarray(moments)
@@ -291,7 +291,7 @@ def check_line(
             stretch=stretch,
             max_stretch=max_stretch,
         )
-    turns = np.linalg.norm(balance.cells.turns, axis=1)
+    turns = np.linalg.norm(balance.cells.rotation_vectors, axis=1)
     if float(np.max(turns, initial=0.0)) > max_fold:
         cell = int(np.argmax(turns))
         place = assembly.line.describe_place(assembly.supports.nodes[cell])

@@ -47,7 +47,7 @@ from labpipe.mechanics.rod.states import (
     merge_rests,
     split_sides,
 )
-from labpipe.mechanics.rod.supports import split_supports
+from labpipe.mechanics.rod.supports import split_cells_at_clamps
 from labpipe.records.quality import Reason
 
 
@@ -143,7 +143,7 @@ class _PathSolver:
         lengths = np.array([string.length for string in schedule.strings.values()])
         self.assembly = Assembly(
             self.line,
-            split_supports(self.line, tuple(node_clamps)),
+            split_cells_at_clamps(self.line, tuple(node_clamps)),
             planes,
             (schedule.string_nodes, lengths),
             n_rings=len(schedule.rings),
@@ -257,8 +257,11 @@ class _PathSolver:
     def _is_near(self, equilibrium: Equilibrium) -> bool:
         """Return whether the line turns by less than the largest allowed angles."""
         current, max_turn = self.current, self.settings.max_turn
-        cell_turns = equilibrium.balance.cells.turns - current.balance.cells.turns
-        if float(np.max(np.linalg.norm(cell_turns, axis=1), initial=0.0)) > max_turn:
+        start, end = (
+            current.balance.cells.rotation_vectors,
+            equilibrium.balance.cells.rotation_vectors,
+        )
+        if float(np.max(np.linalg.norm(end - start, axis=1), initial=0.0)) > max_turn:
             return False
         rotations = multiply(conjugate(current.shape.frames), equilibrium.shape.frames)
         turns = np.linalg.norm(to_rotation_vectors(rotations), axis=1)
@@ -390,7 +393,7 @@ class _PathSolver:
         state = build_state(self.assembly, self.schedule, self.grips, self.current, step)
         self.states.append(state)
         self.losses.append((self.lost, self.lost_in_jumps))
-        curvatures, max_curvature = state.bendings, self.line.section.law.last
+        curvatures, max_curvature = state.bending_curvatures, self.line.section.law.last
         node = int(np.argmax(curvatures))
         if curvatures[node] > max_curvature and not self._has_reason("beyond_law"):
             self.reasons.append(

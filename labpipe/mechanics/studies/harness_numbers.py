@@ -436,7 +436,7 @@ def find_reasons(path: RodPath, material: Material) -> tuple[Reason, ...]:
     reasons = list(path.reasons)
     if not path.states:
         return path.reasons
-    step, node, curvature = find_largest([state.bendings for state in path.states])
+    step, node, curvature = find_largest([state.bending_curvatures for state in path.states])
     if curvature > material.curvature_limit and "beyond_law" not in {
         reason.code for reason in reasons
     }:
@@ -580,7 +580,7 @@ def compute_unbending(path: RodPath) -> float:
     ----------
     path : path of the line
     """
-    curvature = np.array([state.bendings for state in path.states])
+    curvature = np.array([state.bending_curvatures for state in path.states])
     largest = curvature.max(axis=0)
     return float(np.max(largest - curvature[-1]) / max(float(largest.max()), _MIN_CURVATURE))
 

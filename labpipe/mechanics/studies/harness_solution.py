@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from labpipe.errors import ProcessingError
-from labpipe.mechanics.rod.bands import Band, LineBands, StateBands, join_draws, predict_line_bands
+from labpipe.mechanics.rod.bands import Band, LineBands, StateBands, join_bands, predict_line_bands
 from labpipe.mechanics.rod.input_distributions import InputDistribution
 from labpipe.mechanics.rod.path import RodPath
 from labpipe.mechanics.rod.statics import follow
@@ -285,7 +285,7 @@ def predict_bands(
     draws = [_evaluate(response.compute_draws, line.path) for response in line.responses]
     pairs = list(zip(values, draws, strict=True))
     bands = {
-        name: join_draws((value[name], draw_values[name]) for value, draw_values in pairs)
+        name: join_bands((value[name], draw_values[name]) for value, draw_values in pairs)
         for name in values[0]
     }
     intervals = {name: _make_interval(name, band) for name, band in bands.items() if name != _SHAPE}

@@ -9,13 +9,15 @@ about its own axis is, with the width b(y) and y = a sin p,
 
     m = integral of stress y b(y) dy = 4 a^3 int_0^(pi/2) stress(a kappa sin p) sin p cos^2 p dp.
 
-The integral is computed by Gauss's rule over the angle p, so that the laminae are thinnest where
-the strain is largest. The moment is E pi d^4 / 64 kappa for an elastic strand, and yield stress
-d^3 / 6 for a perfectly plastic one. The sum over 11 laminae in the appendix of [1]_ is 4.6 % too
-small.
+The integral is computed by Gauss-Legendre quadrature over the angle p, which places most points
+where the strain is largest. The moment is E (pi d^4 / 64) kappa for an elastic strand of diameter
+d, and s d^3 / 6 for a perfectly plastic one with the yield stress s. The sum over 11 laminae in the
+appendix of [1]_ is 4.6 % too small.
 
-A piecewise linear curve is a sum of corners. The loss of moment by a corner at the strain e has a
-closed form. With sin q = e / (a kappa),
+A piecewise linear curve is a straight line through the origin from which its slope decreases at
+corners. A corner at the strain e, at which the slope decreases by the fraction c of the modulus E,
+reduces the moment by 4 E c a^4 kappa times an integral that has a closed form. With
+sin q = e / (a kappa), it is
 
     int_q^(pi/2) (sin p - sin q) sin p cos^2 p dp
         = (pi/2 - q) / 8 + sin(4 q) / 32 - sin q cos^3 q / 3.
@@ -56,7 +58,7 @@ class RambergOsgood:
     -----
     The plastic strain has Hollomon's form (Ramberg and Osgood, NACA TN 902, 1943). The stress at a
     strain e is found by Newton's method from the smaller of E e and K e^n. Both are above the root,
-    and every step stays above it, because strain is convex in stress.
+    and every iterate stays above it, because strain is convex in stress.
     """
 
     modulus: float
@@ -70,20 +72,20 @@ class RambergOsgood:
         require("exponent", self.exponent, "between 0 and 1", holds=0.0 < self.exponent < 1.0)
 
     def strain(self, stress: Floats) -> Floats:
-        """Compute the strain at stresses of any shape; the strain is odd, and NaN remains NaN."""
+        """Compute the strain at stresses of any shape, Pa; NaN remains NaN."""
         plastic = (np.abs(stress) / self.strength) ** (1.0 / self.exponent)
         return stress / self.modulus + np.copysign(plastic, stress)
 
     def stress(self, strain: Floats) -> Floats:
-        """Compute the stress at strains of any shape, Pa, to rounding; NaN remains NaN."""
+        """Compute the stress at strains of any shape, Pa; NaN remains NaN."""
         max_iterations = 60
         tolerance = 1e-14  # relative change of the stress
-        size = np.abs(np.asarray(strain, dtype=np.float64))
-        stress = np.minimum(self.modulus * size, self.strength * size**self.exponent)
+        magnitude = np.abs(np.asarray(strain, dtype=np.float64))
+        stress = np.minimum(self.modulus * magnitude, self.strength * magnitude**self.exponent)
         power = 1.0 / self.exponent
         for _ in range(max_iterations):
             plastic_compliance = (stress / self.strength) ** (power - 1.0) / self.strength
-            excess_strain = stress / self.modulus + stress * plastic_compliance - size
+            excess_strain = stress / self.modulus + stress * plastic_compliance - magnitude
             step = excess_strain / (1.0 / self.modulus + power * plastic_compliance)
             stress = stress - step
             if not np.any(np.abs(step) > tolerance * stress):
@@ -93,7 +95,7 @@ class RambergOsgood:
 
 @dataclass(frozen=True, slots=True)
 class StressTable:
-    """Piecewise linear curve through the origin and points; linear elastic for one point.
+    """Piecewise linear curve through the origin and given points; linear elastic for one point.
 
     Parameters
     ----------
@@ -104,8 +106,8 @@ class StressTable:
     Raises
     ------
     ValueError
-        If a point is out of order or not finite, the numbers of points differ, or a slope is larger
-        than the first.
+        If strains do not increase, stresses decrease or are not finite, the numbers of strains and
+        stresses differ, or a slope is larger than the first.
     """
 
     strains: tuple[float, ...]
@@ -113,29 +115,30 @@ class StressTable:
 
     def __post_init__(self) -> None:
         lengths = len(self.strains), len(self.stresses)
-        require("numbers of points", lengths, "equal and >= 1", holds=0 < lengths[0] == lengths[1])
+        holds = 0 < lengths[0] == lengths[1]
+        require("numbers of strains and stresses", lengths, "equal and >= 1", holds=holds)
         strains, stresses = self._prepend_origin()
         require_rising("strains", strains[1:])
         slopes = np.diff(stresses) / np.diff(strains)
-        rises = bool(np.all(np.isfinite(slopes)) and slopes[0] > 0.0 and np.all(slopes >= 0.0))
-        require("stresses", stresses[1:].tolist(), "positive and not decreasing", holds=rises)
-        if np.any(slopes > slopes[0] * (1.0 + 1e-9)):
-            steep = int(np.argmax(slopes))
+        is_valid = bool(np.all(np.isfinite(slopes)) and slopes[0] > 0.0 and np.all(slopes >= 0.0))
+        require("stresses", stresses[1:].tolist(), "positive and not decreasing", holds=is_valid)
+        steepest = int(np.argmax(slopes))
+        if slopes[steepest] > slopes[0] * (1.0 + 1e-9):  # beyond rounding
             message = (
-                f"slope {slopes[steep]:.4g} Pa from strain={strains[steep]:.4g} is above the "
+                f"slope {slopes[steepest]:.4g} Pa from strain={strains[steepest]:.4g} is above the "
                 f"first, {slopes[0]:.4g} Pa: slopes must not exceed the modulus"
             )
             raise ValueError(message)
 
     def _prepend_origin(self) -> tuple[Floats, Floats]:
-        """Return strains and stresses, Pa, with the origin as first point."""
+        """Return the strains, and the stresses in Pa, with the origin as first point."""
         return np.array([0.0, *self.strains]), np.array([0.0, *self.stresses])
 
     @property
     def corners(self) -> tuple[Floats, Floats]:
-        """Strains of the corners, and the losses of slope there relative to the modulus.
+        """Strains of the corners, and the decreases of slope there relative to the modulus.
 
-        A loss is negative if the curve becomes steeper at the corner.
+        A decrease is negative if the curve becomes steeper at the corner.
         """
         strains, stresses = self._prepend_origin()
         slopes = np.diff(stresses) / np.diff(strains)
@@ -161,15 +164,13 @@ Material: TypeAlias = RambergOsgood | StressTable
 """A stress-strain curve; hashable, so that results can be cached."""
 
 ANNEALED_COPPER = RambergOsgood(110e9, 530e6, 0.44)
-"""Annealed copper, from a handbook; the copper of the wires of [1]_."""
+"""Annealed copper with values of a handbook, which [1]_ uses for its wires."""
 
 
-LAMINAE = 64
-"""Number of points of Gauss's rule over the angle."""
-_LAST_STRAIN_POWER = 0.0
-"""Decadic logarithm of the largest strain at the rim of a strand."""
+_MAX_RIM_STRAIN = 1.0
+"""Largest strain at the rim of a strand for which its moment is computed."""
 _STRAIN_TOLERANCE = 1e-12
-"""Tolerance relative to the last strain of a curve."""
+"""Tolerance by which a strain may exceed the last strain of a curve, relative to that strain."""
 
 
 class StrandMoment(NamedTuple):
@@ -177,7 +178,7 @@ class StrandMoment(NamedTuple):
 
     Parameters
     ----------
-    moment : N m
+    moment : N m, bending moment
     tangent : N m^2, tangent stiffness, the derivative of the moment with respect to curvature
     """
 
@@ -190,12 +191,12 @@ def compute_helix_factor(lay_angle: float, poisson: float) -> float:
 
     Parameters
     ----------
-    lay_angle : rad, any sign
+    lay_angle : rad, angle between the strand and the axis of the helix, any sign
     poisson : Poisson's ratio of the strand
 
     Notes
     -----
-    The factor is cos(a) / 2 (1 + cos^2 a + sin^2 a / (1 + nu)), such as 0.9728 at 12 degrees for
+    The factor is (cos(a) / 2) (1 + cos^2 a + sin^2 a / (1 + nu)), such as 0.9728 at 12 degrees for
     nu = 0.34. It follows from the strain energy, averaged over one lay length, of a strand that
     bends about its normal and binormal and twists. Equation (3.18) of [1]_ has sin in place of
     sin^2, which is not even in the lay angle.
@@ -204,16 +205,14 @@ def compute_helix_factor(lay_angle: float, poisson: float) -> float:
     return float(cosine / 2.0 * (1.0 + cosine**2 + sine**2 / (1.0 + poisson)))
 
 
-def compute_elastic_ratio(
-    material: Material, rim_strain: Floats, *, laminae: int = LAMINAE
-) -> Floats:
+def compute_elastic_ratio(material: Material, rim_strain: Floats, *, n_points: int = 64) -> Floats:
     """Compute the ratio of the moment of a round strand to that of an elastic one.
 
     Parameters
     ----------
     material : stress-strain curve
     rim_strain : shape (n,), positive, curvature times strand radius
-    laminae : number of points of Gauss's rule over the angle p; ignored for a piecewise linear
+    n_points : number of points of the quadrature over the angle p; ignored for a piecewise linear
         curve
 
     Returns
@@ -226,8 +225,8 @@ def compute_elastic_ratio(
     the same.
     """
     if isinstance(material, StressTable):
-        return _compute_polygon_ratio(material, rim_strain)[0]
-    roots, weights = np.polynomial.legendre.leggauss(laminae)
+        return _compute_table_ratio(material, rim_strain)[0]
+    roots, weights = np.polynomial.legendre.leggauss(n_points)
     angle, weight = np.pi / 4.0 * (roots + 1.0), np.pi / 4.0 * weights
     sine = np.sin(angle)
     strain = rim_strain[:, None] * sine
@@ -235,20 +234,21 @@ def compute_elastic_ratio(
     return np.asarray(16.0 / np.pi * integral / (material.modulus * rim_strain))
 
 
-def _compute_polygon_ratio(material: StressTable, rim_strain: Floats) -> tuple[Floats, Floats]:
-    """Compute the elastic ratio of a linear polygon, and the derivative of ratio x strain."""
+def _compute_table_ratio(material: StressTable, rim_strain: Floats) -> tuple[Floats, Floats]:
+    """Compute the elastic ratio of a piecewise linear curve, and d(ratio x strain) / d(strain)."""
     min_strain = 1e-300  # prevents a division by zero
-    corner, loss = material.corners
+    corner_strain, slope_decrease = material.corners
     strain = np.where(
         rim_strain <= material.largest_strain * (1.0 + _STRAIN_TOLERANCE), rim_strain, np.nan
     )
-    sine = np.minimum(corner / np.maximum(strain, min_strain)[..., None], 1.0)
+    sine = np.minimum(corner_strain / np.maximum(strain, min_strain)[..., None], 1.0)
     angle = np.arcsin(sine)
     cosine = np.sqrt((1.0 - sine) * (1.0 + sine))
     # The term sin(4 q) / 32 is expanded so that it is exact for all angles.
-    slope = (np.pi / 2.0 - angle) / 8.0 + sine * cosine * (1.0 - 2.0 * sine**2) / 8.0
-    moment_loss = slope - sine * cosine**3 / 3.0
-    return 1.0 - 16.0 / np.pi * moment_loss @ loss, 1.0 - 16.0 / np.pi * slope @ loss
+    tangent_integral = (np.pi / 2.0 - angle) / 8.0 + sine * cosine * (1.0 - 2.0 * sine**2) / 8.0
+    moment_integral = tangent_integral - sine * cosine**3 / 3.0
+    ratio = 1.0 - 16.0 / np.pi * moment_integral @ slope_decrease
+    return ratio, 1.0 - 16.0 / np.pi * tangent_integral @ slope_decrease
 
 
 def compute_strand_moment(material: Material, diameter: float, curvature: Floats) -> StrandMoment:
@@ -278,9 +278,17 @@ def compute_strand_moment(material: Material, diameter: float, curvature: Floats
     """
     stiffness = material.modulus * np.pi * diameter**4 / 64.0
     rim_strain = np.abs(np.asarray(curvature, dtype=np.float64)) * diameter / 2.0
-    _require_in_range(material, diameter, rim_strain)
+    max_strain = min(material.largest_strain, _MAX_RIM_STRAIN)
+    if np.any(rim_strain > max_strain * (1.0 + _STRAIN_TOLERANCE)):
+        largest_strain = np.nanmax(rim_strain)
+        message = (
+            f"curvature={2.0 * largest_strain / diameter:.6g} 1/m strains a strand of diameter="
+            f"{diameter:.4g} m by {largest_strain:.4g}: the largest strain of its material is "
+            f"{max_strain:.4g}, at {2.0 * max_strain / diameter:.6g} 1/m"
+        )
+        raise ValueError(message)
     if isinstance(material, StressTable):
-        ratio, tangent_ratio = _compute_polygon_ratio(material, rim_strain)
+        ratio, tangent_ratio = _compute_table_ratio(material, rim_strain)
     else:
         first_strain, interpolate_ratio, interpolate_slope = _tabulate_ratio(material)
         log_strain = np.log(np.maximum(rim_strain, first_strain))
@@ -290,25 +298,13 @@ def compute_strand_moment(material: Material, diameter: float, curvature: Floats
     return StrandMoment(stiffness * ratio * curvature, stiffness * tangent_ratio)
 
 
-def _require_in_range(material: Material, diameter: float, rim_strain: Floats) -> None:
-    """Refuse strains at the rim of a strand that exceed the range of its material."""
-    last = min(material.largest_strain, 10.0**_LAST_STRAIN_POWER)
-    if np.any(rim_strain > last * (1.0 + _STRAIN_TOLERANCE)):
-        largest = np.nanmax(rim_strain)
-        message = (
-            f"curvature={2.0 * largest / diameter:.6g} 1/m strains a strand of diameter="
-            f"{diameter:.4g} m by {largest:.4g}: the material is known up to {last:.4g}, "
-            f"which is {2.0 * last / diameter:.6g} 1/m"
-        )
-        raise ValueError(message)
-
-
 @lru_cache(maxsize=64)
 def _tabulate_ratio(
     material: RambergOsgood,
 ) -> tuple[float, Callable[[Floats], Floats], Callable[[Floats], Floats]]:
     """Tabulate the elastic ratio; return the first strain and splines over the log strain."""
-    elastic, plastic = np.linspace(-14.0, -6.0, 97), np.linspace(-6.0, _LAST_STRAIN_POWER, 385)
-    strain = 10.0 ** np.append(elastic[:-1], plastic)
+    elastic_log10 = np.linspace(-14.0, -6.0, 97)
+    plastic_log10 = np.linspace(-6.0, np.log10(_MAX_RIM_STRAIN), 385)
+    strain = 10.0 ** np.append(elastic_log10[:-1], plastic_log10)
     spline = CubicSpline(np.log(strain), compute_elastic_ratio(material, strain))
     return float(strain[0]), spline, spline.derivative()
