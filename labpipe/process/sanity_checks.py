@@ -18,7 +18,7 @@ from labpipe.process.motion import Motion, orient_force
 from labpipe.process.steps import PreparedTest
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.source import Certificate
-from labpipe.records.arrays import Flags, Floats, average_between, drop_missing
+from labpipe.records.arrays import Flags, Floats, average_between, compute_median_step, drop_missing
 from labpipe.records.curve import Branch, Direction
 from labpipe.records.declarations import Limits, TravelFromSpeed
 from labpipe.records.estimates import Failure
@@ -116,11 +116,13 @@ def check_lost_samples(
 ) -> Iterator[Finding]:
     """Report jumps of motion or force that are recorded on two clocks.
 
-    A machine cannot jump, and a specimen in loading cannot gain much force from one sample to the
-    next. Such a jump shows that samples were lost, and that the times after it are wrong. With one
-    clock, lost samples do not matter, because each displacement still has its force.
+    A machine cannot jump, and a specimen in loading cannot gain much force at once. Such a jump
+    shows that samples were lost, and that the times after it are wrong. With one clock, lost
+    samples do not matter, because each displacement still has its force. Jumps are searched in
+    medians over 0.1 s, which noise hardly changes.
     """
-    min_ratio, step_quantile = 5.0, 0.99  # jump over the usual step, which is a quantile
+    min_ratio, quantile = 1.5, 0.99  # jump over the usual change, which is a quantile
+    duration = 0.1  # s, of a block
     signals, branches = prepared.signals, protocol.branches
     force = orient_force(signals.raw[signals.force])
     if not motion.branches or branches is None or motion.signal.clock == force.clock:
@@ -129,16 +131,18 @@ def check_lost_samples(
         ("displacement", branches.channel, motion.signal),
         ("force", signals.force, force),
     ):
-        usual_step = compute_step_quantile(signal.values, step_quantile)
-        largest_step = np.nanmax(np.abs(np.diff(signal.values)), initial=0.0)
-        # The usual change nearby is at most half a jump, so that the step is at least half of it.
-        if usual_step == 0.0 or largest_step <= 0.5 * min_ratio * usual_step:
-            continue
+        block_size = max(1, round(duration / compute_median_step(signal.time)))
+        samples = drop_missing(signal.values)
+        n_blocks = len(samples) // block_size
+        values = np.median(samples[: n_blocks * block_size].reshape(n_blocks, block_size), axis=1)
+        middles = np.flatnonzero(~np.isnan(signal.values))[block_size // 2 :: block_size]
+        time = signal.time[middles[:n_blocks]]
+        usual_change = compute_step_quantile(values, quantile)
         jumps = [
             (sample, size)
-            for sample, size in find_level_jumps(signal.time, signal.values, min_fraction=0.0)
-            if abs(size) > min_ratio * usual_step
-            and (quantity != "force" or (size > 0.0 and _is_rising(signal.values, sample)))
+            for sample, size in find_level_jumps(time, values, min_fraction=0.0)
+            if abs(size) > min_ratio * usual_change
+            and (quantity != "force" or (size > 0.0 and _is_rising(values, sample)))
         ]
         if jumps:
             sample, size = max(jumps, key=lambda jump: abs(jump[1]))
@@ -148,20 +152,18 @@ def check_lost_samples(
                 *(quantity, "clock"),
                 channel=channel,
                 size=f"{1e3 * size:.4g} mm" if signal.unit == "m" else f"{size:.4g} N",
-                ratio=abs(size) / usual_step,
-                at=float(signal.time[sample]),
+                duration=duration,
+                ratio=abs(size) / usual_change,
+                at=float(time[sample]),
                 count=len(jumps),
             )
 
 
 def _is_rising(values: Floats, sample: int) -> bool:
-    """Return whether a signal rises both before and after a sample."""
-    reach = 100  # samples on each side
-    for piece in (values[max(sample - reach, 0) : sample], values[sample : sample + reach]):
-        early, late = np.array_split(drop_missing(piece), 2)
-        if not len(early) or not len(late) or late.mean() <= early.mean():
-            return False
-    return True
+    """Return whether values rise both before and after a jump before a sample."""
+    reach = 20  # samples on each side
+    first, last = max(sample - reach, 0), min(sample + reach, len(values) - 1)
+    return bool(values[first] < values[sample - 1] and values[sample] < values[last])
 
 
 def _measure_range(values: Floats) -> float:
