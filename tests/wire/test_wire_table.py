@@ -11,14 +11,15 @@ from typing import Any
 import numpy as np
 import pytest
 
+from labpipe.mechanics.law.loss_card import fit_wire_sliders
 from labpipe.mechanics.law.sliders import compute_slider_moment
 from labpipe.mechanics.law.thinning import make_concave_law
 from labpipe.mechanics.studies.harness_line import (
     LAW_FACTOR,
     MASS_FACTOR,
     TORSION_FACTOR,
-    LawFamily,
-    make_law_family,
+    SectionFunction,
+    make_section_function,
 )
 from labpipe.mechanics.studies.wire_sheets import read_wire_sheet
 from labpipe.mechanics.wire.bending_law import (
@@ -130,12 +131,16 @@ NAMES = ("A2", "C5")
 
 
 @pytest.fixture(scope="module", params=NAMES)
-def family(request: pytest.FixtureRequest) -> LawFamily:
-    return make_law_family(table_of(request.param).spec, {})
+def wire(request: pytest.FixtureRequest) -> tuple[WireTable, SectionFunction]:
+    table = table_of(request.param)
+    return table, make_section_function(table.spec, {})
 
 
-def test_its_own_numbers_give_the_law_it_was_made_from(family: LawFamily) -> None:
-    own, base, table = family.build_section({}), family.base_law, tabulate_wire(family.spec)
+def test_its_own_numbers_give_the_law_it_was_made_from(
+    wire: tuple[WireTable, SectionFunction],
+) -> None:
+    table, build_section = wire
+    own, base = build_section({}), fit_wire_sliders(table)
     assert own.law.stiffness == pytest.approx(base.stiffness, rel=1e-9)
     assert own.law.stiffnesses == pytest.approx(base.stiffnesses, rel=1e-6)
     numbers = (own.torsional_stiffness, own.axial_stiffness, own.coupling, own.mass_per_length)
@@ -151,12 +156,13 @@ def test_its_own_numbers_give_the_law_it_was_made_from(family: LawFamily) -> Non
     "values", [{INSULATION_MODULUS: 0.6e9}, {COPPER_SCALE: 1.3}, {RADIAL_FRICTION: 0.09}]
 )
 def test_other_numbers_give_the_law_of_the_wire_that_has_them(
-    family: LawFamily, values: dict[str, float]
+    wire: tuple[WireTable, SectionFunction], values: dict[str, float]
 ) -> None:
     """From 1 1/m on: below, strands begin to slip, and a moment lost there has no weight."""
-    law = family.build_section({name: float(np.log(value)) for name, value in values.items()}).law
-    assert law.slip_curvatures == pytest.approx(family.base_law.slip_curvatures, rel=0.0)
-    table = tabulate_wire(set_parameters(family.spec, values))
+    own, build_section = wire
+    law = build_section({name: float(np.log(value)) for name, value in values.items()}).law
+    assert law.slip_curvatures == pytest.approx(fit_wire_sliders(own).slip_curvatures, rel=0.0)
+    table = tabulate_wire(set_parameters(own.spec, values))
     inside = table.curvature > 1.0
     moment = compute_slider_moment(law, table.curvature[inside])
     assert np.max(np.abs(moment / table.moment[inside] - 1.0)) < 0.015
@@ -303,9 +309,9 @@ def test_beyond_the_insulations_straight_line_the_table_is_doubtful() -> None:
 
 
 def test_factors_multiply_moment_torsion_mass_and_tables() -> None:
-    family = make_law_family(table_of("A2").spec, {})
-    plain = family.build_section({})
-    made = family.build_section({LAW_FACTOR: 0.1, TORSION_FACTOR: -0.2, MASS_FACTOR: 0.05})
+    build_section = make_section_function(table_of("A2").spec, {})
+    plain = build_section({})
+    made = build_section({LAW_FACTOR: 0.1, TORSION_FACTOR: -0.2, MASS_FACTOR: 0.05})
     assert made.law.stiffnesses == pytest.approx(np.exp(0.1) * plain.law.stiffnesses)
     assert made.law.stiffness == pytest.approx(np.exp(0.1) * plain.law.stiffness)
     assert made.torsional_stiffness == pytest.approx(np.exp(-0.2) * plain.torsional_stiffness)
