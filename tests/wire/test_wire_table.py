@@ -18,7 +18,6 @@ from labpipe.mechanics.studies.harness_line import (
     LAW_FACTOR,
     MASS_FACTOR,
     TORSION_FACTOR,
-    SectionFunction,
     make_section_function,
 )
 from labpipe.mechanics.studies.wire_sheets import read_wire_sheet
@@ -130,17 +129,10 @@ def test_loads_between_the_points_are_those_of_the_solver(length: float) -> None
 NAMES = ("A2", "C5")
 
 
-@pytest.fixture(scope="module", params=NAMES)
-def wire(request: pytest.FixtureRequest) -> tuple[WireTable, SectionFunction]:
-    table = table_of(request.param)
-    return table, make_section_function(table.spec, {})
-
-
-def test_its_own_numbers_give_the_law_it_was_made_from(
-    wire: tuple[WireTable, SectionFunction],
-) -> None:
-    table, build_section = wire
-    own, base = build_section({}), fit_wire_sliders(table)
+@pytest.mark.parametrize("name", NAMES)
+def test_its_own_numbers_give_the_law_it_was_made_from(name: str) -> None:
+    table = table_of(name)
+    own, base = make_section_function(table.spec, {})({}), fit_wire_sliders(table)
     assert own.law.stiffness == pytest.approx(base.stiffness, rel=1e-9)
     assert own.law.stiffnesses == pytest.approx(base.stiffnesses, rel=1e-6)
     numbers = (own.torsional_stiffness, own.axial_stiffness, own.coupling, own.mass_per_length)
@@ -155,12 +147,13 @@ def test_its_own_numbers_give_the_law_it_was_made_from(
 @pytest.mark.parametrize(
     "values", [{INSULATION_MODULUS: 0.6e9}, {COPPER_SCALE: 1.3}, {RADIAL_FRICTION: 0.09}]
 )
+@pytest.mark.parametrize("name", NAMES)
 def test_other_numbers_give_the_law_of_the_wire_that_has_them(
-    wire: tuple[WireTable, SectionFunction], values: dict[str, float]
+    name: str, values: dict[str, float]
 ) -> None:
     """From 1 1/m on: below, strands begin to slip, and a moment lost there has no weight."""
-    own, build_section = wire
-    law = build_section({name: float(np.log(value)) for name, value in values.items()}).law
+    own, changes = table_of(name), {key: float(np.log(value)) for key, value in values.items()}
+    law = make_section_function(own.spec, {})(changes).law
     assert law.slip_curvatures == pytest.approx(fit_wire_sliders(own).slip_curvatures, rel=0.0)
     table = tabulate_wire(set_parameters(own.spec, values))
     inside = table.curvature > 1.0
