@@ -22,7 +22,7 @@ from typing import Any
 from labpipe import __version__
 
 _SharedArguments = Mapping[str, Sequence[Any]]
-"""Lists of arguments that several commands have in common, keyed by name of the list."""
+"""Lists of arguments that several commands share, keyed by name of the list."""
 
 DONE, SOME_FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 """Exit statuses of commands."""
@@ -52,11 +52,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from argcomplete import autocomplete
 
         autocomplete(build_parser())  # prints the completions and exits
-    words = sys.argv[1:] if arguments is None else list(arguments)
-    options = build_parser(*words[:1]).parse_args(words)
+    typed_arguments = sys.argv[1:] if arguments is None else list(arguments)
+    options = build_parser(*typed_arguments[:1]).parse_args(typed_arguments)
     if arguments is not None:
         return _run(options)
-    if not sys.warnoptions:  # hides warnings of numpy, unless `python -W default` requests them
+    if not sys.warnoptions:
+        # Warnings of NumPy are hidden, unless `python -W default` requests them.
         warnings.simplefilter("ignore", RuntimeWarning)
     gc.disable()
     try:
@@ -66,7 +67,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(options: argparse.Namespace, *, on_imported: Callable[[], None] = lambda: None) -> int:
-    """Run a command and return its exit status; print an error that explains itself."""
+    """Run a command and return its exit status; print the message of an expected error.
+
+    Parameters
+    ----------
+    options : parsed arguments
+    on_imported : function that is called when the module of the command has been imported
+    """
     # These modules are imported here, because --help does not need them.
     from labpipe.errors import LabpipeError, choose_error_code, describe_system_error
     from labpipe.messages import format_sentence
@@ -87,7 +94,7 @@ def _run(options: argparse.Namespace, *, on_imported: Callable[[], None] = lambd
         print(f"labpipe: {format_sentence('cli.interrupted')}", file=sys.stderr)
         return INTERRUPTED
     except BrokenPipeError:
-        # The reader has closed the pipe. What Python flushes at exit must go elsewhere.
+        # The reader has closed the pipe. Python flushes the remaining output at exit, to nowhere.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return DONE
     except Exception as error:
@@ -103,8 +110,8 @@ def _run(options: argparse.Namespace, *, on_imported: Callable[[], None] = lambd
 def _freeze_imports() -> None:
     """Enable garbage collection only for objects that are created after this call.
 
-    Imported modules contain a hundred thousand permanent objects. To scan them would take a sixth
-    of the time of a test. The threshold is high, so that a figure with tens of thousands of objects
+    Imported modules contain a hundred thousand permanent objects. Scanning them would take a sixth
+    of the time of a test. The threshold is so high that a figure with tens of thousands of objects
     is collected as a whole.
     """
     gc.freeze()
@@ -113,12 +120,12 @@ def _freeze_imports() -> None:
 
 
 def build_parser(first_word: str = "") -> argparse.ArgumentParser:
-    """Build the parser of commands from ``commands.toml``.
+    """Build the parser of the command line from ``commands.toml``.
 
     Parameters
     ----------
     first_word : first word of the command line; if it is a command, the parser has only this
-        command
+        command, which saves time
     """
     text = Path(__file__).with_name("commands.toml").read_text(encoding="utf-8")
     (_, texts), (_, shared), *commands = tomllib.loads(text).items()
@@ -126,7 +133,7 @@ def build_parser(first_word: str = "") -> argparse.ArgumentParser:
         prog="labpipe", formatter_class=argparse.RawDescriptionHelpFormatter, **texts
     )
     parser.add_argument("--version", action="version", version=f"labpipe {__version__}")
-    # argparse wraps the line of a command whose name is longer than the metavar.
+    # The metavar is long, because argparse wraps the line of a command with a longer name.
     subparsers = parser.add_subparsers(
         dest="command", metavar="COMMAND [...]", required=True, prog="labpipe"
     )
@@ -138,7 +145,7 @@ def build_parser(first_word: str = "") -> argparse.ArgumentParser:
 def _add_command(
     subparsers: Any, name: str, entry: Mapping[str, Any], shared: _SharedArguments
 ) -> None:
-    """Add a command, or an action of a command, with its entry in ``commands.toml``."""
+    """Add a command, or an action of a command, from its entry in ``commands.toml``."""
     about = entry["about"]
     description = f"{about[0].upper()}{about[1:]}."
     parser = subparsers.add_parser(
@@ -166,8 +173,8 @@ def _add_arguments(parser: Any, arguments: Iterable[Any], shared: _SharedArgumen
 
 
 def _parse_path(text: str) -> Path:
-    """Parse a path; refuse a name that the system cannot use."""
-    max_length = 60
+    """Parse a path; raise an error for a name that the system cannot use."""
+    max_length = 60  # characters of the name in the message
     try:
         Path(text).resolve().exists()
     except (OSError, RuntimeError, ValueError) as error:  # a name too long, or a loop of links

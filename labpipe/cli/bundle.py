@@ -34,7 +34,7 @@ def _parse_bore(text: str) -> float:
     try:
         bore = parse_quantity(text, "m")
     except ValueError:
-        bore = 0.0  # is refused below, as is any bore that is not positive
+        bore = 0.0  # not positive, and therefore refused below
     if not bore > 0.0:
         raise UsageError.about("cli.bad_bore", "--bore", found=text)
     return bore

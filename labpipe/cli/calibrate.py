@@ -45,7 +45,7 @@ def format_calibration(study: CalibrationStudy) -> str:
 
     Parameters
     ----------
-    study : the calibration and its validation
+    study : calibration of a wire and its validation
 
     Returns
     -------
@@ -73,11 +73,11 @@ def format_calibration(study: CalibrationStudy) -> str:
 def _format_share(share: IsotropicShare) -> str:
     """Format the line of the isotropic share, or the reason why it is not calibrated."""
     if not share.is_creep:
-        lower, upper, tests = share.interval.lower, share.interval.upper, share.n_tests
-        interval = f"{lower:.2f} to {upper:.2f}, from {write_count(tests, 'test')}"
+        lower, upper, n_tests = share.interval.lower, share.interval.upper, share.n_tests
+        interval = f"{lower:.2f} to {upper:.2f}, from {write_count(n_tests, 'test')}"
         return f"  isotropic share {share.value:.2f}, {interval}"
-    intervals = [f"{part.lower:.2f} to {part.upper:.2f}" for part in share.intervals.values()]
+    residual, peaks = (f"{ends.lower:.2f} to {ends.upper:.2f}" for ends in share.intervals.values())
     return (
-        f"  isotropic share: not calibrated, {intervals[0]} by the residual deflection "
-        f"but {intervals[1]} by the peaks of two cycles: the insulation creeps"
+        f"  isotropic share: not calibrated, {residual} by the residual deflection "
+        f"but {peaks} by the peaks of two cycles: the insulation creeps"
     )

@@ -46,7 +46,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _run(options: argparse.Namespace, campaign: CampaignFolders, forced: Sequence[str] = ()) -> int:
-    """Process new and changed tests, and the tests in the forced folders."""
+    """Process new and changed tests, and the tests in the folders of `forced`."""
     executor = parse_executor(options.executor, jobs=options.jobs, limit=60.0 * options.limit)
     make_task = partial(
         Task, figures=not options.no_figures, png=options.png, follow_links=options.follow_links
@@ -194,13 +194,13 @@ def _print_overview(campaign: CampaignFolders, overview: Overview, lines: list[s
     _print_errors(overview.notes)
     counts = overview.counts
     states = ", ".join(f"{counts[state]} {state}" for state in STATES if counts[state])
-    head = f"{campaign.name}: {states or 'no tests'}  ->  {shorten_path(campaign.processed)}"
-    print("\n".join(map(escape_controls, [head, *lines])))
+    headline = f"{campaign.name}: {states or 'no tests'}  ->  {shorten_path(campaign.processed)}"
+    print("\n".join(map(escape_controls, [headline, *lines])))
     return _choose_exit_status(overview)
 
 
 def _choose_exit_status(overview: Overview) -> int:
-    """Choose the exit status: 2 for failed tests or bad files, 1 for failed results, else 0."""
+    """Choose the exit status: 2 for failed tests or bad files, 1 for failed results, or 0."""
     if overview.has_bad_input or overview.counts[FAILED]:
         return 2
     return 1 if overview.has_failed_results else 0
@@ -216,7 +216,7 @@ def _list_unapplied(overview: Overview) -> list[str]:
 
 
 def _list_section(heading: str, lines: list[str]) -> list[str]:
-    """List a heading and the first lines below it; without lines, there is no heading."""
+    """List a heading and the first of its lines; empty without lines."""
     if not lines:
         return []
     last_lines = [f"  ... {len(lines) - _MAX_LISTED} more"] if len(lines) > _MAX_LISTED else []

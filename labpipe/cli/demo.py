@@ -34,7 +34,7 @@ from labpipe.virtual_lab import (
 )
 
 WIRES, ONE_OF_EACH, LINES = "wires", "one-of-each", "lines"
-"""Names of folders of the demo."""
+"""Names of folders of the demo, for wire tests, one test of each kind, and harness lines."""
 CAMPAIGNS: Mapping[str, Sequence[Campaign]] = {
     WIRES: (WireCampaign(cycles=2, fps=25.0),),
     "tensile": (TensileCampaign(),),

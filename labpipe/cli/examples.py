@@ -12,17 +12,16 @@ from labpipe.store.replace import map_errors
 
 
 def run(options: argparse.Namespace) -> int:
-    """Copy the example files and the protocols; replace no file that has other content."""
+    """Copy the example files and the protocols; a file with other content is never replaced."""
     examples, protocols = find_shipped_folder("examples"), find_shipped_folder("protocols")
-    files = {options.folder / path.name: path for path in sorted(examples.iterdir())}
-    files |= {
+    targets = {options.folder / path.name: path for path in sorted(examples.iterdir())}
+    targets |= {
         options.folder / "protocols" / path.name: path for path in sorted(protocols.iterdir())
     }
-    # A file is not copied to itself.
     copies = {
-        copy: source
-        for copy, source in files.items()
-        if source.is_file() and source.resolve() != copy.resolve()
+        target: source
+        for target, source in targets.items()
+        if source.is_file() and source.resolve() != target.resolve()  # not to itself
     }
     for copy, source in copies.items():
         if copy.exists() and copy.read_bytes() != source.read_bytes():

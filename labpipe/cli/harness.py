@@ -20,13 +20,13 @@ _DISPLAY = {"displacement": "mm", "moment": "N*mm", "energy": "mJ"}
 def run(options: argparse.Namespace) -> int:
     """Compute the line of each harness and print its results."""
     statuses = []
+    needs_own_folders = options.out is not None and len(options.files) > 1
     for file in options.files:
-        has_own_folder = options.out is not None and len(options.files) > 1
         with show_progress() as progress:
             solution = follow_harness(
                 file,
                 wires=options.wire,
-                out=options.out / file.stem if has_own_folder else options.out,
+                out=options.out / file.stem if needs_own_folders else options.out,
                 figures=not options.no_figures,
                 png=options.png,
                 progress=progress,
@@ -53,7 +53,7 @@ def show_progress() -> Iterator[Progress]:
 
 
 def _find_faults(solution: HarnessSolution) -> Iterator[str]:
-    """Find reasons of a failure, or a bend below the allowed radius, if that is not assumed."""
+    """Find the reasons of a failure, or a bend below the allowed radius that the file states."""
     if solution.status is Status.FAILED:
         yield from (f"{reason.code}: {reason.message}" for reason in solution.reasons)
     elif not solution.limit.is_assumed and solution.sharpest_bend.radius < solution.limit.radius:
@@ -74,7 +74,7 @@ def format_harness(solution: HarnessSolution) -> str:
     line, steps = solution.path.line, solution.harness.steps
     is_failed = solution.status is Status.FAILED
     status = solution.status if is_failed else format_statuses(solution.results)
-    head = (
+    headline = (
         f"{solution.file.stem}: {status}; {1e3 * line.length:.6g} mm of {solution.material.name}, "
         f"{write_count(len(line.lengths), 'element')}, {write_count(steps, 'step')}"
     )
@@ -83,8 +83,8 @@ def format_harness(solution: HarnessSolution) -> str:
         progress = f"solved to step {last_step} of {steps}"
         if last_step < 0:
             progress = "initial shape not found"
-        return f"{head}\n  {progress}; earlier results are unchanged"
-    lines = [head, *map(_format_line, solution.results)]
+        return f"{headline}\n  {progress}; earlier results are unchanged"
+    lines = [headline, *map(_format_line, solution.results)]
     lines += [_format_limit(solution), *_format_sweep(solution)]
     reasons = dict.fromkeys(solution.reasons)
     for result in solution.results:
@@ -104,12 +104,12 @@ def _format_line(result: Result) -> str:
 def _format_limit(solution: HarnessSolution) -> str:
     """Format the allowed bend radius, and the sharpest bend if it is below."""
     limit, bend = solution.limit, solution.sharpest_bend
-    is_kept = bend.radius >= limit.radius
-    verdict = "kept" if is_kept else "NOT KEPT"
+    is_met = bend.radius >= limit.radius
+    verdict = "kept" if is_met else "NOT KEPT"
     verdict += " (doubtful)" if solution.is_bend_doubtful else ""
     line = f"  allowed bend radius {1e3 * limit.radius:.4g} mm ({limit.source}): {verdict}"
-    place = f"step {bend.step}, {1e3 * bend.arc_length:.4g} mm from the start"
-    return line if is_kept else f"{line}, {1e3 * bend.radius:.4g} mm at {place}"
+    location = f"step {bend.step}, {1e3 * bend.arc_length:.4g} mm from the start"
+    return line if is_met else f"{line}, {1e3 * bend.radius:.4g} mm at {location}"
 
 
 def _format_sweep(solution: HarnessSolution) -> Iterator[str]:

@@ -73,7 +73,7 @@ def format_wire_models(wires: ModelledWires) -> str:
 
 
 def _format_cells(table: WireTable) -> tuple[str, ...]:
-    """Format the cells of a wire; the force is a dash if the curve ends before the deflection."""
+    """Format the table row of a wire; without a force at the tip deflection, it is a dash."""
     onset = table.find_slip_onset(0)
     force = float(interpolate_end_load(table, _RELATIVE_TIP_DEFLECTION * table.spec.length))
     return (
@@ -89,7 +89,13 @@ def _format_cells(table: WireTable) -> tuple[str, ...]:
 
 
 def _join_names(names: Sequence[str], n_wires: int = 0) -> str:
-    """Join at most ten names of wires; of more than ten, `n_wires` are named as all wires."""
+    """Join the names of wires; more than ten names are shortened to their number.
+
+    Parameters
+    ----------
+    names : names of wires
+    n_wires : number of all wires of the sheet; 0 if it is never named
+    """
     max_names = 10
     if len(names) > max_names and len(names) == n_wires:
         return f"all {n_wires} wires"

@@ -8,8 +8,8 @@ from collections.abc import Collection
 from labpipe.errors import UsageError
 from labpipe.process.sheet_writing import WrittenSheet, write_inferred_sheets, write_table_sheets
 
-_OPTIONS_WITHOUT_VALUE = {"command", "folder", "sheet", "set", "overwrite"}
-"""Options that state no value of a test sheet."""
+_OTHER_OPTIONS = {"command", "folder", "sheet", "set", "overwrite"}
+"""Options that are not values of a test sheet."""
 
 
 def run(options: argparse.Namespace) -> int:
@@ -21,7 +21,7 @@ def run(options: argparse.Namespace) -> int:
     values = {
         name: value
         for name, value in vars(options).items()
-        if name not in _OPTIONS_WITHOUT_VALUE and value is not None
+        if name not in _OTHER_OPTIONS and value is not None
     }
     for change in options.set:
         key, equals, value = change.partition("=")

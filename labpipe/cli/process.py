@@ -28,9 +28,9 @@ from labpipe.store.summaries import build_summary
 
 def run(options: argparse.Namespace) -> int:
     """Process tests; if one fails, the others are still processed."""
-    tests, limit = find_tests(options.tests), 60.0 * options.limit
+    tests, limit_seconds = find_tests(options.tests), 60.0 * options.limit
     processed, n_refused = process_all(
-        tests, options, out=options.out, limit=limit, follow_links=options.follow_links
+        tests, options, out=options.out, limit=limit_seconds, follow_links=options.follow_links
     )
     if not processed:
         return 2  # `process_all` has printed the reasons
@@ -123,7 +123,7 @@ def format_headline(processed: ProcessedTest) -> str:
 
 
 def _format_quantity(results: list[Result], display: Mapping[str, str], width: int) -> list[str]:
-    """Format a line per cycle; of many cycles, only the first ones and the range of the others."""
+    """Format a line per cycle; of many cycles, the first ones and the range of the others."""
     max_lines = 8
     n_listed = len(results) if len(results) <= max_lines else max_lines // 2
     lines = [format_result(result, display, width) for result in results[:n_listed]]

@@ -49,14 +49,14 @@ def parse_report_options(options: argparse.Namespace) -> ReportOptions:
             found=", ".join(map(repr, unknown)),
             near=sort_by_likeness(unknown[0], list(FORMATS), limit=1)[0],
         )  # fmt: skip
-    entries = {"Lab": options.lab, "Customer": options.customer, "Order": options.order}
+    letterhead = {"Lab": options.lab, "Customer": options.customer, "Order": options.order}
     logo = "" if options.logo is None else read_logo(options.logo)
     return ReportOptions(
         title=options.title,
         by=_split_list(options.by),
         alone=options.compare,
         wires=options.wire,
-        letterhead={name: text for name, text in entries.items() if text},
+        letterhead={name: text for name, text in letterhead.items() if text},
         logo=logo,
         formats=formats,
         has_test_pages=getattr(options, "pages", False),
@@ -64,12 +64,12 @@ def parse_report_options(options: argparse.Namespace) -> ReportOptions:
 
 
 def _split_list(text: str) -> tuple[str, ...]:
-    """Split a comma-separated option."""
+    """Split a comma-separated option into its distinct entries."""
     return tuple(dict.fromkeys(filter(None, map(str.strip, text.split(",")))))
 
 
 def print_left_out(report: WrittenReport) -> int:
-    """Print the reasons why tests are left out of a report.
+    """Print the reasons why tests are left out of a report, and choose the exit status.
 
     Parameters
     ----------
@@ -115,7 +115,7 @@ def format_report(report: WrittenReport) -> str:
 
 
 def _format_mean(number: GroupNumber, display: Mapping[str, str], width: int) -> str:
-    """Format the mean of a result, with the number of samples that lack the result."""
+    """Format the mean of a result of a group, with the number of samples without the result."""
     mean = number.mean.chosen
     result = Result(number.name, mean.mean, number.unit, mean.interval, estimate=mean.estimate)
     if not number.values:

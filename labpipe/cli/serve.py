@@ -36,7 +36,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _make_report(options: argparse.Namespace, folder: Path) -> None:
-    """Write the report with the given options, and otherwise those of the report in a folder."""
+    """Write the report; options that are not given are those of the report in the folder."""
     files = find_results(options.paths)
     report_options = parse_report_options(options).fill_from(ReportOptions.read(folder))
     with show_completed("test", len(files) + 1, in_pipe=False) as (_, say):

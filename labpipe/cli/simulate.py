@@ -23,8 +23,9 @@ _TYPES = {
 }
 """Specimen types of each kind of test; a kind without types has only one specimen."""
 _DEFAULT_TYPES = {"taped-bundle": "TWB-B1-19-PVC", "conduit-bundle": "CWB-1"}
+"""Specimen type without the option ``--type``, keyed by kind of test."""
 _WIRE_TYPE = "W1"
-"""Type of the simulated wire; it is in no wire sheet, because its bending law has no section."""
+"""Type of the simulated wire. No wire sheet has it, since its bending law has no cross-section."""
 
 
 def run(options: argparse.Namespace) -> int:
@@ -38,7 +39,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _simulate(options: argparse.Namespace) -> Path:
-    """Simulate the test and return its folder; raise the faults of the options together."""
+    """Simulate the test and return its folder; a `ValueError` lists all faults of the options."""
     rate = parse_quantity(options.rate or "10 kHz", "1/s")
     fps = parse_quantity(options.fps or "50 Hz", "1/s")
     cycles = 3 if options.cycles is None else options.cycles

@@ -1,4 +1,4 @@
-"""Format and show output that several commands share: progress, paths and results."""
+"""Show progress, and format paths and results, for several commands."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _STATUS_MARKS = {Status.OK: " ", Status.DOUBTFUL: "?", Status.FAILED: "!"}
 
 @contextmanager
 def show_progress_bar(unit: str, total: int | None = None) -> Iterator[tqdm[NoReturn]]:
-    """Show a progress bar on a terminal; in a pipe it is disabled.
+    """Show a progress bar on a terminal; it is disabled if the output is a pipe.
 
     Parameters
     ----------
@@ -44,12 +44,12 @@ def show_completed(
     ----------
     unit : noun for an item, such as ``test``
     total : number of items; None if it is not known yet
-    in_pipe : whether lines are printed in a pipe; otherwise nothing is shown there
+    in_pipe : whether a line per item is printed in a pipe; otherwise nothing is shown there
 
     Yields
     ------
     begin : function that sets the number of items, if it was not known before
-    show : function to call with a text when an item is completed
+    show : function to call with the name of an item when it is completed
     """
     counter = itertools.count(1)
     with show_progress_bar(unit, total) as bar:
@@ -75,8 +75,8 @@ def shorten_path(path: Path) -> Path:
 
 
 def compute_name_width(names: Iterable[str]) -> int:
-    """Compute the width of a column that contains all names."""
-    min_width = 26
+    """Compute the width, in characters, of a column that contains all names."""
+    min_width = 26  # the columns of most tests are then aligned with each other
     return max(min_width, *(len(name) for name in names), 0)
 
 
@@ -97,10 +97,10 @@ def format_result(result: Result, display: Mapping[str, str], width: int) -> str
     Parameters
     ----------
     result : result of a test, or the mean of a group
-    display : display unit of each quantity
+    display : display unit of each quantity, keyed by quantity
     width : width of the column of names, in characters
     """
-    interval_width = 26
+    interval_width = 26  # characters
     factor, unit = find_display_unit(result.name, result.unit, display)
     mark = _STATUS_MARKS[result.status]
     if result.value is None:

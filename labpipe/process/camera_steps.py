@@ -43,7 +43,7 @@ _SHAPE_DOUBT_CODES = {
     "out_of_plane",
     "shape_missing",
 }
-"""Codes of notes that make the displacement doubtful; other repairs are only noted."""
+"""Codes of notes on markers and shapes that make the displacement doubtful."""
 
 MarkerStep: TypeAlias = (
     declarations.RepairMarkers
@@ -91,7 +91,7 @@ def run_marker_step(
 
 
 def _require(value: T | None) -> T:
-    """Return a value, or raise a ValueError if no export and no earlier step has provided it."""
+    """Return a value, or raise a ValueError if neither an export nor an earlier step gave it."""
     if value is None:
         raise ValueError(format_sentence("process.needs_markers"))
     return value
@@ -101,7 +101,7 @@ def repair_marker_tracks(
     prepared: PreparedTest, step: declarations.RepairMarkers, settings: Markers
 ) -> StepOutcome:
     """Run ``repair-markers``: repair labels, frozen poses and gaps, and compute ring centres."""
-    min_rings = 3  # along the specimen, as for the shape
+    min_rings = 3  # along the specimen, which the shape needs
     take = prepared.take
     tracks = _require(take.tracks)
     clamp_path, findings = _find_clamp(tracks, settings, step, take.role)
@@ -122,7 +122,7 @@ def repair_marker_tracks(
 
 
 def find_specimen_axes(prepared: PreparedTest, step: declarations.SpecimenFrame) -> StepOutcome:
-    """Run ``specimen-frame``: find the specimen axes, and with a clamp the signal ``travel``."""
+    """Run ``specimen-frame``: find the specimen axes, and add the signal ``travel`` of a clamp."""
     take, findings, signals = prepared.take, list[Finding](), prepared.signals
     tracks, positions, role = _require(take.tracks), _require(take.repaired).positions, take.role
     is_at_rest = np.asarray(tracks.time <= tracks.time[0] + step.over)
@@ -138,7 +138,7 @@ def find_specimen_axes(prepared: PreparedTest, step: declarations.SpecimenFrame)
             Finding.of("process.short_rest_of_clamp", role, duration=duration, stated=stated)
         )
     findings += _make_shape_findings(frame.notes, role)
-    plane, line = 1e3 * frame.out_of_plane, 1e3 * frame.travel_residual
+    plane, line = 1e3 * frame.out_of_plane, 1e3 * frame.travel_residual  # mm
     findings.append(Finding.of("process.specimen_frame", role, plane=plane, line=line))
     if clamp_path is not None:
         travel = -frame.to_specimen(clamp_path)[:, 1]
@@ -149,7 +149,7 @@ def find_specimen_axes(prepared: PreparedTest, step: declarations.SpecimenFrame)
 
 
 def _flag_before_motion(time: Floats, frame: SpecimenFrame, clamp_path: Floats | None) -> Flags:
-    """Flag frames before the first stroke of the clamp; all frames of a take without a clamp."""
+    """Flag the frames before the first stroke of the clamp; without a clamp, flag all frames."""
     min_stroke_fraction = 0.1  # of the range of the clamp; smaller movements are ignored
     if clamp_path is None:
         return np.ones(len(time), dtype=np.bool_)
@@ -162,8 +162,8 @@ def _flag_before_motion(time: Floats, frame: SpecimenFrame, clamp_path: Floats |
 def fit_specimen_shapes(
     prepared: PreparedTest, step: declarations.FitShape, settings: Markers
 ) -> StepOutcome:
-    """Run ``fit-shape``: fit the shape, and with a clamp add the signal ``deflection``."""
-    misfit_factor, misfit_offset = 3.0, 1e-2  # of the rms deviation at rest; mm
+    """Run ``fit-shape``: fit the shape, and add the signal ``deflection`` if there is a clamp."""
+    misfit_factor, misfit_offset = 3.0, 1e-2  # multiple of the rms deviation at rest; mm
     take, signals, role = prepared.take, prepared.signals, prepared.take.role
     tracks, repaired = _require(take.tracks), _require(take.repaired)
     frame, is_at_rest = _require(take.frame), _require(take.is_at_rest)
@@ -198,10 +198,10 @@ def fit_specimen_shapes(
 
 
 def _make_deflection_signal(fit: ShapeFit, is_at_rest: Flags, take: Take) -> Signal:
-    """Make the deflection of the pull point, also for perturbed offsets and a perturbed shape.
+    """Make the signal of the deflection of the pull point, with its perturbed signals.
 
-    The change with one more term is the half-width of a rectangular distribution, whose standard
-    uncertainty is 1 / sqrt(3) of the half-width.
+    The offsets and the shape are perturbed. The change of the shape with one more term is the half
+    width of a rectangular distribution, whose standard uncertainty is 1 / sqrt(3) of it.
     """
     values = compute_deflection(fit.shape, rest=is_at_rest)
     _, zero_error = average_level(drop_missing(values[is_at_rest]), values[~is_at_rest])
@@ -229,7 +229,7 @@ def _make_shape_findings(notes: Iterable[QualityNote], role: str) -> Iterator[Fi
 def _find_clamp(
     tracks: MarkerTracks, settings: Markers, step: declarations.RepairMarkers, role: str
 ) -> tuple[Floats | None, list[Finding]]:
-    """Find the rigid body of the clamp and repair its path; None if the protocol names no clamp."""
+    """Return the repaired path of the clamp, m; None if the protocol names no clamp."""
     if settings.clamp is None:
         return None, []
     body = tracks.find_body(settings.clamp)
@@ -278,11 +278,11 @@ def _repair_clamp_path(
 def _select_specimen_tracks(
     tracks: MarkerTracks, settings: Markers, role: str
 ) -> tuple[list[str], list[Finding]]:
-    """Select the names of the tracks along the specimen, including unlabelled ones.
+    """Select the names of the tracks along the specimen, including those of unlabelled markers.
 
     A finding lists the other rigid bodies, whose markers are left out.
     """
-    min_tracks = 3
+    min_tracks = 3  # visible tracks, which the shape needs
     patterns = ("*",) if settings.along == "all" else settings.along
     bodies = [body.name for body in tracks.bodies] if settings.along == "all" else []
     # Motive 1.2x separates body and marker by a colon, 1.1 by a hyphen.
@@ -325,8 +325,8 @@ def fit_three_point_shape(
 
     Returns
     -------
-    The test with the bent axis, the shape and the signal, or with the reason why there are none;
-    and a finding.
+    The test with the bent axis, the shape and the signal, or with the reason why there are none,
+    and one finding.
     """
     bent_fraction, min_rest_frames = 0.5, 4  # of the largest deflection; for the variance at rest
     take = prepared.take
@@ -337,7 +337,7 @@ def fit_three_point_shape(
     try:
         sections = find_sections(repaired.positions, rest=is_at_rest, min_distance=step.section)
         deflections = np.abs(sections.markers[..., 1] - sections.rest_xyz[:, 1])
-        max_deflections = np.max(np.nan_to_num(deflections), axis=1)  # one for each frame
+        max_deflections = np.max(np.nan_to_num(deflections), axis=1)  # of each frame
         is_bent = max_deflections > bent_fraction * max_deflections.max()
         shape = fit_span(
             sections,
@@ -382,8 +382,8 @@ def _reject_span(prepared: PreparedTest, reason: Failure) -> StepOutcome:
 def _make_span_shape(
     sections: Sections, shape: SpanShape, time: Floats, flags: NDArray[np.uint8]
 ) -> Shape:
-    """Make the shape from the section centres, and a power series of the axis for figures."""
-    degree, n_fitted = 9, 61  # of the power series, and number of points to which it is fitted
+    """Make the shape from the section centres, with a power series of the axis for figures."""
+    degree, n_fitted = 9, 61  # degree of the power series; number of points to which it is fitted
     section_flags = flags[:, sections.columns]
     is_finite = np.isfinite(shape.centres).all(axis=2)
     flags_of_sections = np.stack(
@@ -422,9 +422,9 @@ def align_cameras(
 
     Returns
     -------
-    prepared : test with its shape on the clock of the motion, or with the reason why there is no
-        bent axis: no turn of mid-span matches one of the motion. Without ``mid_span``, and if that
-        is on the clock of the motion, the test is unchanged
+    prepared : test with its shape on the clock of the motion. If no turn of mid-span matches one of
+        the motion, the reason replaces its bent axis. The test is unchanged without ``mid_span``,
+        or if both are on one clock
     fits : relation of the clocks, keyed by the clock of the cameras; empty if it is not fitted
     findings : findings of the fit
     """
@@ -449,7 +449,7 @@ def align_cameras(
 
 
 def _find_upper_turns(motion: Motion) -> Floats:
-    """Find times and standard errors of the upper turns of a motion, s, shape (turns, 2)."""
+    """Find the times and standard errors of the upper turns of a motion, shape (turns, 2), s."""
     window = 25.0  # s, on each side of a turn
     turns = find_motion_turns(motion, window=window)
     upper_turns = [turn for turn in turns if motion.strokes[turn.stroke_index].sign > 0]
@@ -458,7 +458,7 @@ def _find_upper_turns(motion: Motion) -> Floats:
 
 
 def _fit_camera_clock(events: Floats) -> ClockFit:
-    """Fit the offset of the cameras to events, shape (3, events), with an assumed drift of zero."""
+    """Fit the offset of the cameras to events, shape (3, events), s, with a drift of zero."""
     drift_error = 1e-4 / sqrt(3.0)  # standard uncertainty of the drift
     motion, cameras, errors = events
     weights = errors**-2.0

@@ -1,7 +1,7 @@
-"""Check whether the parts of a record agree: cycles, rests, force and displacement.
+"""Check whether cycles, rests, force and displacement of a record agree with each other.
 
-Each check compares one statistic with one threshold, which is above the largest statistic of sound
-records of real and simulated tests (docs/explanations/intervals.md).
+Each check compares one statistic with one threshold. The threshold is above the largest statistic
+of all sound records of real and simulated tests (docs/explanations/intervals.md).
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ MIN_COMPARED_SAMPLES = 5
 REST_ERROR_FACTOR = 6.0
 """Number of standard errors by which a force at rest must differ from zero or another level."""
 MIN_NOISE_RATIO = 8.0
-"""Smallest change of the force that is reported, over the noise of the force."""
+"""Smallest change of the force that is reported, divided by the noise of the force."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,11 +51,11 @@ class Cycle:
 
 @dataclass(frozen=True, eq=False)
 class CheckedRecord:
-    """The record of a test, with the quantities that several checks use.
+    """Record of a test with the quantities that several checks use.
 
     Parameters
     ----------
-    signals : signals of the test, and the stretches in which they are zeroed
+    signals : signals of the test, with the stretches in which they are zeroed
     curve : curve of the unfiltered force with its branches; for checks of the force after a break,
         the corrected curve
     limits : limits of the protocol
@@ -90,7 +90,10 @@ class CheckedRecord:
 
     @cached_property
     def cycle_changes(self) -> list[tuple[str, float, Cycle, Cycle]]:
-        """Return changes between consecutive cycles: kind, size, earlier and later cycle."""
+        """Return the changes between consecutive cycles.
+
+        Each has its kind and size, as in `_find_cycle_change`, and the earlier and later cycle.
+        """
         return [
             (*change, *pair)
             for pair in pairwise(self.cycles)
@@ -99,11 +102,11 @@ class CheckedRecord:
 
     @cached_property
     def is_saturated(self) -> bool:
-        """Return whether samples of a channel are known to be exactly at a limit."""
+        """Return whether an earlier check found samples at the limit of a channel."""
         return any(finding.code == "saturation" for finding in self.earlier_findings.entries)
 
-    def find_loading_sign(self, branch: Branch) -> float:
-        """Find the sign of the change of the force when the specimen is loaded in a branch."""
+    def compute_sign(self, branch: Branch) -> float:
+        """Compute the sign of the force with which the specimen is loaded in a branch."""
         return compute_loading_sign(self.curve.force[branch.start : branch.stop])
 
     def report(
@@ -115,15 +118,16 @@ class CheckedRecord:
         segment: tuple[int, int] | None = None,
         **facts: Any,
     ) -> Finding:
-        """Make a finding.
+        """Make a finding about the force or the displacement.
 
         Parameters
         ----------
         name, facts : see `labpipe.messages.format_sentence`
         quantities : doubtful quantities
-        channel : the channel that the note names
-        at : sample; the fact ``at`` is its time, or its number if the export has no time
-        segment : first and last doubtful sample; None for all
+        channel : quantity whose channel the note names
+        at : index of the sample that the message names by its time, or by its number if the export
+            has no time; None if the message names no sample
+        segment : indices of the first and last doubtful sample; None for all samples
         """
         time = self.curve.time
         if at is not None:
@@ -139,11 +143,11 @@ def check_consistency(record: CheckedRecord) -> Iterator[Finding]:
 
     Parameters
     ----------
-    record : the record of a test
+    record : record of a test
 
     Yields
     ------
-    A finding for each contradiction: cycle or time, size, and the quantities that are doubtful.
+    A finding for each contradiction, with its cycle or time, its size and the doubtful quantities.
     """
     if not record.curve.branches:
         return
@@ -152,7 +156,7 @@ def check_consistency(record: CheckedRecord) -> Iterator[Finding]:
 
 
 def _make_path(curve: Curve, branch: Branch) -> tuple[Floats, Floats]:
-    """Average displacement and force of a branch over blocks, sorted by displacement."""
+    """Return block means of displacement and force of a branch, sorted by displacement."""
     rows = slice(branch.start, branch.stop)
     samples = np.stack([curve.displacement[rows], curve.force[rows]])
     samples = samples[:, ~np.isnan(samples).any(axis=0)]
@@ -167,8 +171,8 @@ def _make_path(curve: Curve, branch: Branch) -> tuple[Floats, Floats]:
 def _interpolate_common_forces(*paths: tuple[Floats, Floats]) -> tuple[Floats, ...]:
     """Interpolate the forces of paths over their common range of displacement.
 
-    The result is empty if a path has too few samples, or if the common range is too small a part of
-    the combined range.
+    The result is empty if a path has too few samples, or if the common range is too small compared
+    with the combined range.
     """
     min_common_fraction = 0.5  # of the combined range
     if min(len(path[0]) for path in paths) < MIN_COMPARED_SAMPLES:
@@ -183,9 +187,9 @@ def _interpolate_common_forces(*paths: tuple[Floats, Floats]) -> tuple[Floats, .
 def _find_jumps(
     record: CheckedRecord, quantity: Literal["force", "displacement"]
 ) -> list[tuple[int, float]]:
-    """Find the jumps of a quantity: sample and size of each.
+    """Find the sample and the size of each jump of a quantity.
 
-    A jump at the end of a stretch in which the channel is frozen is left out.
+    Jumps at the end of a stretch in which the channel is frozen are ignored.
     """
     max_distance = 2  # samples between a jump and the end of a frozen stretch
     time = record.curve.time
@@ -203,8 +207,8 @@ def _find_jumps(
 
 
 def _check_displacement_jumps(record: CheckedRecord) -> Iterator[Finding]:
-    """Report jumps and outliers of the displacement, except for one at a break of the specimen."""
-    break_drop = 0.3  # smallest drop of the force at a break as a fraction of the largest force
+    """Report jumps and outliers of the displacement, except a single jump at a break."""
+    min_break_drop = 0.3  # drop of the force at a break as a fraction of the largest force
     min_outlier = 0.02  # fraction of the range of the displacement
     displacement, force = record.curve.displacement, np.abs(record.curve.force)
     deviations = displacement - bridge_spikes(displacement, find_spikes(displacement))
@@ -212,7 +216,7 @@ def _check_displacement_jumps(record: CheckedRecord) -> Iterator[Finding]:
     jumps = [(sample, float(deviations[sample])) for sample in outliers.tolist()]
     jumps += _find_jumps(record, "displacement")
     force_drops = [force[sample - 1] - force[sample] for sample, _ in jumps]
-    if not jumps or (len(jumps) == 1 and force_drops[0] > break_drop * record.largest_force):
+    if not jumps or (len(jumps) == 1 and force_drops[0] > min_break_drop * record.largest_force):
         return
     sample, size = max(jumps, key=lambda jump: abs(jump[1]))
     yield record.report(
@@ -233,7 +237,8 @@ def _check_rest_force(record: CheckedRecord) -> Iterator[Finding]:
     start = curve.branches[0].start
     is_zeroed = name in {*signals.zero_stretches, *signals.moving_zero_stretches}
     jumps = find_level_jumps(curve.time[:start], curve.force[:start])
-    first = jumps[-1][0] if jumps else start // 2 if is_zeroed else 0
+    # A zero is taken at the beginning of the rest, so that the force may have left it later.
+    first = jumps[-1][0] if jumps else (start // 2 if is_zeroed else 0)
     rest_forces = drop_missing(curve.force[first:start])
     if len(rest_forces) < min_samples:
         return
@@ -263,27 +268,28 @@ def _check_rest_displacement(record: CheckedRecord) -> Iterator[Finding]:
 
 
 def _check_force_level(record: CheckedRecord) -> list[Finding]:
-    """Report a jump of the force, or else a drift of its zero."""
+    """Report a jump of the force or, without a jump, a drift of its zero."""
     return [*_check_force_jumps(record)] or [*_check_zero_drift(record)]
 
 
 def _check_force_jumps(record: CheckedRecord) -> Iterator[Finding]:
-    """Report a jump of the force that a specimen cannot cause: a rise in loading, any in unloading.
+    """Report a jump of the force that a specimen cannot cause.
 
-    If a converter overflows, the force jumps over the whole range of the record. One or two such
-    jumps are an overflow only if they lead to the opposite force.
+    Such a jump is a rise in loading, or any jump in unloading. If a converter overflows, the force
+    jumps over the whole range of the record. One or two such jumps are an overflow only if they
+    lead to the opposite force.
     """
     turn_reach = 3  # jumps within this many samples of a turn are ignored
     max_jumps = 2  # more jumps are attributed to the specimen, or are overflows
     min_overflow = 0.9  # fraction of the range of the force
-    max_asymmetry = 0.1  # of the forces before and after an overflow as a fraction of the jump
-    force, sign = record.curve.force, record.find_loading_sign(record.curve.branches[0])
+    max_offset = 0.1  # of the forces before and after an overflow as a fraction of the jump
+    force, sign = record.curve.force, record.compute_sign(record.curve.branches[0])
     all_jumps = _find_jumps(record, "force")
     min_size = min_overflow * np.ptp(drop_missing(force))
     overflows = [(sample, size) for sample, size in all_jumps if abs(size) > min_size]
     if len(overflows) <= max_jumps:
-        overflows = [x for x in overflows if abs(force[x[0]] / x[1] - 0.5) < max_asymmetry]
-    # The rest after a branch belongs to the branch.
+        overflows = [(i, size) for i, size in overflows if abs(force[i] / size - 0.5) < max_offset]
+    # Each branch extends to the start of the next one, because it includes the rest after it.
     branches = record.curve.branches
     ends = [*(branch.start for branch in branches[1:]), branches[-1].stop]
     jumps = [
@@ -306,20 +312,20 @@ def _check_force_jumps(record: CheckedRecord) -> Iterator[Finding]:
 
 
 def _check_partial_breaks(record: CheckedRecord) -> Iterator[Finding]:
-    """Report sudden losses of force in loading that are larger than slips, but not breaks."""
+    """Report sudden losses of force in loading that are larger than slips but are no breaks."""
     min_loss = 0.2  # fraction of the largest force before the loss
     min_carried = 0.5  # largest force after the loss as a fraction of the largest force before it
     min_regained = 0.25  # fraction of the loss; after a break the specimen regains nothing
     max_duration = 0.05  # s
     max_losses = 2  # more losses are attributed to the specimen
     curve, losses = record.curve, []
-    n = 1  # number of samples over which a loss is computed
+    n = 1  # number of steps between the samples from which a loss is computed
     if curve.time_unit == "s":
         n = max(1, int(max_duration / compute_median_step(curve.time)))
     for branch in curve.branches:
         if branch.direction is Direction.UNLOADING:
             continue
-        force = record.find_loading_sign(branch) * curve.force[branch.start : branch.stop]
+        force = record.compute_sign(branch) * curve.force[branch.start : branch.stop]
         largest_before = np.fmax.accumulate(force[:-n])
         largest_after = np.fmax.accumulate(force[: n - 1 : -1])[::-1]
         loss = force[:-n] - force[n:]
@@ -334,7 +340,7 @@ def _check_partial_breaks(record: CheckedRecord) -> Iterator[Finding]:
             for run in runs
         ]
     for first, last, largest_loss in losses if len(losses) <= max_losses else ():
-        # The peak force is not doubtful, because the specimen was then complete.
+        # The peak force is not doubtful, because the specimen was whole when it was reached.
         segment = first, last
         yield record.report(
             "process.partial_break", "displacement", at=first, segment=segment, loss=largest_loss
@@ -377,13 +383,13 @@ def check_force_after_break(record: CheckedRecord, failure: object) -> Iterator[
 
     Parameters
     ----------
-    record : the record of a test with its corrected curve
+    record : record of a test with its corrected curve
     failure : failure point of the test; there is no finding if it is of another type
 
     Notes
     -----
-    A force above zero is allowed, because the rest of the specimen may still carry a load. A
-    rebound of a few samples is allowed, too.
+    A force above zero is allowed, because unbroken wires may still carry a load. A rebound of a few
+    samples is also allowed.
     """
     min_tail_samples = 10  # fewer samples may be a rebound
     if not isinstance(failure, FailurePoint):
@@ -400,7 +406,7 @@ def check_force_after_break(record: CheckedRecord, failure: object) -> Iterator[
 
 
 def _check_cycle_changes(record: CheckedRecord) -> Iterator[Finding]:
-    """Report changes of scale, level or travel between cycles, caused by an instrument.
+    """Report changes of scale, level or travel between cycles that an instrument caused.
 
     Such a change is the same in loading and unloading, whereas conditioning, hardening, fatigue
     and permanent set change the two differently. Unloading is also compared alone, because a first
@@ -427,16 +433,19 @@ def _check_cycle_changes(record: CheckedRecord) -> Iterator[Finding]:
 def _find_cycle_change(
     record: CheckedRecord, old_cycle: Cycle, new_cycle: Cycle
 ) -> tuple[str, float] | None:
-    """Find kind and size of a change between two cycles: N for a level, or a ratio."""
-    # Each limit applies to the misfit of the cycles as recorded over their misfit after a change of
-    # scale or level has been removed. In 246 pairs of real and simulated cycles, in which the
-    # material changes the shape of the curve, the ratio is at most 2.0 in complete cycles; in
+    """Find kind and size of a change between two cycles; None without a change.
+
+    The kind is ``level``, with a size in N, or ``scale`` or ``travel``, with a ratio as size.
+    """
+    # Each limit applies to the misfit of the cycles as recorded divided by their misfit after a
+    # change of scale or level has been removed. In 246 pairs of real and simulated cycles, in which
+    # the material changes the shape of the curve, this ratio is at most 2.0 in complete cycles. In
     # unloading it is at most 4.0 for a scale and 6.2 for a level.
     min_cycle_ratio = 3.0
     cycle_limits = slice(None), min_cycle_ratio, min_cycle_ratio
     unloading_limits = slice(COMPARED_POINTS, None), 5.5, 8.0
     max_stroke_change = 0.05  # a longer cycle unloads along another path
-    max_growth_ratio = 0.25  # growth of the force at the turn over that of the travel
+    max_growth_ratio = 0.25  # growth of the force at the turn divided by that of the travel
     min_change = record.limits.cycle_change
     forces = _interpolate_common_forces(*old_cycle.paths, *new_cycle.paths)
     if not forces:
@@ -460,7 +469,7 @@ def _find_cycle_change(
         if is_shifted and misfit > min_level_ratio * level_misfit:
             return "level", level
     ratio = float(new_travel[-1] / old_travel[-1]) if old_travel[-1] > 0.0 else 1.0
-    # With another scale of the travel, the force at the turn stays; with a longer stroke it grows.
+    # Another scale of the travel does not change the force at the turn; a longer stroke does.
     growth = abs(float(new_force[-1] / old_force[-1]) - 1.0)
     is_longer_stroke = growth > max(min_change, max_growth_ratio * abs(ratio - 1.0))
     if abs(ratio - 1.0) < min_change or ratio <= 0.0 or is_longer_stroke:
@@ -477,7 +486,7 @@ def _check_loading_directions(record: CheckedRecord) -> Iterator[Finding]:
     """Report the first branch of loading in which the force falls from a high to a low level."""
     min_fall, max_opposite_force = 0.5, 0.5  # fractions of the largest force
     curve = record.curve
-    sign = record.find_loading_sign(curve.branches[0])
+    sign = record.compute_sign(curve.branches[0])
     if np.nanmin(sign * curve.force) < -max_opposite_force * record.largest_force:
         return
     for previous, branch in pairwise(curve.branches):
@@ -498,9 +507,9 @@ def _check_loading_directions(record: CheckedRecord) -> Iterator[Finding]:
 
 
 def _check_turns(record: CheckedRecord) -> Iterator[Finding]:
-    """Report a force that still grows after a turn of the motion, because it lags or jumps."""
+    """Report a force that still grows after turns of the motion, because it lags or jumps."""
     curve, limits = record.curve, record.limits
-    loading_sign = record.find_loading_sign(curve.branches[0])
+    loading_sign = record.compute_sign(curve.branches[0])
     min_growth = MIN_NOISE_RATIO * record.force_noise
     growths = []
     for branch, next_branch in pairwise(curve.branches):
@@ -540,7 +549,7 @@ def _check_turns(record: CheckedRecord) -> Iterator[Finding]:
 def _check_skipped_turns(record: CheckedRecord) -> Iterator[Finding]:
     """Report a jump of the force at one of several turns, where the recording was interrupted."""
     turn_reach = 3  # samples on each side of a turn
-    min_step_ratio = 5.0  # largest step at this turn over that at the other turns
+    min_step_ratio = 5.0  # largest step at a turn divided by that at the other turns
     curve, jumps = record.curve, dict(_find_jumps(record, "force"))
     for direction in Direction:
         turns = [
@@ -572,7 +581,7 @@ def _check_force_clipping(record: CheckedRecord) -> Iterator[Finding]:
     A specimen that yields loses force as soon as the motion turns.
     """
     turn_reaches = 0.1, 0.05, 0.03  # displacements on each side as fractions of the stroke
-    min_level, max_error = 0.5, 0.1  # fraction of the largest force; of it, over the reach
+    min_level, max_error = 0.5, 0.1  # fractions of the largest force; the error is over the reach
     for cycle in () if record.is_saturated else record.cycles:
         for reach in turn_reaches:
             levels, error = _compare_levels(record, cycle, reach)
@@ -590,9 +599,9 @@ def _check_force_clipping(record: CheckedRecord) -> Iterator[Finding]:
 
 
 def _compare_levels(record: CheckedRecord, cycle: Cycle, reach: float) -> tuple[Floats, float]:
-    """Average the force over two pieces on each side of a turn; return means and their error.
+    """Compute the mean forces of two pieces on each side of a turn, N, and their error, N.
 
-    The error is four standard errors, or infinite if a piece has fewer than 8 samples.
+    The error is four standard errors; it is infinite if a piece has fewer than 8 samples.
     """
     n_standard_errors, min_samples = 4.0, 8
     turn = record.curve.displacement[cycle.unloading.start]
@@ -612,7 +621,7 @@ def _check_held_turns(record: CheckedRecord) -> Iterator[Finding]:
     curve = record.curve
     limit = max(min_growth * record.largest_force, MIN_NOISE_RATIO * record.force_noise)
     for first, second in () if record.is_saturated else pairwise(curve.branches):
-        sign = record.find_loading_sign(first) * (1 if first.direction is Direction.LOADING else -1)
+        sign = record.compute_sign(first) * (1 if first.direction is Direction.LOADING else -1)
         turn_force = drop_missing(sign * curve.force[first.stop - 1 : second.start + 1])
         if not len(turn_force):
             continue
@@ -631,12 +640,12 @@ def _check_held_turns(record: CheckedRecord) -> Iterator[Finding]:
 
 
 def _check_jump_to_peak(record: CheckedRecord) -> Iterator[Finding]:
-    """Report a largest force that is reached by a jump, and lost just after it."""
+    """Report a largest force that is reached by a jump and lost just after it."""
     reach = 3  # samples of the jump, of the steps before it, and of the loss after it
-    min_step_ratio = 5.0  # jump over the steps before it
+    min_step_ratio = 5.0  # jump divided by the largest step before it
     min_jump, max_remaining = 0.02, 0.5  # fractions of the largest force
     curve = record.curve
-    force = record.find_loading_sign(curve.branches[0]) * curve.force
+    force = record.compute_sign(curve.branches[0]) * curve.force
     peak = int(np.nanargmax(force))
     steps = np.diff(force[max(0, peak - 2 * reach) : peak + 1])
     forces_after = force[peak + 1 : peak + 1 + reach]
@@ -655,14 +664,14 @@ def _check_jump_to_peak(record: CheckedRecord) -> Iterator[Finding]:
 
 def _check_gaps_at_peaks(record: CheckedRecord) -> Iterator[Finding]:
     """Report a gap in the times at a turn or at the largest force, where a peak may be missing."""
-    min_step_ratio = 5.0  # length of a gap over the 98 % quantile of the steps of time
-    # Over the length of the gap, before the gap, the motion must exceed both of these.
-    min_travel, min_noise_ratio = 0.005, 6.0  # fraction of the range; over the noise
-    peak_reach = 5  # samples between gap and peak, because noise moves the largest sample
+    min_step_ratio, step_quantile = 5.0, 0.98  # gap over the usual step, which is a quantile
+    # In a time as long as the gap, just before it, the motion must exceed both of these.
+    min_travel, min_noise_ratio = 0.005, 6.0  # fraction of the range; multiple of the noise
+    peak_reach = 5  # samples between gap and peak, because noise shifts the largest sample
     curve = record.curve
     time, travel = curve.time, curve.displacement
     steps = np.diff(time)
-    gaps = np.flatnonzero(steps > min_step_ratio * np.quantile(steps, 0.98))
+    gaps = np.flatnonzero(steps > min_step_ratio * np.quantile(steps, step_quantile))
     peaks = [second.start for _, second in pairwise(curve.branches)]
     peaks.append(int(np.nanargmax(np.abs(curve.force))))
     travel_limit = min_travel * np.ptp(drop_missing(travel))
@@ -683,16 +692,14 @@ def _check_gaps_at_peaks(record: CheckedRecord) -> Iterator[Finding]:
 
 
 def _check_energy(record: CheckedRecord) -> Iterator[Finding]:
-    """Report cycles in which the specimen returns more energy than was put in."""
+    """Report cycles in which the specimen returns more energy than it received."""
     gains = []
     for cycle in record.cycles:
         forces = _interpolate_common_forces(*cycle.paths)
         # Mean forces at equidistant displacements are proportional to energies.
         work_in = float(np.mean(np.abs(forces[0]))) if forces else 0.0
         if work_in:
-            work_lost = record.find_loading_sign(cycle.loading) * float(
-                np.mean(forces[0] - forces[1])
-            )
+            work_lost = record.compute_sign(cycle.loading) * float(np.mean(forces[0] - forces[1]))
             gain = -work_lost / work_in
             gains += [(cycle, gain)] if gain > record.limits.energy_gain else []
     # If most cycles gain energy, columns may be exchanged, or the record may be reversed.
@@ -711,7 +718,7 @@ def _check_energy(record: CheckedRecord) -> Iterator[Finding]:
 
 def _check_second_specimen(record: CheckedRecord) -> Iterator[Finding]:
     """Report a record that continues with another specimen after the first one broke."""
-    force_quantile = 0.8  # a broken specimen carries almost no force in 80 % of an unloading
+    force_quantile = 0.8  # a broken specimen carries almost no force in 80 % of the unloading
     branches, limits = record.curve.branches, record.limits
     for cycle in record.cycles:
         next_branch = next((x for x in branches if x.start >= cycle.unloading.stop), None)

@@ -1,8 +1,8 @@
 """Build the force-displacement curve of a test and correct it for compliance, slips and slack.
 
-The curve has the force and the displacement at the same times. The corrections are made after the
-split into branches, in the order of the keys of ``curve`` in the protocol. They do not change the
-aligned signals.
+The curve consists of the force and the displacement at the same times. It is corrected after the
+split into branches, in the order of the keys of ``curve`` in the protocol. The aligned signals are
+not changed.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ CorrectionOutcome: TypeAlias = tuple[ReducedTest, list[Finding]]
 
 
 def align_signals(test: ReducedTest) -> Aligned:
-    """Interpolate all raw signals at the times of the displacement."""
+    """Interpolate all raw signals of a test at the times of the displacement."""
     time = test.displacement.time
     series = {
         test.signals.quantities.get(name, name): Series(
@@ -80,7 +80,7 @@ def build_curve(
 
     Returns
     -------
-    The curve and no finding; or None and a finding if force and motion do not overlap in time.
+    The curve without findings; None with a finding if force and motion do not overlap in time.
     """
     displacement = test.displacement
     time = displacement.time
@@ -93,7 +93,7 @@ def build_curve(
         return None, [note]
     branches, motion_time = motion.branches, motion.signal.time
     if len(motion_time) != len(time):
-        # The clock is the same, but the branches count the samples of another channel.
+        # The branches count the samples of another channel with the same clock.
         last_samples = [min(branch.stop, len(motion_time)) - 1 for branch in branches]
         starts = np.searchsorted(time, motion_time[[branch.start for branch in branches]]).tolist()
         stops = np.searchsorted(time, motion_time[last_samples]).tolist()
@@ -113,12 +113,13 @@ def correct_curve(test: ReducedTest, settings: CurveBlock) -> CorrectionOutcome:
 
     Returns
     -------
-    The test with its corrected curve, failure, slips, slack and elastic line; and the findings.
+    The test with its corrected curve, failure, slips, slack and elastic line, and the findings.
     """
     criteria = loss_start = None
     if settings.failure is not None:
         criteria = LossOfForce(**dict(settings.failure))
-        loss_start = find_final_loss(test, criteria)  # before a filter smooths the loss
+        # The unfiltered force is used, because a filter would smooth the loss.
+        loss_start = find_final_loss(test, criteria)
     findings = list[Finding]()
     test = _filter_branches(test, loss_start)
     if settings.compliance is not None and settings.compliance.value > 0.0:
@@ -134,7 +135,7 @@ def correct_curve(test: ReducedTest, settings: CurveBlock) -> CorrectionOutcome:
         findings += slack_findings
     if settings.elastic_line is not None:
         test = replace(test, pull=fit_pull(test, ElasticWindow(**dict(settings.elastic_line))))
-    # Notes on slips are made last, because the slack changes the positions of the slips.
+    # The notes on slips are made last, because the slack changes the positions of the slips.
     return test, [*findings, *(_make_slip_note(test.signals.force, slip) for slip in test.slips)]
 
 
@@ -147,7 +148,7 @@ def bridge_outliers(signals: Signals) -> tuple[Signal, list[Finding]]:
 
     Returns
     -------
-    The raw force with interpolated outliers; and a note if there are outliers.
+    The raw force with interpolated outliers, and a note if there are any.
     """
     raw_force = signals.raw[signals.force]
     outliers = find_spikes(raw_force.values)
@@ -189,8 +190,16 @@ def _subtract_compliance(test: ReducedTest, settings: MachineCompliance) -> Corr
 def _check_compliance(
     test: ReducedTest, curve: Curve, corrected_displacement: Floats, compliance: float
 ) -> None:
-    """Refuse a compliance with which the displacement does not increase up to the peak force."""
-    max_blocks = 20  # means over blocks are compared, because samples scatter
+    """Raise an error if the corrected displacement does not increase up to the peak force.
+
+    Parameters
+    ----------
+    test : test whose first loading is checked
+    curve : curve before the correction
+    corrected_displacement : shape of the curve, m
+    compliance : m/N, compliance of the machine
+    """
+    max_blocks = 20  # block means are compared, because samples scatter
     branch, sign = test.first_loading, find_loading_sign(curve, curve.displacement)
     if branch is None:
         return
@@ -216,11 +225,11 @@ def find_final_loss(test: ReducedTest, criteria: LossOfForce) -> int | Failure |
     Parameters
     ----------
     test : test with or without a curve
-    criteria : criteria of a loss
+    criteria : criteria of a loss of force
 
     Returns
     -------
-    Index of the sample, or the reason why there is none; None if the test has no curve or no
+    The index of the sample, or the reason why there is none; None if the test has no curve or no
     loading.
     """
     curve, first_loading = test.curve, test.first_loading
@@ -263,7 +272,7 @@ def _find_failure(
 
 
 def _filter_branches(test: ReducedTest, loss_start: int | Failure | None) -> ReducedTest:
-    """Filter force and displacement again, separately in each branch and around a loss."""
+    """Filter force and displacement again, separately in each branch, before and after a loss."""
     curve, signals = test.required_curve, test.signals
     end_times = [
         time for branch in curve.branches for time in (branch.start_time, branch.stop_time)
@@ -288,7 +297,10 @@ def _filter_branches(test: ReducedTest, loss_start: int | Failure | None) -> Red
 
 
 def _correct_slips(test: ReducedTest, settings: SlipsBlock) -> CorrectionOutcome:
-    """Find slips in the first loading, and mark them, add their drops back or cut the curve."""
+    """Find the slips of the first loading, and treat them as the protocol decides.
+
+    They are marked, their drops are added back, or the curve is cut at the first one.
+    """
     curve, loading = test.required_curve, select_first_loading(make_trace(test))
     start = loading.start
     if not loading.stop > start:
@@ -317,7 +329,7 @@ def _correct_slips(test: ReducedTest, settings: SlipsBlock) -> CorrectionOutcome
 
 
 def _cut_curve(curve: Curve, stop: int) -> Curve:
-    """Replace the force from sample `stop` on by NaN, and end the branches there."""
+    """Replace the force by NaN from sample `stop` on, and end the branches there."""
     force = np.where(np.arange(len(curve.force)) < stop, curve.force, np.nan)
     stop_time = float(curve.time[stop - 1])
     branches = tuple(
@@ -329,7 +341,7 @@ def _cut_curve(curve: Curve, stop: int) -> Curve:
 
 
 def _make_slip_note(channel: str, slip: Slip) -> Finding:
-    """Make the note on a slip, which names its treatment."""
+    """Make the note on a slip, which states how it was treated."""
     return Finding.of(
         "process.slip_marked"
         if slip.decision is SlipDecision.MARKED
@@ -373,10 +385,11 @@ def measure_slack(test: ReducedTest, read_slack: Decide) -> Measured | Failure:
 
     Returns
     -------
-    The slack (m), or a failure ``not_rising``, ``no_toe`` or one of `read_slack`.
+    The slack (m), or a failure with the code ``not_rising``, ``no_toe`` or one of `read_slack`.
     """
     max_falling_fraction = 0.025  # of the replicate curves
-    # The line of a taut specimen may meet zero force this fraction of the travel before the curve.
+    # The line of a taut specimen may meet zero force before the curve begins, by this fraction of
+    # the travel.
     taut_fraction = 1e-3
     measured = return_failure(test.measure)(read_slack)
     if isinstance(measured, Failure):
@@ -401,9 +414,9 @@ def _is_preloaded(slack: Measured, read_slack: Decide, trace: Trace, start: int)
     """Return whether a preload explains a slack that is less than the first displacement.
 
     The force at the first sample is subtracted from the curve, and the slack of this shifted curve
-    is measured. If the curve is straight from its first sample, as after a preload, the slack is
-    near the first displacement. If the curve is steepest at its first sample, the slack is near the
-    measured slack. The limit is halfway between both.
+    is measured. If the curve is straight from its first sample, as after a preload, the slack of
+    the shifted curve is near the first displacement. If the curve is steepest at its first sample,
+    it is near the measured slack. The limit is halfway between both.
     """
     first_displacement = float(trace.displacement[start])
     if slack.interval.upper >= first_displacement:

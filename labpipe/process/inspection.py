@@ -1,4 +1,4 @@
-"""Describe one export for `labpipe inspect`: program, channels, rates, gaps, notes."""
+"""Describe the program, channels, rates, gaps and notes of one export for `labpipe inspect`."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording, R
 from labpipe.units import get_si_factor
 
 _DISPLAYED_UNITS = ("s", "m", "N", "Pa", "V", "1", "N m", "m/s", "Hz", "K", "kg")
-"""Units to which a channel is converted; the first one with its dimension is used."""
+"""Units to which channels are converted; a channel has the first unit with its dimension."""
 _ANGLE_UNITS = frozenset({"rad", "mrad", "deg", "degree", "degrees", "°"})
 """Units of angles, which have the dimension of a pure number."""
 _TABLE_NOTE_CODES = frozenset({"marker_gaps", "body_gaps"})
-"""Codes of notes that repeat the table of rigid bodies and markers."""
+"""Codes of notes that only repeat what the table of rigid bodies and markers shows."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Inspection:
-    """An export and its recording.
+    """Export and its recording.
 
     Parameters
     ----------
@@ -107,7 +107,7 @@ def _describe_stream(clock: Clock, recording: Recording) -> dict[str, Any]:
 
 
 def _describe_times(time: Floats, *, is_uneven: bool = False) -> dict[str, Any]:
-    """Describe a time axis; long steps of a program that samples unevenly are not holes."""
+    """Describe a time axis; long steps of an unevenly sampled clock are not holes."""
     steps = np.diff(time)
     holes = () if is_uneven else find_holes(time)
     return {
@@ -151,7 +151,7 @@ def _choose_unit(channel: Channel) -> tuple[str | None, float]:
 def _reduce_finite(
     values: Floats | Sequence[float], reduce: Callable[[Any], Any] = np.min
 ) -> float | None:
-    """Reduce values to one, such as the largest; None if there is none, or it is not finite."""
+    """Reduce values to one, such as the largest; None without values, or if it is not finite."""
     value = reduce(values) if len(values) else np.nan
     return float(value) if np.isfinite(value) else None
 
@@ -176,7 +176,7 @@ def _describe_markers(tracks: MarkerTracks) -> dict[str, Any]:
 
 def _describe_track(track: Floats) -> dict[str, Any]:
     """Describe the missing and the unchanged frames of a marker or rigid body."""
-    max_listed = 100  # gaps; the count includes all of them
+    max_listed = 100  # gaps; the count includes those that are not listed
     is_missing, is_unchanged = find_blank_frames(track), find_unchanged_steps(track)
     gaps = find_runs(is_missing)
     ranges = [[start, stop - 1] for start, stop in gaps[:max_listed]]
@@ -277,7 +277,9 @@ def _format_number(value: float | None) -> str:
 
 def _format_table(rows: list[list[str]]) -> list[str]:
     """Format a table with two columns of text aligned left, and numbers aligned right."""
-    n_texts = 2
+    n_text_columns = 2
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    formats = [f"{{:{'<' if i < n_texts else '>'}{width}}}" for i, width in enumerate(widths)]
+    formats = [
+        f"{{:{'<' if i < n_text_columns else '>'}{width}}}" for i, width in enumerate(widths)
+    ]
     return [f"  {'  '.join(formats)}".format(*row).rstrip() for row in rows]

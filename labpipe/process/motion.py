@@ -1,8 +1,8 @@
 """Find the turning points of the motion, and align the clock of the force with that of the motion.
 
-A stroke of the motion ends at a turn: a corner, or two corners with a dwell of the machine between
-them. At the same time the force has a peak with a corner. Such a pair of corners is an event, and
-the events give offset and drift of the clock of the force.
+A stroke of the motion ends at a turn, which is a corner, or two corners with a dwell of the machine
+between them. At the same time the force has a peak with a corner. Such a pair of corners is an
+event. Offset and drift of the clock of the force are fitted to the events.
 """
 
 from __future__ import annotations
@@ -36,16 +36,16 @@ from labpipe.signal.turning_points import Stroke, estimate_noise_level, find_sha
 from labpipe.uncertainty.noise_model import compute_drift_modes
 
 CORNER_WIDTHS = (0.05, 0.25)
-"""Widths of the stretches beside a turn whose deviation from straight lines is tested, s."""
+"""Widths of the stretches beside a turn in which deviations from straight lines are tested, s."""
 MAX_CORNER_CUT = 5e-6
 """Largest distance by which a motion may round a corner, m."""
 MAX_CORNER_ERROR = 0.1
-"""Standard error from which a corner of the force is not used to align clocks, s."""
+"""Standard error above which a corner of the force is not used to align clocks, s."""
 
 
 @dataclass(frozen=True, slots=True)
 class Turn:
-    """A turn of a motion: a corner, or two with a dwell between them.
+    """Turn of a motion, which is a corner, or two corners with a dwell between them.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ class Turn:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Motion:
-    """The motion of a test, at each stage from its strokes to its branches.
+    """Motion of a test, at each stage from its strokes to its branches.
 
     Parameters
     ----------
@@ -99,8 +99,8 @@ def find_motion_strokes(signal: Signal, settings: Branches) -> tuple[Motion, lis
 
     Returns
     -------
-    The motion with its strokes, and at most one finding, which blocks the curve: there are no
-    strokes, or noise hides them.
+    The motion with its strokes, and at most one finding. It blocks the curve, because there are no
+    strokes or noise hides them.
     """
     noise_factor = 5.0  # standard deviations that noise alone may reach
     channel, min_stroke = settings.channel, settings.min_stroke
@@ -120,7 +120,7 @@ def find_motion_strokes(signal: Signal, settings: Branches) -> tuple[Motion, lis
 
 
 def find_motion_turns(motion: Motion, *, window: float) -> tuple[Turn, ...]:
-    """Find the turns of a motion by fits of straight lines on both sides of each corner.
+    """Find the turns of a motion by fitting straight lines on both sides of each corner.
 
     Parameters
     ----------
@@ -136,12 +136,12 @@ def find_motion_turns(motion: Motion, *, window: float) -> tuple[Turn, ...]:
     Notes
     -----
     At 1 mm/s, with 10 um of noise and 50 frames per second, a dwell of 80 ms is found at a single
-    turn; one of 50 ms is found in some tests with five turns. A dwell of up to three samples is
-    treated as a corner, unless the machine dwells at every turn or the strokes are separated by it.
+    turn, and one of 50 ms in some tests with five turns. A dwell of up to three samples is treated
+    as a corner, unless the machine dwells at every turn or the dwell separates the strokes.
     """
-    # Both factors are multiples of the apparent dwell that noise causes. A dwell is real if it is
-    # longer than the first multiple. The machine dwells at every turn if the median over at least
-    # three turns is longer than the second multiple.
+    # Both factors apply to the apparent dwell that noise causes. A dwell is real if its ratio to
+    # the apparent dwell is above the first factor. The machine dwells at every turn if the median
+    # ratio of at least three turns is above the second factor.
     min_dwell_factor, min_median_factor, min_turns = 2.4, 1.5, 3
     min_dwell_samples, min_apparent_dwell = 3, 1e-6  # s
     signal, time = motion.signal, motion.signal.time
@@ -169,7 +169,7 @@ def find_motion_turns(motion: Motion, *, window: float) -> tuple[Turn, ...]:
 
 
 def split_at_turns(motion: Motion) -> tuple[Branch, ...]:
-    """Split a motion into branches, which end at the fitted times of its turns, if it has them."""
+    """Split a motion into branches, which end at the fitted times of its turns if it has any."""
     times = np.full((len(motion.strokes), 2), np.nan)
     for turn in motion.turns:
         times[turn.stroke_index, 1] = turn.arrival.time
@@ -178,9 +178,16 @@ def split_at_turns(motion: Motion) -> tuple[Branch, ...]:
 
 
 def average_equal_blocks(values: Floats, min_blocks: int) -> Floats:
-    """Average a long record over `min_blocks` to twice as many blocks of equal size.
+    """Average a record over blocks of equal size.
 
-    The last samples are left out if they do not fill a block. A short record is unchanged.
+    Parameters
+    ----------
+    values : shape (n,), samples of any quantity
+    min_blocks : smallest number of blocks; a shorter record is unchanged
+
+    Returns
+    -------
+    Shape (blocks,), block means. Last samples that do not fill a block are left out.
     """
     size = max(1, len(values) // min_blocks)
     means: Floats = values[: len(values) // size * size].reshape(-1, size).mean(axis=1)
@@ -189,9 +196,8 @@ def average_equal_blocks(values: Floats, min_blocks: int) -> Floats:
 
 def orient_force(force: Signal) -> Signal:
     """Reverse a force that falls in loading, so that its turns are peaks."""
-    if turning_points.goes_down(force.values):
-        return replace(force, values=-force.values)
-    return force
+    is_falling = turning_points.goes_down(force.values)
+    return replace(force, values=-force.values) if is_falling else force
 
 
 def _fit_turn(
@@ -199,11 +205,21 @@ def _fit_turn(
 ) -> list[tuple[Turn | None, Turn | None]]:
     """Fit a turn as one corner, and as two corners with a dwell between them.
 
-    One corner is fitted only if the stroke ends where the next one begins. The list has one pair of
-    turns. It is empty if too many samples are missing at the turn, or if one corner does not fit.
+    Parameters
+    ----------
+    signal : motion
+    stroke_index : index of the stroke that ends at the turn
+    turn_times : end of this stroke and start of the next one, s
+    window : width of the fitted stretch on each side, s
+
+    Returns
+    -------
+    One pair with the turn of one corner and the turn with a dwell, each None if it does not fit.
+    One corner is fitted only if the stroke ends where the next one begins. The list is empty if too
+    many samples are missing at the turn, or if one corner is fitted without success.
     """
     half_width, max_missing_fraction = 0.5, 0.3  # s, on each side of a turn; of the samples there
-    assumed_dwell = 0.2  # s, first guess where the stroke ends at the beginning of the next one
+    assumed_dwell = 0.2  # s, first guess if the stroke ends where the next one begins
     for turn_time in turn_times:
         values_at_turn = signal.values[np.abs(signal.time - turn_time) <= half_width]
         if not np.isnan(values_at_turn).mean() <= max_missing_fraction:
@@ -224,7 +240,7 @@ def _estimate_apparent_dwell(signal: Signal, turn: Turn) -> float:
 
     The mean of n samples has the error noise / sqrt(n). A dwell lowers the mean around a corner by
     a quarter of the dwell times the speed. Both are equal for a dwell of
-    (16 noise^2 / (speed^2 rate))^(1/3).
+    (16 noise^2 / (speed^2 rate))^(1/3), which is the apparent dwell.
     """
     speed = float(np.min(np.abs(_measure_speeds(signal, turn))))
     step, noise = compute_median_step(signal.time), estimate_noise_level(signal.values)
@@ -237,7 +253,7 @@ def check_turns(motion: Motion, *, for_clock: bool = True) -> Iterator[Finding]:
     Parameters
     ----------
     motion : motion with its turns
-    for_clock : whether the clocks were aligned at these turns; if so, the clock is doubtful, too
+    for_clock : whether the clocks were aligned at these turns, so that the clock is also doubtful
     """
     signal, found_indices = motion.signal, {turn.stroke_index for turn in motion.turns}
     recorded_times = signal.time[~np.isnan(signal.values)]
@@ -260,7 +276,7 @@ def check_turns(motion: Motion, *, for_clock: bool = True) -> Iterator[Finding]:
 
 
 def _find_rounded_corner(signal: Signal, turn: Turn) -> Finding | None:
-    """Report a turn at which the motion deviates from straight lines by more than its noise."""
+    """Find the deviation of a turn from straight lines; None if noise explains it."""
     noise_factor = 6.0  # standard errors of the mean deviation, and of its variance
     noise, speeds = estimate_noise_level(signal.values), _measure_speeds(signal, turn)
     after_arrival = signal.time - turn.arrival.time
@@ -298,7 +314,7 @@ def _find_rounded_corner(signal: Signal, turn: Turn) -> Finding | None:
 def _measure_speeds(signal: Signal, turn: Turn) -> tuple[float, float]:
     """Measure the speeds before arrival and after departure, m/s; NaN if samples are missing.
 
-    A speed is taken from two mean positions over half a second, 0.5 s and 1 s from the turn.
+    Each speed is computed from two mean positions over half a second, 0.5 s and 1 s from the turn.
     """
     half_width, first_distance, last_distance = 0.25, 0.5, 1.0  # s
     samples = np.stack([signal.time, signal.values])[:, ~np.isnan(signal.values)]
@@ -329,8 +345,8 @@ def match_strokes(
     Returns
     -------
     pairs : index of the stroke that ends at the turn, and rough time of the peak (s), of each pair
-    is_ambiguous : whether another pairing fits as well, or may do so because a record does not
-        hold the whole test
+    is_ambiguous : whether another pairing fits as well, or may fit because a record does not
+        contain the whole test
     peak_counts : text with the numbers of peaks of both records
     """
     time = motion.signal.time
@@ -352,13 +368,13 @@ def match_strokes(
 
 
 def _find_peak_times(force: Signal) -> Floats:
-    """Find the peaks of a force that falls between them; the times are right to half a second."""
+    """Find the times of the peaks of a force, s, accurate to half a second."""
     smoothing, min_fall = 0.5, 0.3  # s; smallest fall after a peak as a fraction of the range
     return find_rough_peaks(force.time, force.values, smoothing=smoothing, fall=min_fall)
 
 
 def _begins_and_ends_at_rest(signal: Signal) -> bool:
-    """Check whether both ends of a record are near its smallest value, far below its peaks."""
+    """Return whether both ends of a record are near its smallest value, far below its peaks."""
     max_rest_level = 0.2  # above the smallest value, as a fraction of the range
     finite = drop_missing(signal.values)
     size = max(1, len(finite) // 200)
@@ -387,9 +403,9 @@ def find_turn_events(
     Notes
     -----
     A corner of the force with an error of 0.1 s or more is left out. With a dwell, both corners of
-    the force give one event, because their distance is known from the motion. They are fitted
-    together in a dwell of up to two windows, so that they cannot be confused, and separately in a
-    longer one.
+    the force give one event, because their distance is known from the motion. If the dwell is not
+    longer than two windows, they are fitted together, so that they cannot be confused; otherwise
+    they are fitted separately.
     """
     turns = {turn.stroke_index: turn for turn in motion.turns}
     corners_by_turn = (
@@ -402,15 +418,15 @@ def find_turn_events(
 
 
 def _find_corners(force: Signal, turn: Turn, rough_time: float, window: float) -> Floats:
-    """Find the corners of a force at a turn of the motion, shape (corners, 5), s.
+    """Fit the corners of a force at a turn of the motion, shape (corners, 5), s.
 
-    The columns are times on the clocks of motion and force, their standard errors, and the
-    component of the latter from the unknown shape of the force. Only a dwell longer than two
-    windows has a row for each of its corners.
+    The columns are the times on the clocks of motion and force, their standard errors, and the
+    component of the latter error from the unknown shape of the force. A dwell longer than two
+    windows has two rows, one for each of its corners.
     """
-    search_reach = 1.0  # s, around the rough turn of the force
+    search_reach = 1.0  # s, on each side of the rough turn of the force
     arrival, departure, dwell = turn.arrival, turn.departure, turn.dwell
-    reach = dwell + search_reach  # the rough turn may be at either corner
+    reach = dwell + search_reach  # because the rough turn may be at either corner
     first_corner = turning_points.find_turn_near(
         force.time, force.values, middle=rough_time, reach=reach, width=window, dwell=dwell
     )
@@ -431,7 +447,7 @@ def _find_corners(force: Signal, turn: Turn, rough_time: float, window: float) -
 
 
 def _average_corners(corners: Floats) -> list[float]:
-    """Average the corners of a turn, weighted by their errors, to one event."""
+    """Average the corners of a turn, weighted by their errors, to an event (4 values, s)."""
     lags, lag_errors = corners[:, 1] - corners[:, 0], np.hypot(corners[:, 2], corners[:, 3])
     weights = lag_errors**-2.0 / (lag_errors**-2.0).sum()
     scatter = max(1.0, float(np.ptp(lags)) / float(np.linalg.norm(lag_errors)))
@@ -493,7 +509,7 @@ def fit_turning_points(
 
     Notes
     -----
-    The lag of the repeated cycle is included if there are more than two events, the force does not
+    The lag of the repeated cycle is used if there are more than two events, the force does not
     relax in the dwells, and the lag agrees with the turning points.
     """
     if findings := _check_constant(force, align.channel):
@@ -545,7 +561,7 @@ def _check_constant(force: Signal, channel: str) -> list[Finding]:
 
 
 def _measure_repeat(motion: Motion, force: Signal, fit: ClockFit) -> Repeat | None:
-    """Measure the lag from the second cycle to the last on both clocks.
+    """Measure the time from the second cycle to the last one on both clocks.
 
     The first cycle is not used, because it deforms the specimen for the first time. The result is
     None if there are fewer than three cycles or a lag cannot be fitted.
@@ -585,9 +601,9 @@ def _measure_repeat(motion: Motion, force: Signal, fit: ClockFit) -> Repeat | No
 
 
 def _has_relaxation(force: Signal, motion: Motion, fit: ClockFit) -> bool:
-    """Check whether the force relaxes in the dwells; cycles are then not comparable."""
-    # The force may lose this fraction of its range in a dwell. When it lost 0.04, the fitted drift
-    # of the clocks was wrong by two standard errors.
+    """Return whether the force relaxes in the dwells, so that its cycles are not comparable."""
+    # The force may lose this fraction of its range in a dwell. If it loses 0.04, the fitted drift
+    # of the clocks is wrong by two standard errors.
     max_loss_fraction = 0.01
     compared_stretches = np.array([[0.1, 0.35], [0.65, 0.9]])  # fractions of the dwell
     losses = [0.0]
@@ -624,9 +640,9 @@ def _fit_events(events: Floats, repeat: Repeat | None) -> ClockFit:
 
 
 def _check_fit(fit: ClockFit, align: schema.AlignTurningPoints) -> Iterator[Finding]:
-    """Report a residual or a drift above the limits of the protocol, and a fit to one event."""
-    # The rms residual may be this multiple of the rms error of the turning points, because a noisy
-    # turn only widens the interval of the offset.
+    """Report a residual or a drift above the limits of the protocol, or a fit to one event only."""
+    # The rms residual may be this multiple of the rms error of the turning points, because noise at
+    # the turns only widens the interval of the offset.
     residual_factor = 2.0
     allowed_by_noise = residual_factor * float(np.sqrt(np.mean(fit.event_errors**2)))
     if fit.residual > max(align.max_residual, allowed_by_noise):
@@ -662,8 +678,8 @@ def make_stated_fit(
 
     Returns
     -------
-    The relation, with the stated offset as its only event; a note, and a finding if the peaks of
-    the force are not at the turns.
+    The relation, with the stated offset as its only event, and the findings, which are a note and a
+    doubt if the peaks of the force are not at the turns.
 
     Notes
     -----
@@ -719,16 +735,16 @@ def fit_common_start(
 
     Returns
     -------
-    The fit and the findings. Clocks and force are doubtful if the recorders did not start together.
-    A finding blocks the curve if the force is constant.
+    The fit and the findings. They mark clocks and force as doubtful if the recorders did not start
+    together, and block the curve if the force is constant.
 
     Notes
     -----
-    Offset and drift are a weighted least-squares fit to three kinds of equations: offset = 0 with
-    the standard uncertainty max_offset / sqrt(3) of a rectangular distribution; drift = 0 with that
-    of max_drift (GUM, JCGM 100:2008, sec. 4.3.7); and the difference of times at every turn. If the
-    turns contradict a start within max_offset by more than their own 95 % interval, the first
-    equation is left out.
+    Offset and drift are fitted by weighted least squares to three kinds of equations. The first is
+    offset = 0 with the standard uncertainty max_offset / sqrt(3) of a rectangular distribution. The
+    second is drift = 0 with the standard uncertainty max_drift / sqrt(3) (GUM, JCGM 100:2008,
+    4.3.7). The others are the differences of times at the turns. If the turns contradict a start
+    within max_offset by more than their own 95 % interval, the first equation is left out.
     """
     findings, force = _check_constant(force, align.channel), orient_force(force)
     pairs = _match_rough_turns(motion, force, align)
@@ -769,7 +785,7 @@ def _match_rough_turns(
 def _fit_common_start_clock(
     events: Floats, align: schema.AlignCommonStart, started_together: bool
 ) -> ClockFit:
-    """Fit offset and drift to their bounds in the protocol and to the events, shape (3, events)."""
+    """Fit offset and drift to the bounds of the protocol and to events, shape (3, events), s."""
     motion, force, errors = events
     start_error, drift_error = align.max_offset / sqrt(3.0), align.max_drift / sqrt(3.0)
     design = np.column_stack([np.ones_like(motion), motion])
@@ -777,10 +793,10 @@ def _fit_common_start_clock(
     bounds += [([1.0, 0.0], start_error)] if started_together else []
     design = np.vstack([design, *(row for row, _ in bounds)])
     differences = np.append(force - motion, np.zeros(len(bounds)))
-    spread = np.append(errors, [error for _, error in bounds])
-    (offset, drift), covariance = solve_weighted(design, differences, spread)
+    standard_errors = np.append(errors, [error for _, error in bounds])
+    (offset, drift), covariance = solve_weighted(design, differences, standard_errors)
     offset_error, drift_error = np.sqrt(np.diag(covariance)).tolist()
-    if not len(errors):  # then the common start is the only event
+    if not len(errors):  # the common start is the only event
         events = np.array([[0.0], [0.0], [start_error]])
     basis = "the force's corner at the turn"
     basis = f"common start and {basis}" if started_together else f"{basis} alone"

@@ -23,16 +23,18 @@ from labpipe.store.replace import TEMPORARY_FOLDERS, exists_or_is_staged
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RecordingIdentity:
-    """What identifies the recording from which a test was made.
+    """Properties by which the recording of a test is identified.
 
     Parameters
     ----------
     exports : key that is equal for two tests with identical exports and the same protocol,
         channels, markers and parts, since one export may hold several specimens
     group : key that is equal for two tests with the same protocol, markers and number of samples
-    samples : up to 1000 displacements and forces of the curve; empty without a curve
-    tolerances : differences of displacements and forces below which two recordings are the same one
-    mean_force : mean of the force samples; NaN without a curve
+    samples : about 1000 displacements (m) and as many forces (N) of the curve; empty without a
+        curve
+    tolerances : largest root mean square difference of the displacements (m) and of the forces (N)
+        of one recording that was saved twice
+    mean_force : N, mean of the force samples; NaN without a curve
     """
 
     exports: Hashable
@@ -42,7 +44,7 @@ class RecordingIdentity:
     mean_force: float = float("nan")
 
     def has_samples_of(self, other: RecordingIdentity) -> bool:
-        """Return whether another recording has the same samples, perhaps with other rounding.
+        """Return whether another recording has the same samples, apart from rounding.
 
         Parameters
         ----------
@@ -65,11 +67,12 @@ def identify_recording(result: TestResult, protocol: Protocol) -> RecordingIdent
 
     Notes
     -----
-    The noise of two recordings differs by 1.4 of its standard deviation. Forces of one recording
-    that was saved twice differ by less than half of it, or by 2e-5 of their range, and its
-    displacements by less than 1e-3.
+    Forces of two recordings differ at least by their noise, whose root mean square difference is
+    1.4 standard deviations. Forces of one recording that was saved twice differ by less than half
+    of a standard deviation, or by less than 2e-5 of their range. Its displacements differ by less
+    than 1e-3 of their range.
     """
-    noise_share, force_share, displacement_share, max_samples = 0.5, 2e-5, 1e-3, 1000
+    noise_factor, force_fraction, displacement_fraction, max_samples = 0.5, 2e-5, 1e-3, 1000
     exports = tuple(sorted((file.role, file.sha256) for file in result.inputs))
     channels = tuple(
         (role, source.part, *(channel.channel for channel in source.all_channels.values()))
@@ -81,17 +84,18 @@ def identify_recording(result: TestResult, protocol: Protocol) -> RecordingIdent
     columns = () if curve is None else (curve.displacement, curve.force)
     if not columns or not all(np.isfinite(values).any() for values in columns):
         return RecordingIdentity(key, (result.protocol, marker_names, 0))
-    every = max(1, len(columns[0]) // max_samples)
+    step = max(1, len(columns[0]) // max_samples)
     travel, force_range = (float(np.nanmax(values) - np.nanmin(values)) for values in columns)
     noise = estimate_noise_level(columns[1])
-    tolerances = displacement_share * travel, max(noise_share * noise, force_share * force_range)
-    samples = tuple(values[::every].copy() for values in columns)
+    force_tolerance = max(noise_factor * noise, force_fraction * force_range)
+    tolerances = displacement_fraction * travel, force_tolerance
+    samples = tuple(values[::step].copy() for values in columns)
     group = (result.protocol, marker_names, len(columns[0]))
     return RecordingIdentity(key, group, samples, tolerances, float(np.nanmean(samples[1])))
 
 
 def find_copies(recordings: Sequence[tuple[Path, RecordingIdentity]]) -> dict[str, str]:
-    """Find tests with the recording of an earlier test.
+    """Find the tests whose recording is that of an earlier test.
 
     Parameters
     ----------
@@ -99,7 +103,7 @@ def find_copies(recordings: Sequence[tuple[Path, RecordingIdentity]]) -> dict[st
 
     Returns
     -------
-    Reasons to leave out a test, keyed by the text of its result file.
+    Reason to leave out each of these tests, keyed by the path of its result file.
     """
     first_files: dict[Hashable, Path] = {}
     groups: dict[Hashable, list[tuple[float, Path, RecordingIdentity]]] = {}
@@ -121,6 +125,7 @@ def find_copies(recordings: Sequence[tuple[Path, RecordingIdentity]]) -> dict[st
 
 
 RESULT_FILE, FIGURES_FOLDER = "result.h5", "figures"
+"""Names of the result file of a test and of the folder of its figures."""
 
 
 def find_tests(targets: Sequence[Path]) -> list[Path]:
@@ -200,7 +205,7 @@ def list_files_below(folder: Path, name: str = "") -> list[Path]:
 
 
 def refuse_duplicates(names: Iterable[tuple[str, Path]], kind: str) -> None:
-    """Refuse two tests with the same name or results folder, except for case.
+    """Raise an error if two tests have the same name or results folder, ignoring case.
 
     Parameters
     ----------

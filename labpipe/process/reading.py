@@ -30,20 +30,20 @@ from labpipe.records.result import InputFile
 from labpipe.units import get_si_factor
 
 _UNKNOWN_UNITS = frozenset({"", "-", "1", "count"})
-"""Entries of exports for an unknown unit."""
+"""Units in exports that mean that the unit is unknown."""
 _UNIT_SPELLINGS = MappingProxyType(
     {unit.casefold(): unit for unit in ("N", "kN", "lbf", "kgf", "mm", "cm", "um", "in")}
     | {"newton": "N", "kilonewton": "kN", "lb": "lbf", "pound": "lbf", "inch": "in"}
 )
-"""Unit of each spelling that the unit parser refuses; a plural s is removed first."""
+"""Unit of each spelling that the unit parser does not know, in lower case without a plural s."""
 
 
 def _check_unit(channel: Channel, source: ChannelSource, path: Path) -> None:
-    """Refuse a channel without a certain unit.
+    """Raise a `ReadError` for a channel whose unit is not certain.
 
-    Neither export nor protocol states a unit; or only the export states one, which is unknown or of
-    another quantity; or the unit of the protocol contradicts that of the export, and
-    `wrong_unit_in_file` does not name it.
+    Its unit is not certain if neither export nor protocol states a unit, if only the export states
+    one, which is unknown or of another quantity, or if the unit of the protocol contradicts that of
+    the export, and `wrong_unit_in_file` does not name it.
     """
     file_unit, key, place = channel.unit_in_file, source.key, f"channel {channel.path!r}"
     si_unit = _choose_si_unit(source, source.unit or file_unit)
@@ -100,7 +100,7 @@ def _choose_si_unit(source: ChannelSource, unit: str) -> str:
 
 
 def _are_equal_units(unit: str, other_unit: str, si_unit: str) -> bool:
-    """Return whether two units are equal and have the dimension of an SI unit."""
+    """Return whether two units are equal, and have the dimension of an SI unit."""
     try:
         factor, other_factor = get_si_factor(unit, si_unit), get_si_factor(other_unit, si_unit)
     except ValueError:
@@ -201,8 +201,8 @@ def join_exports(parts: Sequence[Recording], names: Sequence[str], folder: Path)
     Raises
     ------
     ReadError
-        If no part has samples; if one of several parts with samples has marker tracks, several
-        clocks, or rows without time; or if two parts overlap in time.
+        If no part has samples, if two parts overlap in time, or if one of several parts with
+        samples has marker tracks, several clocks, or rows without time.
     """
     named_parts = zip(names, parts, strict=False)
     parts_with_samples = [(folder / name, part) for name, part in named_parts if not is_empty(part)]
@@ -234,10 +234,10 @@ def join_exports(parts: Sequence[Recording], names: Sequence[str], folder: Path)
 
 
 def _require_time(path: Path, part: Recording) -> None:
-    """Refuse a part that cannot be put in order of time."""
+    """Raise an error for a part that cannot be put in order of time."""
     if part.markers is not None or len(part.clocks) != 1:
-        found = "marker tracks" if part.markers is not None else f"{len(part.clocks)} clocks"
-        raise ReadError.about("process.part_of_no_recording", path, found=found)
+        content = "marker tracks" if part.markers is not None else f"{len(part.clocks)} clocks"
+        raise ReadError.about("process.part_of_no_recording", path, found=content)
     if part.clocks[0].unit != "s":
         raise ReadError.about("process.part_without_time", path)
 
@@ -277,8 +277,8 @@ def read_role(path: Path, source: Source) -> Recording:
 
 
 def _describe_channel_fault(error: NoChannelError, source: Source, path: Path) -> str:
-    """Describe an error with the override that selects the channel or the specimen."""
-    max_listed = 8
+    """Describe an error, with the override that selects the channel or the part of the export."""
+    max_listed = 8  # parts of the export
     if error.parts:
         names, count = ", ".join(map(repr, error.parts[:max_listed])), len(error.parts)
         names += " ..." if count > max_listed else ""
@@ -309,7 +309,7 @@ def name_channels(recording: Recording, source: Source, path: Path) -> Recording
     ------
     ReadError
         If channels are missing, or their units are unknown, of another dimension or wrong by
-        orders of magnitude; one message has all faults.
+        orders of magnitude. The message lists all faults.
     """
     if recording.markers is not None:
         tracks, remedy = recording.markers, format_sentence("process.size_of_markers")
@@ -344,7 +344,7 @@ def name_channels(recording: Recording, source: Source, path: Path) -> Recording
 
 
 def _check_channel_size(channel: Channel, source: ChannelSource, path: Path) -> None:
-    """Refuse a channel whose values are too large for its unit and not expected."""
+    """Raise an error for a channel with values too large for its unit or its plausible peak."""
     stated, key = source.unit or channel.unit_in_file, source.key
     keys = format_overrides(f"{key}.unit", "...", **{f"{key}.wrong_unit_in_file": stated})
     remedy = format_sentence("process.size_of_channel", unit=keys, peak=f"'{key}.plausible_peak'")
@@ -357,7 +357,7 @@ def _check_channel_size(channel: Channel, source: ChannelSource, path: Path) -> 
 def _check_size(
     values: Floats, unit: str, limit: float, place: tuple[Path, str], *, stated: str, remedy: str
 ) -> None:
-    """Refuse values if a tenth of them is too large; single ones are damaged samples."""
+    """Raise an error if a tenth of the values is too large; single ones are damaged samples."""
     quantile = 0.9
     if max(np.nanmax(values, initial=0.0), -np.nanmin(values, initial=0.0)) <= limit:
         return
@@ -402,7 +402,7 @@ def fingerprint(path: Path, role: str, name: str) -> InputFile:
         If the file cannot be read, or is not a regular file.
     """
     try:
-        if path.exists() and not path.is_file():  # to read a pipe may take forever
+        if path.exists() and not path.is_file():  # reading a pipe may never end
             raise OSError(errno.EINVAL, "not a regular file")
         with path.open("rb") as stream:
             digest = hashlib.file_digest(stream, "sha256").hexdigest()

@@ -61,9 +61,9 @@ from labpipe.store.summaries import (
 )
 
 _DAY_KEYS = ("date", "start_time", "Capture Start Time")
-"""Metadata keys of the recording date or time, always in ISO 8601."""
+"""Metadata keys of the date or time of a recording, in ISO 8601."""
 _FIGURE_FILES = [f"{FIGURES_FOLDER}/{x}{end}" for x in FIGURES for end in (".svg", ".png")]
-"""All files of figures that a test may have."""
+"""Paths of all figures that a test may have, relative to its results folder."""
 PROCESSING_VERSION = 3
 """Incremented whenever the same exports, sheet and protocol give different numbers."""
 Say = Callable[[str], None]
@@ -72,12 +72,12 @@ Say = Callable[[str], None]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ProcessedTest:
-    """A processed test and its files.
+    """Processed test and its files.
 
     Parameters
     ----------
     folder : folder with result.h5, summary.json and figures
-    result : result of the test
+    result : results of the test, with recordings and stages after `process`
     figures : paths of the figures
     has_finished_files : whether files that a killed process had left unfinished were completed
     """
@@ -95,7 +95,7 @@ class ProcessedTest:
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """One test to be processed.
+    """Test to be processed, with its options.
 
     Parameters
     ----------
@@ -279,7 +279,7 @@ def reduce_test(raw: RawTest, protocol: Protocol) -> TestResult:
 def find_day_and_operator(
     sheet: str, recordings: Mapping[str, Recording]
 ) -> tuple[date | None, str]:
-    """Find the day and the operator of a test.
+    """Return the day and the operator of a test.
 
     Parameters
     ----------
@@ -319,7 +319,7 @@ def read_test_name(source: Path) -> str:
 
 
 def make_input_key(inputs: Iterable[tuple[str, str]], test_yaml: str, protocol_yaml: str) -> str:
-    """Make the key of the inputs of a test; results with equal keys have equal numbers.
+    """Make the key of the inputs of a test; tests with equal keys have equal results.
 
     Parameters
     ----------
@@ -329,8 +329,8 @@ def make_input_key(inputs: Iterable[tuple[str, str]], test_yaml: str, protocol_y
 
     Returns
     -------
-    SHA-256 (hexadecimal) of the inputs and of `PROCESSING_VERSION`. It does not depend on time and
-    machine.
+    SHA-256 (hexadecimal) of the inputs and of `PROCESSING_VERSION`, which does not depend on time
+    and machine.
     """
     contents = [PROCESSING_VERSION, [list(file) for file in inputs], test_yaml, protocol_yaml]
     return sha256(json.dumps(contents).encode()).hexdigest()
@@ -359,7 +359,7 @@ def _read_stored(result_path: Path) -> tuple[RawTest, Protocol]:
 
 
 def find_results_folder(source: Path, out: Path | None, name: Callable[[], str]) -> Path:
-    """Find the results folder of a test.
+    """Choose the results folder of a test.
 
     Parameters
     ----------
@@ -369,9 +369,9 @@ def find_results_folder(source: Path, out: Path | None, name: Callable[[], str])
 
     Returns
     -------
-    ``out/<test>`` if `out` is given. Otherwise, the folder of a result.h5 itself, or for
-    ``raw/<path>/test.yaml`` the folder ``processed/<path>`` beside ``raw``, or for a sheet
-    elsewhere ``processed/<test>`` in the working folder.
+    ``out/<test>`` if `out` is given. Otherwise the folder of a result.h5 itself; for
+    ``raw/<path>/test.yaml`` the folder ``processed/<path>`` beside ``raw``; for a sheet elsewhere
+    ``processed/<test>`` in the working folder.
     """
     if out is not None:
         return out / name()
@@ -386,7 +386,7 @@ def find_results_folder(source: Path, out: Path | None, name: Callable[[], str])
 
 @dataclass(frozen=True, slots=True)
 class RefusedTest:
-    """A test that could not be processed.
+    """Test that could not be processed, with the reason.
 
     Parameters
     ----------
@@ -407,7 +407,7 @@ class RefusedTest:
 def attempt(
     task: Task, say: Say = lambda _: None, *, is_alone: bool = False
 ) -> ProcessedTest | RefusedTest:
-    """Process a test; if that fails, write failure.json beside its earlier results.
+    """Process a test; if it cannot be processed, write failure.json beside its earlier results.
 
     Parameters
     ----------
@@ -417,8 +417,8 @@ def attempt(
 
     Returns
     -------
-    The processed test without recordings and stages, to save memory (they are in its result.h5); or
-    the reason why it could not be processed.
+    The processed test, or the reason why it could not be processed. Recordings and stages are
+    removed to save memory; they are in the result.h5 of the test.
 
     Raises
     ------
@@ -471,7 +471,7 @@ def record_refusal(task: Task, code: str, reason: str, *, reads_inputs: bool = T
 
 
 def _add_inputs(failure: FailedTest, task: Task) -> FailedTest:
-    """Add to a failure the name and the inputs of its test that can be read."""
+    """Add the name and the inputs of a test to its failure, as far as they can be read."""
     try:
         failure = replace(failure, test=read_test_name(task.sheet))
         if task.sheet.suffix == ".h5":

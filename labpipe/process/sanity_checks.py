@@ -1,4 +1,7 @@
-"""Check a test against its protocol: sizes, signs, zeros, start and end of its record."""
+"""Check a test against its protocol.
+
+The checks concern sizes, signs, zeros, holds, the start and end of the record, and instruments.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,7 @@ from labpipe.process.motion import Motion, orient_force
 from labpipe.process.steps import PreparedTest
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.source import Certificate
-from labpipe.records.arrays import Flags, Floats, average_between, drop_missing
+from labpipe.records.arrays import Flags, Floats, average_between, compute_median_step, drop_missing
 from labpipe.records.curve import Branch, Direction
 from labpipe.records.declarations import Limits, TravelFromSpeed
 from labpipe.records.estimates import Failure
@@ -55,13 +58,13 @@ def check_signals(
         return findings
     reversed_signs = check_signs(prepared, motion, protocol)
     if any(finding.code == "force_reversed" for finding in reversed_signs):
-        findings = findings.remove_code("force_negative")  # because of the reversed sign
+        findings = findings.remove_code("force_negative")  # the reversed sign explains it
     return findings + reversed_signs
 
 
 def check_rig(prepared: PreparedTest, motion: Motion, protocol: Protocol) -> Iterator[Finding]:
     """Report cycles, stroke, speed and specimen length that differ from those of the protocol."""
-    max_length_difference, max_length_deviation = 2e-3, 0.02  # m; of the length
+    max_length_difference, max_length_deviation = 2e-3, 0.02  # m; fraction of the length
     rig, travel, branches, shape = protocol.rig, motion.signal, motion.branches, prepared.shape
     if branches and rig.cycles not in (None, len({branch.cycle for branch in branches})):
         cycles, expected = branches[-1].cycle, rig.cycles
@@ -95,13 +98,17 @@ def check_rig(prepared: PreparedTest, motion: Motion, protocol: Protocol) -> Ite
 
 
 def _measure_speed(motion: Signal, branch: Branch) -> float:
-    """Measure the median speed over 20 equal parts of the travel, so that a pause has no effect."""
+    """Measure the median speed over 20 equal parts of the travel, m/s.
+
+    A pause does not change the median.
+    """
     samples = slice(branch.start, branch.stop)
     is_valid = ~np.isnan(motion.values[samples])
     time, values = motion.time[samples][is_valid], motion.values[samples][is_valid]
-    way = np.maximum.accumulate(np.abs(values - values[0]))
-    levels = np.linspace(0.0, way[-1], 21)
-    return float(levels[1] / max(np.median(np.diff(np.interp(levels, way, time))), 1e-9))
+    travel = np.maximum.accumulate(np.abs(values - values[0]))
+    levels = np.linspace(0.0, travel[-1], 21)
+    durations = np.diff(np.interp(levels, travel, time))
+    return float(levels[1] / max(np.median(durations), 1e-9))  # s, prevents a division by zero
 
 
 def check_lost_samples(
@@ -109,11 +116,13 @@ def check_lost_samples(
 ) -> Iterator[Finding]:
     """Report jumps of motion or force that are recorded on two clocks.
 
-    No machine jumps, and no specimen in loading gains force from one sample to the next: samples
-    were lost, and the times of the rest are wrong. On one clock, lost samples leave each
-    displacement with its force.
+    A machine cannot jump, and a specimen in loading cannot gain much force at once. Such a jump
+    shows that samples were lost, and that the times after it are wrong. With one clock, lost
+    samples do not matter, because each displacement still has its force. Jumps are searched in
+    medians over 0.1 s, which noise hardly changes.
     """
-    min_ratio, usual = 5.0, 0.99  # smallest jump over the usual step; quantile of the steps
+    min_ratio, quantile = 1.5, 0.99  # jump over the usual change, which is a quantile
+    duration = 0.1  # s, of a block
     signals, branches = prepared.signals, protocol.branches
     force = orient_force(signals.raw[signals.force])
     if not motion.branches or branches is None or motion.signal.clock == force.clock:
@@ -122,16 +131,18 @@ def check_lost_samples(
         ("displacement", branches.channel, motion.signal),
         ("force", signals.force, force),
     ):
-        usual_step = compute_step_quantile(signal.values, usual)
-        largest_step = np.nanmax(np.abs(np.diff(signal.values)), initial=0.0)
-        # The usual change nearby is at most half a jump, so that the step is at least half of it.
-        if usual_step == 0.0 or largest_step <= 0.5 * min_ratio * usual_step:
-            continue
+        block_size = max(1, round(duration / compute_median_step(signal.time)))
+        samples = drop_missing(signal.values)
+        n_blocks = len(samples) // block_size
+        values = np.median(samples[: n_blocks * block_size].reshape(n_blocks, block_size), axis=1)
+        middles = np.flatnonzero(~np.isnan(signal.values))[block_size // 2 :: block_size]
+        time = signal.time[middles[:n_blocks]]
+        usual_change = compute_step_quantile(values, quantile)
         jumps = [
             (sample, size)
-            for sample, size in find_level_jumps(signal.time, signal.values, min_fraction=0.0)
-            if abs(size) > min_ratio * usual_step
-            and (quantity != "force" or (size > 0.0 and _is_rising(signal.values, sample)))
+            for sample, size in find_level_jumps(time, values, min_fraction=0.0)
+            if abs(size) > min_ratio * usual_change
+            and (quantity != "force" or (size > 0.0 and _is_rising(values, sample)))
         ]
         if jumps:
             sample, size = max(jumps, key=lambda jump: abs(jump[1]))
@@ -141,45 +152,43 @@ def check_lost_samples(
                 *(quantity, "clock"),
                 channel=channel,
                 size=f"{1e3 * size:.4g} mm" if signal.unit == "m" else f"{size:.4g} N",
-                ratio=abs(size) / usual_step,
-                at=float(signal.time[sample]),
+                duration=duration,
+                ratio=abs(size) / usual_change,
+                at=float(time[sample]),
                 count=len(jumps),
             )
 
 
 def _is_rising(values: Floats, sample: int) -> bool:
-    """Return whether a signal rises both before and after a sample."""
-    reach = 100  # samples on each side
-    for piece in (values[max(sample - reach, 0) : sample], values[sample : sample + reach]):
-        early, late = np.array_split(drop_missing(piece), 2)
-        if not len(early) or not len(late) or late.mean() <= early.mean():
-            return False
-    return True
+    """Return whether values rise both before and after a jump before a sample."""
+    reach = 20  # samples on each side
+    first, last = max(sample - reach, 0), min(sample + reach, len(values) - 1)
+    return bool(values[first] < values[sample - 1] and values[sample] < values[last])
 
 
 def _measure_range(values: Floats) -> float:
-    """Compute the difference between the largest and the smallest value."""
+    """Compute the difference between the largest and the smallest finite value."""
     return float(np.nanmax(values) - np.nanmin(values))
 
 
 def is_full_stroke(motion: Signal, expected: float | None) -> bool:
-    """Check whether the stroke of a motion is that of the rig; False if that is not stated.
+    """Return whether the stroke of a motion is that of the rig; False if that is not stated.
 
     Parameters
     ----------
     motion : channel whose turning points separate the branches
-    expected : stroke of the rig, m
+    expected : stroke of the rig, m; None if it is not stated
     """
-    max_deviation = 0.02
+    max_deviation = 0.02  # fraction of the expected stroke
     if expected is None:
         return False
     return abs(_measure_range(motion.values) - expected) <= max_deviation * expected
 
 
 def check_lowest_force(prepared: PreparedTest, _: Motion, protocol: Protocol) -> Iterator[Finding]:
-    """Report a force whose one-second means are below the lowest force that its load can cause."""
+    """Report a force whose one-second means are below the lowest force that the load can cause."""
     block_duration, mean_duration, noise_factor = 0.1, 1.0, 5.0  # s; s; standard deviations
-    weight_factor, force_margin = 1.2, 2e-3  # on the weight that a string carries; N
+    weight_factor, force_margin = 1.2, 2e-3  # factor on the weight that a string carries; N
     string, specimen = protocol.rig.string, protocol.specimen
     force = prepared.signals.filtered.get(prepared.signals.force)
     if force is None or (string is None and specimen.span is None):
@@ -197,9 +206,9 @@ def check_lowest_force(prepared: PreparedTest, _: Motion, protocol: Protocol) ->
     if specimen.span is not None and force.has_time:
         limit = -protocol.limits.pulling_force * float(np.nanmax(means))
         limits.append((limit, "a load that presses on a specimen cannot pull it"))
-    lowest, noise = float(np.nanmin(means)), estimate_noise_level(means)
+    lowest, margin = float(np.nanmin(means)), noise_factor * estimate_noise_level(means)
     for limit, cause in limits:
-        if lowest < limit - noise_factor * noise:
+        if lowest < limit - margin:
             yield Finding.of("process.force_negative", "force", "force", lowest=lowest, cause=cause)
 
 
@@ -232,8 +241,8 @@ def check_mid_span(
 
     Returns
     -------
-    The test, and at most one finding: both differ, or the cameras started under load. In the latter
-    case the test has no bent axis.
+    The test, and at most one finding, that both differ or that the cameras started under load. In
+    the latter case the test has no bent axis.
     """
     mid_span, span = prepared.signals.raw.get("mid_span"), prepared.span
     if mid_span is None or span is None or isinstance(span, Failure) or not motion.branches:
@@ -271,7 +280,7 @@ def check_signs(prepared: PreparedTest, motion: Motion, protocol: Protocol) -> l
     more than a fifth of the largest force, has no wrong sign, and neither has its displacement.
     """
     max_opposite_fraction = 0.2  # of the largest force
-    error_factor = 10.0  # standard errors of a mean over a block
+    error_factor = 10.0  # number of standard errors of a block mean
     signals, curve = prepared.signals, protocol.curve
     displacement, time = signals.raw[signals.displacement], signals.raw[signals.displacement].time
     if curve is None or not motion.branches:
@@ -296,7 +305,8 @@ def check_signs(prepared: PreparedTest, motion: Motion, protocol: Protocol) -> l
     }
     lowest = 1e3 * float(np.nanmin(displacement.values))
     texts = {"force": f"{extreme:.3g} N", "displacement": f"{lowest:.3g} mm"}
-    names = [x for x in texts if is_falling[x] and (curve.reverse is None or x in curve.reverse)]
+    falling = [quantity for quantity in texts if is_falling[quantity]]
+    names = [name for name in falling if curve.reverse is None or name in curve.reverse]
     signs, name_list = " and ".join(f"the {x} goes to {texts[x]}" for x in names), ", ".join(names)
     remedy = format_sentence(
         "process.signs_reversed" if curve.reverse else "process.signs_to_reverse",
@@ -335,18 +345,18 @@ def check_start(signals: Signals, motion: Motion, *, has_slack: bool) -> Iterato
 
     Yields
     ------
-    Findings about signals that were zeroed by a line through the first samples, and about the work
-    done before the record (quantity ``start``).
+    Findings that the work done before the record is unknown (quantity ``start``), and that signals
+    were zeroed by a line through their first samples.
 
     Notes
     -----
-    A record that begins at rest is not doubtful, because its load cell may have an offset. Nor is a
-    test whose cycles return to the load at its beginning, within half of that load. A small force
-    counts as a load if it is proportional to the displacement within a factor of three. A record
-    begins with an unloading if its first force is above half of the range and falls below half of
-    itself in the first branch.
+    A record that begins at rest is not doubtful, because its load cell may have an offset. A test
+    is also not doubtful if its cycles return to the load at its beginning, within half of that
+    load. A small force counts as a load if it is proportional to the displacement within a factor
+    of three. A record begins with an unloading if its first force is above half of the range of the
+    force, and falls below half of its value in the first branch.
     """
-    noise_factor = 5.0
+    noise_factor = 5.0  # standard deviations of the force
     branch_data = _read_first_branch(signals, motion) if motion.branches else None
     if branch_data is None:
         return
@@ -386,12 +396,12 @@ def check_start(signals: Signals, motion: Motion, *, has_slack: bool) -> Iterato
 def _read_first_branch(
     signals: Signals, motion: Motion
 ) -> tuple[Floats, Floats, Floats, Flags] | None:
-    """Return time, force and path, and flags of the samples in the first branch.
+    """Return time (s), force (N) and path (m), and flags of the samples in the first branch.
 
     Force and path have the zeros of the export, and are positive in loading. The result is None if
     force or path is constant, or if the record begins at rest.
     """
-    min_samples, max_rest_samples = 4, 3.0
+    min_samples, max_rest_samples = 4, 3.0  # of the branch; before the branch
     time = signals.raw[signals.displacement].time
     force, path = (
         motion.clocks.interpolate(signals.raw[name], time)
@@ -411,7 +421,7 @@ def _read_first_branch(
 
 
 def _check_first_sample(channel: str, force: Floats, path: Floats) -> Iterator[Finding]:
-    """Report a first sample at zero below which the machine returns and unloads.
+    """Report a record that was zeroed in mid-stroke, so that the machine later moves below zero.
 
     Parameters
     ----------
@@ -419,8 +429,8 @@ def _check_first_sample(channel: str, force: Floats, path: Floats) -> Iterator[F
     force, path : shape (n,), force (N) and displacement (m) with the zeros of the export
     """
     max_zero_fraction = 0.01  # of the range
-    # Limits of the travel below the first sample over that above it. The travel of a test to both
-    # sides is as large below it as above it.
+    # Travel below the first sample divided by that above it. A test that moves to both sides
+    # travels as far below as above.
     min_ratio, max_ratio = 0.05, 0.8
     is_zeroed = all(abs(x[0]) <= max_zero_fraction * np.ptp(x) for x in (force, path))
     force_below, force_above = -force.min(), force.max()
@@ -437,12 +447,12 @@ def _check_first_sample(channel: str, force: Floats, path: Floats) -> Iterator[F
 
 
 def _is_loaded(force: Floats, path: Floats, path_range: float, relative_load: float) -> bool:
-    """Check whether the first force of a branch is a load, not an offset of the load cell.
+    """Return whether the first force of a branch is a load, not an offset of the load cell.
 
     A load of medium size must agree with the slope of the force at the beginning of the branch.
     """
-    min_load, certain_load, line_factor = 0.02, 0.1, 3.0  # two fractions of the range of the force
-    min_path, fitted_path, min_samples = 0.01, 0.05, 4  # two fractions of the range of the path
+    min_load, certain_load, line_factor = 0.02, 0.1, 3.0  # fractions of the force; force over line
+    min_path, fitted_path, min_samples = 0.01, 0.05, 4  # fractions of the path; samples of the fit
     size = max(min_samples, int(np.sum(np.abs(path - path[0]) <= fitted_path * path_range)))
     deviations = path[:size] - path[:size].mean()
     slope = float(deviations @ force[:size]) / max(float(deviations @ deviations), 1e-300)
@@ -473,7 +483,7 @@ def find_cut_ends(
     Last time (s on the clock of the curve) of each quantity whose record is cut off; empty for a
     complete record.
     """
-    max_missing_samples = 2.0
+    max_missing_samples = 2.0  # of the force at the end
     travel, limits, ends = motion.signal, protocol.limits, dict[str, float]()
     if not motion.branches:
         return {}
@@ -497,8 +507,8 @@ def find_cut_ends(
 
 
 def _has_arrived(motion: Motion, limits: Limits) -> bool:
-    """Check whether the last branch reaches the end of the earlier branch in its direction."""
-    noise_factor = 5.0
+    """Return whether the last branch reaches the end of the earlier branch in its direction."""
+    noise_factor = 5.0  # standard deviations of the motion
     values, branches, last = motion.signal.values, motion.branches, motion.branches[-1]
     start, end = float(values[last.start]), float(drop_missing(values)[-1])
     path = values if end > start else -values
@@ -518,12 +528,12 @@ def _has_arrived(motion: Motion, limits: Limits) -> bool:
 
 
 def check_holds(prepared: PreparedTest, motion: Motion, protocol: Protocol) -> Iterator[Finding]:
-    """Report holds of the motion at its turns, and at its end away from the start.
+    """Report holds of the motion at its turns, and at its end if it has not returned.
 
-    Rests before the first branch and at the first position are not holds.
+    Rests before the first branch, and at the initial position, are not holds.
     """
-    min_rows = 5.0  # of a hold if the export has no times
-    max_return_distance, max_hold_motion = 0.1, 0.01  # of the stroke
+    min_rows = 5.0  # duration of a hold if the export has no times
+    max_return_distance, max_hold_motion = 0.1, 0.01  # fractions of the stroke
     travel, branches = motion.signal, motion.branches
     if not branches:
         return

@@ -1,4 +1,4 @@
-"""Infer a test sheet from exports, names and other tests, and list the values left to the user."""
+"""Infer test sheets from exports, names and other tests, and list the values that are missing."""
 
 from __future__ import annotations
 
@@ -33,16 +33,17 @@ from labpipe.readers import describe_unknown, read_export, recognise_export
 from labpipe.records.recording import Recording
 
 FOLDER_NAME_SOURCE = "the name of the folder"
+"""Source of a value that is inferred from the name of the folder of a test."""
 _SIZE_UNITS = dict.fromkeys(("length", "width", "thickness", "gauge_length"), "m")
 _SIZE_UNITS |= {"section.area": "m^2"}
 _COPIED_FACTS = ("date", "operator", "type", "sample", *_SIZE_UNITS)
-"""Facts that become values of a test sheet."""
+"""Facts that become values of a test sheet, in this order."""
 _IGNORED_SUFFIXES = frozenset({".yaml", ".yml", ".md", ".ini"})
 _YEAR_FIRST = re.compile(r"(?<!\d)(\d{4})[-./](\d{1,2})[-./](\d{1,2})(?!\d)")
 _YEAR_LAST = re.compile(r"(?<!\d)(\d{1,2})([-./])(\d{1,2})\2(\d{4})(?!\d)(.*)", re.DOTALL)
 _COMPACT_DATE = re.compile(r"(?<!\d)(20\d\d)(\d\d)(\d\d)(?!\d)")
 _US_CLOCK = re.compile(r"\s+\d{1,2}:\d\d(?::\d\d)?\s*(?:AM|PM)\b")
-"""12-hour clock in capitals, the US format of Windows, which puts the month first."""
+"""Time with AM or PM in capitals, the US format of Windows, in which the month is first."""
 _FOLDER_NAME_PATTERN = re.compile(
     r"(?P<type>.+?)(?:-(?P<length>\d{3})(?=-))?[-_](?P<sample>\d{1,3}[a-z]?)"
 )
@@ -53,13 +54,15 @@ Files: TypeAlias = Mapping[str, tuple[str, ...]]
 CampaignTests: TypeAlias = dict[Path, tuple[str, str]]
 """Specimen type and protocol of each test of a campaign, keyed by folder; empty if unknown."""
 Facts: TypeAlias = Mapping[str, Mapping[str, Sequence[str]]]
-"""Values and their sources, keyed by column of a campaign table and by value; several values of a
-column contradict each other."""
+"""Sources of each value, keyed by column of a campaign table and then by value.
+
+Several values of one column contradict each other.
+"""
 
 
 @cache
 def _read_fact_keys() -> dict[str, dict[str, list[str]]]:
-    """Read the metadata keys of programs for each fact, and the entries to be ignored."""
+    """Read the metadata keys under which programs store each fact, and entries without meaning."""
     text = (package_files("labpipe.process") / "sheet_facts.toml").read_text(encoding="utf-8")
     return tomllib.loads(text)
 
@@ -74,15 +77,15 @@ def collect_facts(folder: str, exports: Mapping[str, Recording]) -> Facts:
 
     Returns
     -------
-    The facts. A date in the name of a file is used if the metadata have none. The modification time
-    of a file is not a fact, because copying changes it.
+    The facts. A date in the name of a file is used if its metadata have none. The modification time
+    of a file is not used, because copying changes it.
     """
     folder_facts = parse_folder_name(folder)
     facts: dict[str, dict[str, list[str]]] = {
         key: {value: [FOLDER_NAME_SOURCE]} for key, value in folder_facts.items()
     }
     for name, recording in exports.items():
-        # The first entry of several with the same key is used.
+        # If several entries have the same key, the first one is used.
         entries = dict(reversed([*_list_entries(recording.metadata)]))
         for key, entry_names in _read_fact_keys()["keys"].items():
             values = (_parse_fact(key, entries.get(entry_name, "")) for entry_name in entry_names)
@@ -95,7 +98,7 @@ def collect_facts(folder: str, exports: Mapping[str, Recording]) -> Facts:
 
 
 def _list_entries(metadata: Mapping[str, object]) -> Iterator[tuple[str, str]]:
-    """Yield the last part of the key and the text of each metadata entry, also of nested ones."""
+    """Yield the last part of the key, and the text, of each metadata entry and nested entry."""
     for key, value in metadata.items():
         if isinstance(value, Mapping) and key not in _read_fact_keys()["entries"]["lists"]:
             yield from _list_entries(value)
@@ -120,7 +123,7 @@ def parse_folder_name(name: str) -> dict[str, str]:
 
     Returns
     -------
-    The values, keyed by column; none if the name has another form or contains a date.
+    The values, keyed by column; empty if the name has another form or contains a date.
 
     Examples
     --------
@@ -148,8 +151,8 @@ def parse_date(text: str) -> str:
 
     Returns
     -------
-    ISO date; empty if there is none, it is invalid, or the order of day and month is ambiguous. In
-    a date with dots the day is first; before a 12-hour clock in capitals the month is first.
+    The ISO date; empty if there is no valid date, or the order of day and month is ambiguous. In a
+    date with dots the day is first. Before a time with AM or PM in capitals the month is first.
 
     Examples
     --------
@@ -182,7 +185,7 @@ def _format_date(year: str, month: str, day: str) -> str:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ProtocolMatch:
-    """A protocol whose roles the exports of a folder fill.
+    """Protocol that fits the exports of a folder, with the exports of its roles.
 
     Parameters
     ----------
@@ -190,8 +193,8 @@ class ProtocolMatch:
     files : names of the exports, keyed by role
     choices : names of several possible exports that cannot be joined, keyed by role
     score : whether the exports are complete, and the number of those that the protocol reads.
-        Complete are exports that can be read and joined, with the clamp in the camera recording if
-        the protocol names one. This clamp increases the number by 1
+        Exports are complete if they can be read and joined, and the camera recording has the clamp
+        that the protocol names. Such a clamp increases the number by 1
     reason : sentence on why this protocol was chosen from several; empty if no criterion chose it
     """
 
@@ -234,16 +237,19 @@ def match_protocols(
 
     Returns
     -------
-    One protocol if it fits better than all others; several that fit equally, sorted by name; none
-    if every protocol needs an export that is missing, or lacks a role of `stated_files`.
+    The protocol that fits better than all others, or several that fit equally, sorted by name. The
+    list is empty if every protocol needs an export that is missing, or lacks a role of
+    `stated_files`.
 
     Notes
     -----
-    Protocols of the best `ProtocolMatch.score` are compared by these criteria, in this order: one
-    of `names` contains the name of the protocol; the metadata of an export name the standard after
-    which the protocol is named; the protocol states this `length` within 5 %; more than half of the
-    other tests in a count of `protocol_counts` have it. The first criterion that only one protocol
-    meets decides.
+    Protocols with the best `ProtocolMatch.score` are compared by the following criteria. The first
+    criterion that exactly one protocol meets decides.
+
+    1. One of `names` contains the name of the protocol.
+    2. The metadata of an export name the standard after which the protocol is named.
+    3. The protocol states this `length` within 5 %.
+    4. More than half of the other tests in a count of `protocol_counts` have the protocol.
     """
     candidates = (_match_protocol(exports, protocol, stated_files or {}) for protocol in protocols)
     matches = [match for match in candidates if match is not None]
@@ -271,13 +277,13 @@ def match_protocols(
 
 
 def _has_length(protocol: Protocol, length: float | None) -> bool:
-    """Return whether a protocol states a free length, m, within 5 %."""
+    """Return whether the free length in a protocol agrees with a length, m, within 5 %."""
     stated = protocol.specimen.length
     return length is not None and stated is not None and abs(length - stated) <= 0.05 * stated
 
 
 def _find_named_protocols(texts: Sequence[str], protocols: Iterable[str]) -> list[str]:
-    """Find the protocols whose names one of the texts contains as whole words."""
+    """Find the protocols whose name occurs in one of the texts as whole words."""
     plain_texts = ["-".join(["", *re.findall(r"[^\W_]+", text.casefold()), ""]) for text in texts]
     return [
         name for name in protocols if any(f"-{name.casefold()}-" in text for text in plain_texts)
@@ -285,7 +291,7 @@ def _find_named_protocols(texts: Sequence[str], protocols: Iterable[str]) -> lis
 
 
 def find_majority(counts: Mapping[str, int]) -> str:
-    """Find the protocol of more than half of the tests; empty if there is none.
+    """Find the protocol that more than half of the tests have; empty if there is none.
 
     Parameters
     ----------
@@ -306,7 +312,7 @@ def _match_protocol(
 ) -> ProtocolMatch | None:
     """Assign the exports to the roles of a protocol.
 
-    Return None if a required role stays empty, or the protocol lacks a stated role.
+    Return None if no export fits a required role, or if the protocol lacks a stated role.
     """
     if set(stated_files) - set(protocol.sources):
         return None
@@ -355,7 +361,7 @@ def _read_channels(path: Path, recording: Recording, source: Source) -> Recordin
 
 
 def list_possible_exports(folder: Path) -> list[Path]:
-    """List the files of a folder that may be exports, sorted by name, without hidden ones.
+    """List the files of a folder that may be exports, sorted by name; hidden files are left out.
 
     Parameters
     ----------
@@ -377,7 +383,7 @@ def list_test_folders(folder: Path) -> list[Path]:
 
     Returns
     -------
-    The test folders; none if the folder itself holds a test sheet, or does not exist.
+    The test folders; empty if the folder itself contains a test sheet, or does not exist.
     """
     if (folder / SHEET_NAME).exists() or not folder.is_dir():
         return []
@@ -432,19 +438,19 @@ def count_protocols(
 
 @dataclass(frozen=True, slots=True)
 class InferredTest:
-    """The inferred content of a test sheet.
+    """Inferred content of a test sheet.
 
     Parameters
     ----------
     folder : folder of the test
     values : texts of the values, keyed by column of a campaign table
     files : names of exports, keyed by role
-    open_keys : keys that the user fills in: required columns without a value, and ambiguous roles,
-        or ``files`` if no role has a file
+    open_keys : keys whose values the user must fill in, which are required columns without a value
+        and ambiguous roles, or ``files`` if no role has a file
     remarks : sentences on the protocol, the sources of the values, contradictions, and files that
         are not used or are missing
-    read_errors : why an export of a known format cannot be read, keyed by its name
-    blocks : content without a column, keyed by key of the test sheet
+    read_errors : reason why an export of a known format cannot be read, keyed by its name
+    blocks : content of the test sheet for which a table has no column, keyed by key of the sheet
     """
 
     folder: Path
@@ -468,9 +474,9 @@ def infer_tests(
 
     Yields
     ------
-    The inferred tests. The tests with a certain protocol come first. For the other tests the
-    protocol is inferred again, with the protocols of the first ones. Only the recordings of one
-    test are in memory at a time.
+    The inferred tests. Tests with a certain protocol come first. The protocol of the other tests is
+    inferred again, with the protocols of the first tests. Only the recordings of one test are in
+    memory at a time.
     """
     campaign_tests = read_campaign_tests(folders[0].resolve().parent) if folders else {}
     folders_without_protocol = []
@@ -552,7 +558,8 @@ def read_folder(folder: Path) -> tuple[dict[Path, Recording], dict[str, str], di
     exports : recordings of the exports that can be read, keyed by path
     kinds : reader of each export, likely kind of any other file, or the fault of a file, keyed by
         the name of the file
-    read_errors : why an export cannot be read (damaged, truncated, locked), keyed by its name
+    read_errors : reason why an export cannot be read (damaged, truncated, locked), keyed by its
+        name
     """
     exports, kinds, read_errors = dict[Path, Recording](), dict[str, str](), dict[str, str]()
     for path in list_possible_exports(folder):
@@ -602,7 +609,7 @@ def _match_folder(
 
 
 def _assign_files(exports: Exports, matches: Sequence[ProtocolMatch]) -> dict[str, tuple[str, ...]]:
-    """Assign exports to roles if all matches agree; without matches, assign them by format."""
+    """Assign exports to the roles on which all matches agree; without matches, use the format."""
     files: dict[str, tuple[str, ...]] = {}
     if not matches:
         for path, export in exports.items():

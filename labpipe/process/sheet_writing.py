@@ -23,7 +23,7 @@ from labpipe.protocol.source import ROLES
 from labpipe.readers.workbooks import Table, read_campaign_sheet
 from labpipe.store.replace import map_errors, replace_file
 
-_REQUIRED = ("test", "protocol", "type", "spool", "sample")
+_REQUIRED_COLUMNS = ("test", "protocol", "type", "spool", "sample")
 _DIMENSIONS = ("length", "gauge_length", "span", "width", "thickness", "diameter")
 _BUNDLE_KEYS = {"bundle_wires": "wires", "bundle_number": "number"} | {
     key: key for key in ("arrangement", "tape", "taping", "conduit", "conduit_bore")
@@ -41,18 +41,19 @@ _DOTTED_BLOCKS = ("section", "labels", "observed")
 TABLE_COLUMNS = (*_KEY_PATHS, "because")
 """Columns of a campaign table without a dot in their names."""
 _UNIT_IN_HEADING = re.compile(r"([^(\[]+)[(\[](.+)[)\]]")
+"""Heading with a unit, such as ``length (mm)`` or ``length [mm]``."""
 
 
 @dataclass(frozen=True, slots=True)
 class WrittenSheet:
-    """A test sheet that was written or kept.
+    """Test sheet that was written, or existed and was kept.
 
     Parameters
     ----------
     path : path of the test sheet
     is_kept : whether the sheet existed before and was not changed
     remarks : sentences on the sources of the values, contradictions and missing exports
-    open_keys : keys that the user fills in
+    open_keys : keys whose values the user must fill in
     """
 
     path: Path
@@ -75,12 +76,12 @@ def write_inferred_sheets(
 
     Yields
     ------
-    The test sheets. Required values that cannot be inferred are marked in them for the user.
+    The test sheets. They mark the required values that cannot be inferred, for the user.
 
     Raises
     ------
     UsageError
-        If stated values are not valid (one message has all of them), or if the only sheet exists
+        If stated values are not valid, with all of them in one message, or if the only sheet exists
         already.
     StoreError
         If a file cannot be written.
@@ -111,7 +112,7 @@ def write_inferred_sheet(test: InferredTest) -> WrittenSheet:
     Raises
     ------
     UsageError
-        If values are not valid; one message has all of them.
+        If values are not valid; the message lists all of them.
     StoreError
         If the file cannot be written.
     """
@@ -131,7 +132,8 @@ def write_table_sheets(file: Path, folder: Path, *, overwrite: bool = False) -> 
     Parameters
     ----------
     file : xlsx or csv file of the table. Its columns are `TABLE_COLUMNS`, labels, or dotted keys of
-        the protocol, in any order. A heading may state a unit for its column: ``length (mm)``
+        the protocol, in any order. A heading may state the unit of its column, as in
+        ``length (mm)``
     folder : folder of the campaign, with a folder for each test
     overwrite : whether existing test sheets are replaced; if False, they are kept
 
@@ -142,7 +144,7 @@ def write_table_sheets(file: Path, folder: Path, *, overwrite: bool = False) -> 
     Raises
     ------
     ReadError
-        If the table cannot be read or has faults. One message has all faults, each with its cell,
+        If the table cannot be read or has faults. The message lists all faults, each with its cell,
         and nothing is written.
     StoreError
         If a file cannot be written.
@@ -181,7 +183,7 @@ def write_table_sheets(file: Path, folder: Path, *, overwrite: bool = False) -> 
 
 
 def _parse_heading(heading: str) -> tuple[str, str]:
-    """Split a heading into the name of its column and the unit of the numbers in it."""
+    """Split a heading into the name of its column and the unit of its numbers; may be empty."""
     match = _UNIT_IN_HEADING.fullmatch(heading)
     name, unit = (match[1].strip(), match[2]) if match else (heading, "")
     return (name if "." in name else name.casefold()), unit
@@ -194,7 +196,7 @@ def _add_unit(text: str, unit: str) -> str:
 
 
 def _choose_path(column: str) -> tuple[str, ...]:
-    """Return the path of a column in a test sheet; a dotted key of the protocol is an override."""
+    """Return the path of a column in a test sheet; dotted keys of the protocol are overrides."""
     block, _, key = column.partition(".")
     path = ("specimen", block, key) if block in _DOTTED_BLOCKS else ("overrides", column, "value")
     return _KEY_PATHS.get(column, path)
@@ -244,7 +246,7 @@ def _check_headings(table: Table, names: Sequence[str], file: Path) -> Iterator[
         if name in names[:index]:
             yield ReadError.about("process.column_twice", file, cell.place, name=name)
     place = table.heading[0].place
-    for name in _REQUIRED:
+    for name in _REQUIRED_COLUMNS:
         if name not in names:
             yield ReadError.about("process.column_missing", file, place, name=name)
 
@@ -268,13 +270,13 @@ def _list_faults(
     test_folder: Path | None = None,
     open_keys: Sequence[str] = (),
 ) -> Iterator[str]:
-    """Describe the faults of one test, each with its cell or option.
+    """Yield messages on the faults of one test, each with its cell or option.
 
     Parameters
     ----------
     data : values of the test, arranged as a test sheet
     values : texts of the values, keyed by column
-    places : cells, keyed by column; empty if the values are options
+    places : name of each cell, keyed by column; empty if the values are options
     file : file of the table, or path of the test sheet to be written
     test_folder : folder in which protocols are searched; None for that of the file
     open_keys : keys that the user fills in, whose faults are not reported
@@ -296,7 +298,7 @@ def _list_faults(
 
 
 def _write_sheet(path: Path, data: Mapping[str, object]) -> None:
-    """Write a test sheet completely or not at all."""
+    """Write a test sheet, either completely or not at all."""
     with map_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
     with replace_file(path) as temporary_path:

@@ -1,7 +1,6 @@
-"""Calibrate the channels of recordings to signals in SI units, and run the steps of a protocol.
+"""Calibrate the channels of recordings, check them, and run the steps of a protocol.
 
-Channels are checked before the steps run. A zero is the level of a signal at rest, with the
-standard error of that level.
+The zero of a signal is its level at rest, with the standard error of that level.
 
 References
 ----------
@@ -53,8 +52,10 @@ if TYPE_CHECKING:
 
 
 MAX_SI_VALUE = {"channel": 1e15, "marker": 1e6}
-"""Largest values of channels and of marker positions in SI units; larger ones come from damaged
-files."""
+"""Largest absolute values of channels and of marker positions, in SI units.
+
+Larger values come from damaged files.
+"""
 
 
 MIN_SAMPLES_NOISE_UNKNOWN = 8
@@ -64,12 +65,12 @@ MIN_SAMPLES_NOISE_KNOWN = 3
 SHORT_STRETCH = 100
 """Number of samples below which the noise of a stretch is estimated from the other samples."""
 _MIN_BLOCKS = 1000
-"""Smallest number of means of a long stretch; fewer values make the autocorrelation fast."""
+"""Smallest number of block means to which a long stretch is reduced, to save time."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Take:
-    """The camera recording of a test: its marker tracks, and what the steps derive from them.
+    """Camera recording of a test, with its marker tracks and the quantities derived from them.
 
     Parameters
     ----------
@@ -78,7 +79,7 @@ class Take:
     clamp_positions : shape (frames, 3), m, pivot of the clamp as exported; None without a clamp
     repaired : repaired tracks of the markers along the specimen; None before that step
     frame : coordinate frame of the specimen; None before that step
-    is_at_rest : shape (frames,), whether the specimen frame was found from a frame; None before
+    is_at_rest : shape (frames,), whether a frame was used to find the specimen frame; None before
         that step
     scale_error : relative standard uncertainty of the scale of the cameras
     """
@@ -98,14 +99,14 @@ class Take:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PreparedTest:
-    """A test before force and displacement are combined into a curve.
+    """Test before its force and displacement are combined into a curve.
 
     Parameters
     ----------
     signals : signals after the steps that were run
     take : camera recording after the steps that were run
     shape : shape of the specimen; None if no step fits one
-    span : the bent axis between two supports, or why there is none; None if no step fits one
+    span : bent axis between two supports, or the reason why there is none; None if no step fits one
     """
 
     signals: Signals
@@ -126,8 +127,8 @@ def calibrate(
 
     Returns
     -------
-    The test with signals and marker tracks; the notes of the readers and the findings of the
-    checks of single channels.
+    The test with signals and marker tracks, and the findings, which are the notes of the readers
+    and the findings of the checks of single channels.
 
     Raises
     ------
@@ -201,21 +202,27 @@ def _calibrate_channel(
 
 def _check_peak(
     name: str, signal: Signal, quantity: str, peak_range: tuple[float, float] | None
-) -> list[Finding]:
-    """Report a channel with an implausible peak, whose unit in the file may be wrong."""
+) -> Iterator[Finding]:
+    """Report a channel whose peak is implausible, so that its unit may be wrong."""
     if peak_range is None:
-        return []
+        return
     peak = float(np.nanmax(np.abs(signal.values)))
-    if peak_range[0] <= peak <= peak_range[1]:
-        return []
-    finding = Finding.of(
-        "process.implausible_peak", name, quantity, peak=peak, signal=signal, limits=peak_range
-    )
-    return [finding]
+    if not peak_range[0] <= peak <= peak_range[1]:
+        yield Finding.of(
+            "process.implausible_peak", name, quantity, peak=peak, signal=signal, limits=peak_range
+        )
 
 
 def _check_size(values: Floats, kind: str, role: str, source: str) -> None:
-    """Refuse numbers that are too large to be measurements."""
+    """Raise an error for values that are too large to be measurements.
+
+    Parameters
+    ----------
+    values : shape (samples, ...), values in SI units
+    kind : ``channel`` or ``marker``
+    role : role of the recording, for the message
+    source : name of the channel or marker, for the message
+    """
     largest = max(float(np.nanmax(values, initial=0.0)), -float(np.nanmin(values, initial=0.0)))
     if not largest > MAX_SI_VALUE[kind]:
         return
@@ -225,7 +232,7 @@ def _check_size(values: Floats, kind: str, role: str, source: str) -> None:
 
 
 def _check_missing(name: str, signal: Signal, quantity: str) -> list[Finding]:
-    """Report blank samples, which are doubtful, except a few at the ends of the record."""
+    """Report missing samples, and mark their times as doubtful, except a few at both ends."""
     max_end_fraction = 0.02  # of the samples of a channel, at both ends together
     is_missing = np.isnan(signal.values)
     if not is_missing.any():
@@ -241,7 +248,7 @@ def _check_missing(name: str, signal: Signal, quantity: str) -> list[Finding]:
 
 
 def _check_clock(time: Floats, role: str, *, min_samples: int) -> None:
-    """Refuse a clock with too few samples, or one that does not increase."""
+    """Raise an error for a clock with too few samples, or one that does not increase."""
     if len(time) < min_samples:
         raise ProcessingError.about(
             "process.few_samples_of_clock", role, "time", needed=min_samples, found=len(time)
@@ -260,11 +267,11 @@ def check_channels(signals: Signals, protocol: Protocol) -> Iterator[Finding]:
 
     Parameters
     ----------
-    signals : signals of the test, of which the raw ones are checked
+    signals : signals of the test, whose raw samples are checked
     protocol : protocol with the channels that separate the branches and align the clocks
     """
     quantities = {} if protocol.curve is None else signals.quantities
-    counterparts = dict(zip(quantities, reversed(quantities), strict=True))
+    counterparts = dict(zip(quantities, reversed(quantities), strict=True))  # of force and motion
     for name, signal in signals.raw.items():
         pair = signals.raw.get(counterparts.get(name, ""))
         pair_values = pair.values if pair is not None and pair.clock == signal.clock else None
@@ -326,8 +333,8 @@ def compute_travel_from_speed(
 
     Returns
     -------
-    The signals with the computed channel; a note, and a finding if the loading began before the
-    record of the force.
+    The signals with the computed channel, and the findings, which are a note and, if the loading
+    began before the record of the force, a doubt.
 
     Raises
     ------
@@ -337,9 +344,9 @@ def compute_travel_from_speed(
 
     Notes
     -----
-    The motion turns at the corner of the force. The loading began stroke / speed before it; in App.
-    A.6 of [1]_ it began 58.8 s before the largest force. In the perturbed signals the turn is one
-    standard error later, or the speed is higher by its uncertainty.
+    The motion turns at the corner of the force, and the loading began stroke / speed before it. In
+    appendix A.6 of [1]_ it began 58.8 s before the largest force. In the perturbed signals the turn
+    is later by its standard error, or the speed is higher by its standard uncertainty.
     """
     if rig.crosshead_speed is None or rig.stroke is None:
         raise ValueError(format_sentence("process.speed_needs_rig"))
@@ -349,7 +356,7 @@ def compute_travel_from_speed(
     time = np.arange(force.time[0], force.time[-1], 1.0 / step.rate)
 
     def compute_travel(delay: float) -> Floats:
-        """Return the displacement with a delayed loading: 0 before it and after the return."""
+        """Return the displacement, m, with a delayed loading; 0 before it and after the return."""
         loading_time = np.clip(time - start - delay, 0.0, duration)
         unloading_time = np.clip(time - corner.time - delay, 0.0, duration)
         return np.asarray(speed * (loading_time - unloading_time), dtype=np.float64)
@@ -381,7 +388,7 @@ def compute_travel_from_speed(
 
 
 def _find_turn(force: Signal, step: declarations.TravelFromSpeed) -> Corner:
-    """Find the corner of a force where the motion turns; refuse a force without a clear corner."""
+    """Fit the corner of a force where the motion turns; raise an error without a clear corner."""
     max_time_error = 0.5  # s
     _require_time(force, step.force, "a speed")
     record, corner = (force.time, force.values), None
@@ -509,7 +516,7 @@ def zero_signal(signals: Signals, step: declarations.Zero) -> tuple[Signals, lis
 
 
 def _require_time(signal: Signal, name: str, setting: str) -> None:
-    """Refuse a setting that needs times, such as a cutoff in Hz, if the export has none."""
+    """Raise an error for a setting that needs times, such as a cutoff in Hz, without times."""
     if not signal.has_time:
         raise ValueError(format_sentence("process.needs_times", channel=name, setting=setting))
 
@@ -519,10 +526,10 @@ def _filter_signal(
     step: declarations.Smooth | declarations.LowPass | declarations.Decimate,
     protocol: Protocol,
 ) -> tuple[Signals, list[Finding]]:
-    """Filter a signal.
+    """Run ``smooth``, ``low-pass`` or ``decimate`` on a signal.
 
-    `Smooth` does not change a signal of a curve, but is added to its filters. `curve_corrections`
-    smooths the signal by branches, whose ends are not known yet.
+    ``smooth`` is only added to the filters of a signal of the curve. `curve_corrections` smooths
+    that signal in each branch, when the ends of the branches are known.
     """
     name = step.channel
     signal, findings = signals.filtered[name], list[Finding]()
@@ -563,11 +570,11 @@ def _convert_span(span: declarations.Span, signal: Signal, protocol: Protocol) -
 
 
 def count_required_samples(other_values: Floats) -> int:
-    """Return the smallest number of samples of a zero.
+    """Return the smallest number of samples from which a zero can be computed.
 
     Parameters
     ----------
-    other_values : shape (m,), all other samples of the record
+    other_values : shape (m,), all samples of the record outside the stretch of the zero
 
     Notes
     -----
@@ -584,7 +591,7 @@ def count_required_samples(other_values: Floats) -> int:
 
 
 def average_level(values: Floats, other_values: Floats) -> tuple[float, float]:
-    """Average a stretch, and estimate the standard error of its mean.
+    """Average a stretch of samples, and estimate the standard error of its mean.
 
     Parameters
     ----------
@@ -594,7 +601,7 @@ def average_level(values: Floats, other_values: Floats) -> tuple[float, float]:
 
     Returns
     -------
-    Mean and its standard error, in the unit of `values`.
+    The mean and its standard error, in the unit of `values`.
     """
     stretches = _select_noise_stretches(values, other_values)
     if stretches:
@@ -614,12 +621,12 @@ def fit_end_level(values: Floats, other_values: Floats) -> tuple[float, float]:
 
     Returns
     -------
-    Value of the line at the first sample and its standard error, in the unit of `values`.
+    The value of the line at the first sample and its standard error, in the unit of `values`.
     """
     blocks = average_equal_blocks(values, _MIN_BLOCKS)
-    size = len(values) // len(blocks)
+    block_size = len(values) // len(blocks)
     # The unit of positions is the length of a block, and the first sample is at 0.
-    positions = np.arange(len(blocks)) + 0.5 * (size - 1) / size
+    positions = np.arange(len(blocks)) + 0.5 * (block_size - 1) / block_size
     design = np.column_stack([np.ones(len(blocks)), positions])
     fit = fit_linear(design, blocks, other_stretches=_select_noise_stretches(values, other_values))
     # A zero has few samples. This standard error gives an interval as wide as by Student's t.
@@ -627,7 +634,7 @@ def fit_end_level(values: Floats, other_values: Floats) -> tuple[float, float]:
 
 
 def measure_moving_zero(values: Floats, other_values: Floats) -> tuple[float, float, int]:
-    """Measure the level before a machine moved, from a stretch in which it moves.
+    """Measure the level before a machine moved, from a stretch in which it begins to move.
 
     Parameters
     ----------
@@ -637,7 +644,7 @@ def measure_moving_zero(values: Floats, other_values: Floats) -> tuple[float, fl
     Returns
     -------
     level, error : mean of the rest at the beginning of the stretch, and its standard error. If the
-        rest is too short, they are those of `fit_end_level` for the samples after it, or for all
+        rest is too short, they are results of `fit_end_level` for the samples after it, or for all
         samples if fewer than `MIN_SAMPLES_NOISE_UNKNOWN` follow
     n_rest : number of samples in that rest; 0 if the level is from a line
     """
@@ -665,7 +672,7 @@ def _choose_stretch_width(other_values: Floats) -> int:
 
 
 def rezero_at_rest(signals: Signals, motion: Motion) -> tuple[Signals, list[Finding]]:
-    """Recompute each mean zero in whose stretch the motion begins or ends, from its rest alone.
+    """Recompute each mean zero whose stretch includes a part of the motion, from the rest alone.
 
     Parameters
     ----------

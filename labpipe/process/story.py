@@ -48,7 +48,7 @@ from labpipe.uncertainty.intervals import Measured
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reduction:
-    """A reduced test with its results.
+    """Reduced test with its results.
 
     Parameters
     ----------
@@ -271,7 +271,7 @@ def add_results(test: ReducedTest, protocol: Protocol) -> Reduction:
 
 def _add_remedy(result: Result, entry: Kind, protocol: Protocol) -> Result:
     """Add the override that leaves out a result for which the record does not suffice."""
-    codes = {"not_reached", "too_few_samples", "no_break"}
+    codes = {"not_reached", "too_few_samples", "no_break"}  # of records that do not suffice
     if result.status is not Status.FAILED or not codes & {reason.code for reason in result.reasons}:
         return result
     names = [getattr(kind, "name", kind.result) for kind in protocol.results]

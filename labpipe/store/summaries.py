@@ -19,10 +19,10 @@ from labpipe.records.result import InputFile, Result, Specimen, TestResult, comp
 from labpipe.statistics.lots import judge_results
 from labpipe.store.replace import locked, replace_file
 
-SUMMARY_FILE = "summary.json"
-SUMMARY_SCHEMA = 2
-FAILURE_FILE = "failure.json"
-FAILURE_SCHEMA = 1
+SUMMARY_FILE, FAILURE_FILE = "summary.json", "failure.json"
+"""Names of the files with the summary and with the failure of a test."""
+SUMMARY_SCHEMA, FAILURE_SCHEMA = 2, 1
+"""Numbers of the schemas of these files."""
 
 
 def build_summary(result: TestResult) -> dict[str, object]:
@@ -34,8 +34,8 @@ def build_summary(result: TestResult) -> dict[str, object]:
 
     Returns
     -------
-    The content of ``summary.json``. A number that is not finite or not available is None. Status
-    and reasons explain it.
+    The content of ``summary.json``. Numbers that are not finite or not available are None; status
+    and reasons explain them.
     """
     verdict = judge_results(result.results)  # None if the protocol states no limit
     return {
@@ -68,7 +68,7 @@ def write_summary(result: TestResult, path: Path) -> None:
     Parameters
     ----------
     result : processed test
-    path : the file
+    path : path of the summary
 
     Raises
     ------
@@ -81,7 +81,12 @@ def write_summary(result: TestResult, path: Path) -> None:
 
 
 def to_json(value: Any) -> Any:
-    """Convert records, arrays and dates to types of JSON, with None for numbers not finite."""
+    """Convert records, arrays and dates to types of JSON; numbers that are not finite become None.
+
+    Parameters
+    ----------
+    value : record, mapping, sequence, array, number, text, date or None
+    """
     if is_dataclass(value):
         return {field.name: to_json(getattr(value, field.name)) for field in fields(value)}
     if isinstance(value, Mapping):
@@ -97,7 +102,7 @@ def to_json(value: Any) -> Any:
 
 
 def select_json(record: object, *names: str, **renamed: str) -> dict[str, Any]:
-    """Convert some attributes of a record like `to_json`.
+    """Convert some attributes of a record to types of JSON, as `to_json` does.
 
     Parameters
     ----------
@@ -110,7 +115,7 @@ def select_json(record: object, *names: str, **renamed: str) -> dict[str, Any]:
 
 
 def _build_specimen(specimen: Specimen) -> dict[str, object]:
-    """Build the entry of a specimen, with its dimensions beside its names."""
+    """Build the entry of a specimen, in which dimensions are on the level of the names."""
     content = to_json(specimen)
     bundle = specimen.bundle
     bundle_totals = {"composition": bundle.composition, "number": bundle.number} if bundle else {}
@@ -161,12 +166,12 @@ def _build_inputs(inputs: Iterable[InputFile]) -> list[dict[str, str]]:
 
 
 def check_summary(result: TestResult, path: Path) -> None:
-    """Raise StoreError if numbers of a ``summary.json`` differ from those of its result file.
+    """Raise an error if numbers of a ``summary.json`` differ from those of its result file.
 
     Parameters
     ----------
     result : test as read from its result file
-    path : the summary; nothing is compared if it does not exist
+    path : path of the summary; nothing is compared if it does not exist
 
     Raises
     ------
@@ -206,7 +211,7 @@ def read_summary(path: Path) -> dict[str, Any]:
 
     Parameters
     ----------
-    path : the file
+    path : path of the summary
 
     Returns
     -------
@@ -217,8 +222,7 @@ def read_summary(path: Path) -> dict[str, Any]:
     StoreError
         If the file cannot be read, is not a summary of labpipe, or is of another schema.
     """
-    # The summary of a test of a hundred cycles has a hundredth of this size.
-    max_bytes = 1 << 26
+    max_bytes = 1 << 26  # a hundred times the summary of a test with a hundred cycles
     try:
         is_readable = path.is_file() and path.stat().st_size <= max_bytes
         content = json.loads(path.read_bytes()) if is_readable else None
@@ -236,7 +240,7 @@ def read_summary(path: Path) -> dict[str, Any]:
 
 @dataclass(frozen=True, slots=True)
 class FailedTest:
-    """A test that could not be processed, and the reason.
+    """Test that could not be processed, with the reason.
 
     Parameters
     ----------
@@ -244,7 +248,7 @@ class FailedTest:
     code : code of the reason, one of `labpipe.errors.CODES`
     reason : message for the user
     run : key of the failed run; empty if unknown
-    inputs : the exports, if all can be read
+    inputs : exports; empty if one of them cannot be read
     made_of : SHA-256 of the test sheet and of the resolved protocol, as in ``summary.json``; empty
         if they cannot be read
     """
