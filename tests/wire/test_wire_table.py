@@ -148,9 +148,7 @@ def test_its_own_numbers_give_the_law_it_was_made_from(name: str) -> None:
     "values", [{INSULATION_MODULUS: 0.6e9}, {COPPER_SCALE: 1.3}, {RADIAL_FRICTION: 0.09}]
 )
 @pytest.mark.parametrize("name", NAMES)
-def test_other_numbers_give_the_law_of_the_wire_that_has_them(
-    name: str, values: dict[str, float]
-) -> None:
+def test_other_numbers_give_the_law_of_their_wire(name: str, values: dict[str, float]) -> None:
     """From 1 1/m on: below, strands begin to slip, and a moment lost there has no weight."""
     own, changes = table_of(name), {key: float(np.log(value)) for key, value in values.items()}
     law = make_section_function(own.spec, {})(changes).law
