@@ -20,15 +20,14 @@ from labpipe.protocol.load import find_shipped_folder
 sheet = find_shipped_folder("examples") / "wires.xlsx"
 specs = [each for each in read_wire_sheet(sheet).specs if each.name in ("A1", "A2", "B2")]
 made, refused = make_tables(specs, sheet)
-for wire in made:
-    print(f"{wire.table.name}: strands that slip give {1e6 * wire.table.slip_stiffness:.0f} N mm^2")
+for law, _ in made:
+    print(f"{law.name}: strands that slip give {1e6 * law.slip_stiffness:.0f} N mm^2")
 
 # %%
 # How stiff a wire is depends on how far it is bent: strands stick, then slip, then yield.
 figure = Figure(figsize=(6.0, 3.4), layout="constrained")
 axes = figure.subplots()
-for wire in made:
-    law = wire.table
+for law, _ in made:
     axes.loglog(law.curvature[1:], 1e6 * law.secant_stiffness[1:], label=law.name)
 axes.set_xlabel("curvature (1/m)")
 axes.set_ylabel("secant bending stiffness (N mm²)")

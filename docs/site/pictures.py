@@ -26,7 +26,7 @@ from labpipe.mechanics.law.sliders import SliderLaw, compute_slider_moment, fit_
 from labpipe.mechanics.law.thinning import make_concave_law
 from labpipe.mechanics.rod.bands import Band, compute_node_curvature
 from labpipe.mechanics.rod.path import RodPath
-from labpipe.mechanics.studies.harness_line import make_law_family
+from labpipe.mechanics.studies.harness_line import make_section_function
 from labpipe.mechanics.studies.wire_sheets import read_wire_sheet
 from labpipe.mechanics.wire.calibration.calibrate_wire import Settings, calibrate
 from labpipe.mechanics.wire.cantilever import bend_to_deflection, bend_under_force, make_straight
@@ -208,9 +208,9 @@ def solve_draws(
     """
     distribution = predicted_lines.beliefs_of(kind, drawn, calibration)[0]
     values = dict(zip(PARAMETERS, calibration.solutions[0].values.tolist(), strict=True))
-    family = make_law_family(predicted_lines.spec_of(drawn.wire), values)
+    build_section = make_section_function(predicted_lines.spec_of(drawn.wire), values)
     for amounts in distribution.amounts[:40]:
-        path = predicted_lines.path_of(kind, drawn, family, distribution.to_inputs(amounts))
+        path = predicted_lines.path_of(kind, drawn, build_section, distribution.to_inputs(amounts))
         if path.status != "failed":
             yield path
 

@@ -22,8 +22,8 @@ from labpipe.mechanics.studies.harness_line import (
     LAW_FACTOR,
     MASS_FACTOR,
     TORSION_FACTOR,
-    LawFamily,
-    make_law_family,
+    SectionFunction,
+    make_section_function,
 )
 from labpipe.mechanics.wire.calibration.calibrate_wire import (
     Settings,
@@ -155,10 +155,10 @@ def beliefs_of(kind: LineKind, drawn: Drawn, found: Calibration) -> tuple[InputD
 
 
 def path_of(
-    kind: LineKind, drawn: Drawn, family: LawFamily, inputs: Mapping[str, float]
+    kind: LineKind, drawn: Drawn, build_section: SectionFunction, inputs: Mapping[str, float]
 ) -> RodPath:
     """Follow a line for named inputs, with the laws of one solution."""
-    law = family.build_section(inputs)
+    law = build_section(inputs)
     laid = PreparedLine(
         *(law.law, law.torsional_stiffness, law.mass_per_length),
         drawn.length * float(np.exp(inputs.get(LENGTH_FACTOR, 0.0))),
@@ -177,7 +177,7 @@ def predicted(kind: LineKind, drawn: Drawn, what: KnownFacts) -> LineBands | Non
     ]
     return predict_line_bands(
         [
-            partial(path_of, kind, drawn, make_law_family(spec_of(drawn.wire), own))
+            partial(path_of, kind, drawn, make_section_function(spec_of(drawn.wire), own))
             for own in values
         ],
         beliefs_of(kind, drawn, what.calibration),
@@ -229,7 +229,7 @@ def rows(kind: LineKind, seed: int) -> dict[str, Any]:
     """
     drawn, what = draw(kind, seed), known_of(seed)
     truth = true_line(
-        kind, drawn, make_law_family(spec_of(drawn.wire), {}).build_section({}).torsional_stiffness
+        kind, drawn, make_section_function(spec_of(drawn.wire), {})({}).torsional_stiffness
     )
     bands = predicted(kind, drawn, what)
     if bands is None:

@@ -46,8 +46,8 @@ def test_wires_that_cannot_be_modelled_are_refused(
     names: list[str] = []
     modelled, refused = make_tables(specs, SHEET, names.append)
     assert names == ["C", "X1", "B", "A2", "D"]
-    assert [wire.table.name for wire in modelled] == ["C", "A2", "D"]
-    assert modelled[1].decks == make_deck_texts(modelled[1].table)
+    assert [table.name for table, _ in modelled] == ["C", "A2", "D"]
+    assert modelled[1][1] == make_deck_texts(modelled[1][0])
     approved(refused.values())
 
 

@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from labpipe.mechanics.law.loss_card import fit_wire_sliders
 from labpipe.mechanics.law.sliders import compute_slider_moment
 from labpipe.mechanics.law.thinning import make_concave_law
 from labpipe.mechanics.studies.harness_line import (
     LAW_FACTOR,
     MASS_FACTOR,
     TORSION_FACTOR,
-    LawFamily,
-    make_law_family,
+    make_section_function,
 )
 from labpipe.mechanics.studies.wire_sheets import read_wire_sheet
 from labpipe.mechanics.wire.bending_law import (
@@ -129,13 +129,10 @@ def test_loads_between_the_points_are_those_of_the_solver(length: float) -> None
 NAMES = ("A2", "C5")
 
 
-@pytest.fixture(scope="module", params=NAMES)
-def family(request: pytest.FixtureRequest) -> LawFamily:
-    return make_law_family(table_of(request.param).spec, {})
-
-
-def test_its_own_numbers_give_the_law_it_was_made_from(family: LawFamily) -> None:
-    own, base, table = family.build_section({}), family.base_law, tabulate_wire(family.spec)
+@pytest.mark.parametrize("name", NAMES)
+def test_its_own_numbers_give_the_law_it_was_made_from(name: str) -> None:
+    table = table_of(name)
+    own, base = make_section_function(table.spec, {})({}), fit_wire_sliders(table)
     assert own.law.stiffness == pytest.approx(base.stiffness, rel=1e-9)
     assert own.law.stiffnesses == pytest.approx(base.stiffnesses, rel=1e-6)
     numbers = (own.torsional_stiffness, own.axial_stiffness, own.coupling, own.mass_per_length)
@@ -150,13 +147,13 @@ def test_its_own_numbers_give_the_law_it_was_made_from(family: LawFamily) -> Non
 @pytest.mark.parametrize(
     "values", [{INSULATION_MODULUS: 0.6e9}, {COPPER_SCALE: 1.3}, {RADIAL_FRICTION: 0.09}]
 )
-def test_other_numbers_give_the_law_of_the_wire_that_has_them(
-    family: LawFamily, values: dict[str, float]
-) -> None:
+@pytest.mark.parametrize("name", NAMES)
+def test_other_numbers_give_the_law_of_their_wire(name: str, values: dict[str, float]) -> None:
     """From 1 1/m on: below, strands begin to slip, and a moment lost there has no weight."""
-    law = family.build_section({name: float(np.log(value)) for name, value in values.items()}).law
-    assert law.slip_curvatures == pytest.approx(family.base_law.slip_curvatures, rel=0.0)
-    table = tabulate_wire(set_parameters(family.spec, values))
+    own, changes = table_of(name), {key: float(np.log(value)) for key, value in values.items()}
+    law = make_section_function(own.spec, {})(changes).law
+    assert law.slip_curvatures == pytest.approx(fit_wire_sliders(own).slip_curvatures, rel=0.0)
+    table = tabulate_wire(set_parameters(own.spec, values))
     inside = table.curvature > 1.0
     moment = compute_slider_moment(law, table.curvature[inside])
     assert np.max(np.abs(moment / table.moment[inside] - 1.0)) < 0.015
@@ -303,9 +300,9 @@ def test_beyond_the_insulations_straight_line_the_table_is_doubtful() -> None:
 
 
 def test_factors_multiply_moment_torsion_mass_and_tables() -> None:
-    family = make_law_family(table_of("A2").spec, {})
-    plain = family.build_section({})
-    made = family.build_section({LAW_FACTOR: 0.1, TORSION_FACTOR: -0.2, MASS_FACTOR: 0.05})
+    build_section = make_section_function(table_of("A2").spec, {})
+    plain = build_section({})
+    made = build_section({LAW_FACTOR: 0.1, TORSION_FACTOR: -0.2, MASS_FACTOR: 0.05})
     assert made.law.stiffnesses == pytest.approx(np.exp(0.1) * plain.law.stiffnesses)
     assert made.law.stiffness == pytest.approx(np.exp(0.1) * plain.law.stiffness)
     assert made.torsional_stiffness == pytest.approx(np.exp(-0.2) * plain.torsional_stiffness)

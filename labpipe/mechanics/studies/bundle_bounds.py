@@ -86,18 +86,18 @@ def bound_stiffnesses(
     make_table = cache(partial(_make_table, {wire.name: wire for wire in wires}))
     compute_bounds = cache(partial(_compute_bounds, make_table))
     for group in groups:
-        bundles = [_strip_covers(sample) for sample in group.samples]
+        # conduit and tape do not affect the bounds
+        bundles = [
+            bundle and Bundle(bundle.wires, bundle.arrangement, bundle.positions)
+            for bundle in (sample.specimen.bundle for sample in group.samples)
+        ]
         if not any(bundles):
             continue
         for sample, bundle in zip(group.samples, bundles, strict=True):
-            bounds: _Outcome = (Reason.of("mechanics.studies.no_bundle"),)
-            if bundle is not None:
-                bounds = compute_bounds(bundle)
-            yield _add_bounds(_get_stiffness(group, sample), bounds)
-        common_bundle, *other_bundles = dict.fromkeys(bundles)
-        bounds = (Reason.of("mechanics.studies.bundles_differ"),)
-        if common_bundle is not None and not other_bundles:
-            bounds = compute_bounds(common_bundle)
+            yield _add_bounds(_get_stiffness(group, sample), compute_bounds(bundle))
+        bounds = compute_bounds(bundles[0])
+        if len(set(bundles)) > 1:
+            bounds = (Reason.of("mechanics.studies.bundles_differ"),)
         yield _add_bounds(_get_mean_stiffness(group), bounds)
 
 
@@ -111,8 +111,12 @@ def _make_table(specs: Mapping[str, WireSpec], name: str) -> WireTable | Reason:
         return Reason.of("mechanics.studies.no_law", wire=name, error=error)
 
 
-def _compute_bounds(make_table: Callable[[str], WireTable | Reason], bundle: Bundle) -> _Outcome:
+def _compute_bounds(
+    make_table: Callable[[str], WireTable | Reason], bundle: Bundle | None
+) -> _Outcome:
     """Compute the model of a bundle, or return the reasons why there is none."""
+    if bundle is None:
+        return (Reason.of("mechanics.studies.no_bundle"),)
     tables = [make_table(wire.type) for wire in bundle.wires]
     if table_errors := tuple(table for table in tables if isinstance(table, Reason)):
         return table_errors
@@ -121,12 +125,6 @@ def _compute_bounds(make_table: Callable[[str], WireTable | Reason], bundle: Bun
         return compute_bundle_model(bundle, laws)
     except ValueError as error:
         return (Reason.of("mechanics.studies.no_model", error=error),)
-
-
-def _strip_covers(sample: Sample) -> Bundle | None:
-    """Return the bundle of a sample without conduit and tape, which do not affect the bounds."""
-    bundle = sample.specimen.bundle
-    return None if bundle is None else Bundle(bundle.wires, bundle.arrangement, bundle.positions)
 
 
 def _get_stiffness(group: Group, sample: Sample) -> BoundedStiffness:
@@ -257,8 +255,7 @@ def model_bundle(
             choices=", ".join(ARRANGEMENTS),
             name=arrangement,
         )
-    test = read_processed_test(target)
-    name, bundle = _read_bundle(target, test, arrangement)
+    name, bundle, test = _read_bundle(target, arrangement)
     tables = _read_tables(target, bundle, wires)
     stated_bores = [] if bundle.conduit_bore is None else [bundle.conduit_bore]
     offered_bores = list(bores) or stated_bores
@@ -286,21 +283,21 @@ def model_bundle(
     if figures:
         earlier_files = [f"{FIGURES_FOLDER}/{name}.png" for name in (BUNDLE_FIGURE, LOOP_FIGURE)]
         pages = [make_bundle_page(model)]
-        if modelled.friction is not None:
-            pages.append(make_loop_page(name, modelled.friction))
+    if figures and modelled.friction is not None:
+        pages.append(make_loop_page(name, modelled.friction))
     texts = {BUNDLE_FILE: json.dumps(build_json(modelled))}
     files = write_study(folder, texts, pages, earlier_files=earlier_files, png=png)
     return replace(modelled, files=files)
 
 
-def _read_bundle(
-    target: str, test: TestResult | None, arrangement: str | None
-) -> tuple[str, Bundle]:
-    """Read the name and the bundle of a processed test, a test sheet or a text."""
-    path = Path(target)
+def _read_bundle(target: str, arrangement: str | None) -> tuple[str, Bundle, TestResult | None]:
+    """Read the name and the bundle of a processed test, a test sheet or a text, and the test."""
+    path, test = Path(target), None
     with suppress(OSError):  # the text is too long for a file name
-        path = path / SHEET_NAME if path.is_dir() else path
-    if test is not None:
+        if path.is_dir():
+            path /= RESULT_FILE if (path / RESULT_FILE).exists() else SHEET_NAME
+    if path.suffix == ".h5":
+        test = read_outcome(path)
         name, bundle = test.test, test.specimen.bundle
     elif path.suffix in (".yaml", ".yml"):
         sheet = load_test_sheet(path)
@@ -308,11 +305,11 @@ def _read_bundle(
     else:
         bundle = parse_bundle(target, arrangement=arrangement or PACKED)
         name = bundle.composition.replace(" + ", " ")
-        return (f"{name} {bundle.arrangement}" if len(bundle.wires) > 1 else name), bundle
+        return f"{name} {bundle.arrangement}" if len(bundle.wires) > 1 else name, bundle, None
     if bundle is None:
         file = path if test is None else target
         raise UsageError.about("mechanics.studies.sheet_without_bundle", file, "specimen")
-    return name, replace(bundle, arrangement=arrangement or bundle.arrangement)
+    return name, replace(bundle, arrangement=arrangement or bundle.arrangement), test
 
 
 def _read_tables(target: str, bundle: Bundle, wires: Path) -> dict[str, WireTable]:
@@ -376,24 +373,6 @@ def build_json(modelled: ModelledBundle) -> dict[str, object]:
             **select_json(friction.loop, "length", "deflection", "force", "branch"),
         },
     }
-
-
-def read_processed_test(target: str) -> TestResult | None:
-    """Read a processed test; return None if the target is not one.
-
-    Parameters
-    ----------
-    target : path of a ``result.h5`` or its folder, or any other text
-
-    Raises
-    ------
-    StoreError
-        If the file cannot be read.
-    """
-    path = Path(target)
-    with suppress(OSError):  # the text is too long for a file name
-        path = path / RESULT_FILE if path.is_dir() and (path / RESULT_FILE).exists() else path
-    return read_outcome(path) if path.suffix == ".h5" else None
 
 
 def extract_loop(test: TestResult) -> BundleLoop:

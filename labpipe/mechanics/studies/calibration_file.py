@@ -24,7 +24,6 @@ from labpipe.records.wire import (
     CurveMatch,
     ExternalCurveComparison,
     ScatterMixture,
-    Separability,
     Solution,
 )
 from labpipe.report.calibration_summary import BentShape, ValidationGroup
@@ -71,6 +70,7 @@ def build_json(study: CalibrationStudy) -> dict[str, object]:
     """
     calibration, share = study.calibration, study.calibration.isotropic_share
     names = ("widening", "levels", "n_points", "n_samples", "sse", "rmse", "rmse_share")
+    solution_names = ("rise", "likelihood", "rmse", "limit", "covariance", "mixture")
     curve_names = (
         *("test", "sample", "length", "sample_factor"),
         *("sse", "rmse", "rmse_share", "runs_p"),
@@ -80,7 +80,11 @@ def build_json(study: CalibrationStudy) -> dict[str, object]:
         "labpipe": __version__,
         **select_json(calibration, "wire", "method", *names, quality="notes"),
         "parameters": [_build_parameter(parameter) for parameter in calibration.parameters],
-        "solutions": [_build_solution(solution) for solution in calibration.solutions],
+        "solutions": [
+            dict(zip(PARAMETERS, to_json(solution.values), strict=True))
+            | select_json(solution, *solution_names, in_95_percent_set="is_allowed")
+            for solution in calibration.solutions
+        ],
         "isotropic_share": share
         and {
             **select_json(share, "value", "n_tests", "is_creep"),
@@ -91,7 +95,12 @@ def build_json(study: CalibrationStudy) -> dict[str, object]:
         },
         "tested_curvature": replace_non_finite(study.tested_curvature),
         "correlations": {"names": list(PARAMETERS), "values": to_json(calibration.correlations)},
-        "separability": _build_separability(calibration.separability),
+        "separability": select_json(
+            calibration.separability,
+            *("names", "singular_values", "combinations"),
+            words="explanation",
+            identified="are_identified",
+        ),
         "curves": [
             select_json(curve, *curve_names, lag_one="lag_one_correlation")
             for curve in calibration.curves
@@ -121,19 +130,6 @@ def _build_parameter(parameter: CalibratedParameter) -> dict[str, object]:
         "intervals": bounds,
         "prior": conflict and select_json(conflict, *fields, value="centre", without="estimate"),
     }
-
-
-def _build_solution(solution: Solution) -> dict[str, object]:
-    """Build the entry of a solution, with the values of its parameters."""
-    names = ("rise", "likelihood", "rmse", "limit", "covariance", "mixture")
-    values = zip(PARAMETERS, to_json(solution.values), strict=True)
-    return dict(values) | select_json(solution, *names, in_95_percent_set="is_allowed")
-
-
-def _build_separability(separability: Separability) -> dict[str, object]:
-    """Build the entry of the separability of the parameters."""
-    names = ("names", "singular_values", "combinations")
-    return select_json(separability, *names, words="explanation", identified="are_identified")
 
 
 def _build_group(group: ValidationGroup) -> dict[str, object]:
@@ -246,7 +242,8 @@ def _parse_file(content: dict[str, Any]) -> StoredCalibration:
 
 def _parse_solution(entry: dict[str, Any]) -> Solution:
     """Parse the entry of a solution."""
-    mixture = {name: _make_array(entry["mixture"][name]) for name in _MIXTURE_ARRAYS}
+    mixture_arrays = ("chance", "scatter", "shift", "covariance")
+    mixture = {name: _make_array(entry["mixture"][name]) for name in mixture_arrays}
     freedom = entry["mixture"]["freedom"]
     return Solution(
         values=_make_array([entry[name] for name in PARAMETERS]),
@@ -256,10 +253,6 @@ def _parse_solution(entry: dict[str, Any]) -> Solution:
         mixture=ScatterMixture(**mixture, freedom=np.inf if freedom is None else float(freedom)),
         limit=float(entry["limit"]),
     )
-
-
-_MIXTURE_ARRAYS = ("chance", "scatter", "shift", "covariance")
-"""Array fields of a `ScatterMixture`."""
 
 
 def _make_array(values: object) -> Floats:

@@ -311,8 +311,17 @@ def _calibrate(
     plan : plan of the calibration
     tables : stress tables of the wire, for the message of a model that cannot follow the tests
     """
+    chosen = {name: getattr(plan.parameters, name) for name in plan.parameters.model_fields_set}
     settings = Settings(
-        choices=_build_choices(plan),
+        choices={
+            name: ParameterChoice(
+                value=choice.value,
+                is_fixed=choice.enters == "fixed",
+                factor=choice.factor,
+                source=choice.because,
+            )
+            for name, choice in chosen.items()
+        },
         gain=max(loading.gain for loading in loadings),
         scatter=plan.scatter,
     )
@@ -379,17 +388,3 @@ def _list_share_notes(
         max_curvature = find_law_range(spec)[0]
         if table_end < LOOP_RANGE * max_curvature:
             yield QualityNote.of("mechanics.studies.strands_end", spec.name, last=table_end)
-
-
-def _build_choices(plan: CalibrationPlan) -> dict[str, ParameterChoice]:
-    """Build the settings of the parameters that the plan names; other parameters are fitted."""
-    choices = {}
-    for name in plan.parameters.model_fields_set:
-        setting = getattr(plan.parameters, name)
-        choices[name] = ParameterChoice(
-            value=setting.value,
-            is_fixed=setting.enters == "fixed",
-            factor=setting.factor,
-            source=setting.because,
-        )
-    return choices

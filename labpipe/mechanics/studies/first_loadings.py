@@ -239,7 +239,6 @@ def extract_first_loading(
     min_points = 20
     if protocol.rig.string is None and not any(isinstance(s, FitShape) for s in protocol.steps):
         raise NotUsableError.of("mechanics.studies.no_cantilever", protocol=protocol.name)
-    _require_zeros(result)
     curve, branch = _find_first_branch(result)
     rest_notes = _note_rest(result, curve, branch, protocol)
     length = result.specimen.dimensions.get("length", protocol.specimen.length)
@@ -280,13 +279,12 @@ def extract_first_loading(
     channel = None if protocol.curve is None else protocol.channels.get(protocol.curve.force)
     gain = 0.0 if channel is None else channel.gain_uncertainty
     cycles, cycle_notes = read_cycles(result, measured)
-    notes = (
-        *_note_doubts(result),
-        *rest_notes,
-        *_note_cut(result.test, deflection[is_finite], limit),
-        *cycle_notes,
-    )
-    return FirstLoading(measured, gain, notes, cycles=cycles)
+    notes = [*_note_doubts(result), *rest_notes]
+    largest = float(np.max(deflection[is_finite]))
+    if largest > limit:
+        ends = {"end": 1e3 * largest, "limit": 1e3 * limit}
+        notes.append(QualityNote.of("mechanics.studies.loading_cut", result.test, **ends))
+    return FirstLoading(measured, gain, (*notes, *cycle_notes), cycles=cycles)
 
 
 def read_cycles(
@@ -325,7 +323,7 @@ def read_cycles(
     ratio = values[1] / values[0]
     if abs(growth) <= max_growth and np.isfinite(ratio):
         errors = [
-            compute_unshared_error(force) / value
+            _compute_unshared_error(force) / value
             for force, value in zip(forces, values, strict=True)
         ]
         measures[RATIO] = ratio, abs(ratio) * hypot(*errors)
@@ -335,7 +333,7 @@ def read_cycles(
     return cycles, notes
 
 
-def compute_unshared_error(number: Result | None) -> float:
+def _compute_unshared_error(number: Result | None) -> float:
     """Compute the standard error of a number without the causes common to all tests of a rig.
 
     Without an interval, the error is 0. Without a budget, it is that of the whole interval.
@@ -448,26 +446,20 @@ def note_sheet_weight(
         )
 
 
-_ZERO_CODES = ("zero_not_at_rest", "begins_under_load")
-"""Codes of notes on a test whose force or deflection does not start at rest."""
-
-
-def _require_zeros(result: TestResult) -> None:
-    """Refuse a test whose force or deflection has no zero at rest.
+def _find_first_branch(result: TestResult) -> tuple[Curve, Branch]:
+    """Find the curve and the first loading branch of a test.
 
     Notes
     -----
-    A calibration cannot detect a lost zero. A shifted curve fits nearly as well, with more than
-    twice the friction, because friction acts within the first fraction of a millimetre.
+    A test without them, or without a zero of force and deflection at rest, is refused. A
+    calibration cannot detect a lost zero. A shifted curve fits nearly as well, with more than twice
+    the friction, because friction acts within the first fraction of a millimetre.
     """
-    notes = [note for note in result.quality if note.code in _ZERO_CODES]
+    zero_codes = ("zero_not_at_rest", "begins_under_load")
+    notes = [note for note in result.quality if note.code in zero_codes]
     if notes:
         reasons = "; ".join(f"{note.where}: {note.message} ({note.code})" for note in notes)
         raise NotUsableError.of("mechanics.studies.no_zero", reasons=reasons)
-
-
-def _find_first_branch(result: TestResult) -> tuple[Curve, Branch]:
-    """Find the curve and the first loading branch of a test; refuse a test without them."""
     curve = result.curve
     if curve is None:
         raise NotUsableError.of("mechanics.studies.no_curve")
@@ -492,11 +484,3 @@ def _note_doubts(result: TestResult) -> list[QualityNote]:
         QualityNote.of("mechanics.studies.test_doubtful", result.test, reason=reason)
         for reason in sorted(reasons)
     ]
-
-
-def _note_cut(test: str, deflection: Floats, limit: float) -> list[QualityNote]:
-    """Note that a loading was cut at the limit of the deflection."""
-    if deflection.max() <= limit:
-        return []
-    end, limit = 1e3 * float(deflection.max()), 1e3 * limit
-    return [QualityNote.of("mechanics.studies.loading_cut", test, end=end, limit=limit)]

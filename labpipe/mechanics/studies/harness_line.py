@@ -203,9 +203,15 @@ def _build_boundaries(harness: HarnessFile, line: Line, stations: Floats) -> Ite
         node = int(np.argmin(np.abs(stations - station)))
         match boundary:
             case Clip() | Pin() | Grip():
-                yield _build_held_boundary(boundary, line, node, steps)
+                path = compute_path(boundary, line.positions[node], steps)
+                frames = _interpolate_frames(boundary, line.get_frame(node), steps)
+                yield rod.Held(node, path, frames, boundary.release, name)
             case Ring():
-                path = compute_path(boundary, _find_nearest_point(line, boundary), steps)
+                # the path starts at the nearest point of the line
+                target = np.array(boundary.position)
+                node = int(np.argmin(np.linalg.norm(line.positions - target, axis=1)))
+                parameter = rod.find_nearest_parameter(line.positions, target, float(node))
+                path = compute_path(boundary, rod.evaluate_curve(line.positions, parameter), steps)
                 yield rod.Ring(path, np.array(boundary.direction), name=name)
             case String():
                 path = compute_path(boundary, line.positions[node], steps)
@@ -218,14 +224,6 @@ def _build_boundaries(harness: HarnessFile, line: Line, stations: Floats) -> Ite
                 yield rod.Plane(point, normal, boundary.friction, name=name)
     if any(harness.gravity) and line.section.mass_per_length > 0.0:
         yield rod.Gravity(_build_gravity(harness), name="weight")
-
-
-def _find_nearest_point(line: Line, ring: Ring) -> Floats:
-    """Find the point of the line that is nearest to a ring, m."""
-    target = np.array(ring.position)
-    node = int(np.argmin(np.linalg.norm(line.positions - target, axis=1)))
-    parameter = rod.find_nearest_parameter(line.positions, target, float(node))
-    return rod.evaluate_curve(line.positions, parameter)
 
 
 def _build_gravity(harness: HarnessFile) -> Floats:
@@ -246,19 +244,13 @@ def _build_ramp(last_step: int, steps: int) -> Floats:
     return np.minimum(1.0, np.arange(steps + 1) / last_step)
 
 
-def _build_held_boundary(
-    boundary: Clip | Pin | Grip, line: Line, node: int, steps: int
-) -> rod.Held:
-    """Build a boundary that holds a node, and its frame if the pose is held."""
-    position = compute_path(boundary, line.positions[node], steps)
-    frame = None
-    if isinstance(boundary, Clip) or (isinstance(boundary, Grip) and boundary.holds == "pose"):
-        frame = _interpolate_frames(boundary, line.get_frame(node), steps)
-    return rod.Held(node, position, frame, boundary.release, boundary.name)
+def _interpolate_frames(boundary: Clip | Pin | Grip, start: Floats, steps: int) -> Floats | None:
+    """Interpolate the frames of a path: rotations without twist, then rotations about the line.
 
-
-def _interpolate_frames(boundary: Clip | Grip, start: Floats, steps: int) -> Floats:
-    """Interpolate the frames of a path: rotations without twist, then rotations about the line."""
+    The result is None if the boundary holds only the position.
+    """
+    if isinstance(boundary, Pin) or (isinstance(boundary, Grip) and boundary.holds != "pose"):
+        return None
     frames, turns = [start], {0: 0.0}
     points = boundary.path if isinstance(boundary, Grip) else (boundary,)
     for point in points:
@@ -414,7 +406,7 @@ def _read_wire_material(block: SectionBlock, file: Path, wires: Path | None) -> 
         ]
     try:
         table = tabulate_wire(set_parameters(spec, values_by_solution[0]))
-        families = [make_law_family(spec, values) for values in values_by_solution]
+        sections = [make_section_function(spec, values) for values in values_by_solution]
     except ValueError as error:
         expected = "a wire whose law can be fitted by sliders"
         raise build_wire_error(sheet, spec, expected, error) from error
@@ -426,7 +418,7 @@ def _read_wire_material(block: SectionBlock, file: Path, wires: Path | None) -> 
         name = f"{name} (calibrated as {calibration.wire})"
     return Material(
         name,
-        tuple(family.build_section for family in families),
+        tuple(sections),
         *_find_lowest_limit(limits),
         files=tuple(files),
         notes=table.notes,
@@ -468,18 +460,25 @@ def _build_distributions(
     return _join_all(distributions, (share,))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class LawFamily:
-    """Laws of one wire with the same slip curvatures.
+def make_section_function(spec: WireSpec, values: Mapping[str, float]) -> SectionFunction:
+    """Make the function that builds sections of a wire, all with the same slip curvatures.
 
     Parameters
     ----------
     spec : wire as described by its sheet
-    values : values of `PARAMETERS` for which the slip curvatures were chosen; those of the sheet
-        for missing parameters
-    base_law : law with these values
-    chord_scale : factor on chords of the law, with which the base law is centred about that of the
-        wire
+    values : values of `PARAMETERS` for which the slip curvatures are chosen, such as those of a
+        calibration; the sheet gives the values of parameters that are missing or NaN
+
+    Returns
+    -------
+    Function that builds the section for other inputs: logarithms of `PARAMETERS`, by default those
+    of `values` or the sheet; `FACTORS`, by default 0; and `ISOTROPIC_SHARE`, by default that of the
+    sheet, or 0. Other names are ignored. It raises a `ValueError` if no wire has these parameters.
+
+    Raises
+    ------
+    ValueError
+        If the law cannot be tabulated, or cannot be fitted by sliders.
 
     Notes
     -----
@@ -489,61 +488,29 @@ class LawFamily:
     error is largest where strands begin to slip. With twice the friction, it is up to 30 % of the
     moment at a few hundredths of 1/m, and at most 1.5 % from 1 1/m upwards.
     """
+    # A slider that a changed law does not use keeps this stiffness relative to the first one.
+    min_slider_stiffness = 1e-9
+    table = tabulate_wire(set_parameters(spec, values))
+    base_law = fit_wire_sliders(table)
+    chord_scale = compute_chord_ratio(base_law, table)
+    curvatures = np.concatenate([[0.0], base_law.slip_curvatures, [base_law.last]])
 
-    spec: WireSpec
-    values: Mapping[str, float]
-    base_law: SliderLaw
-    chord_scale: float
-
-    def build_section(self, inputs: Mapping[str, float]) -> Section:
-        """Build the section of a line for other parameters.
-
-        Parameters
-        ----------
-        inputs : logarithms of `PARAMETERS`, by default those of `values` or the sheet; `FACTORS`,
-            by default 0; and `ISOTROPIC_SHARE`, by default that of the sheet, or 0. Other names are
-            ignored
-
-        Raises
-        ------
-        ValueError
-            If no wire has these parameters.
-        """
-        # A slider that a changed law does not use keeps this stiffness relative to the first one.
-        min_slider_stiffness = 1e-9
+    def build_section(inputs: Mapping[str, float]) -> Section:
+        """Build the section of a line for other inputs."""
         changed = {name: float(np.exp(inputs[name])) for name in PARAMETERS if name in inputs}
-        spec = set_parameters(self.spec, {**self.values, **changed})
-        wire, base_law = build_wire(spec), self.base_law
-        curvatures = np.concatenate([[0.0], base_law.slip_curvatures, [base_law.last]])
+        wire = build_wire(set_parameters(spec, {**values, **changed}))
         moments = wire.compute_curve(curvatures).moment
-        slopes = self.chord_scale * compute_hull_slopes(curvatures, moments)
+        slopes = chord_scale * compute_hull_slopes(curvatures, moments)
         stiffnesses = np.maximum(-np.diff(slopes), min_slider_stiffness * slopes[0])
         law = replace(base_law, stiffness=float(slopes[-1]), stiffnesses=stiffnesses)
         share = inputs.get(ISOTROPIC_SHARE, spec.isotropic_share or 0.0)
-        strands = make_strand_slider(wire.section, law, self.chord_scale) if share > 0.0 else None
+        strands = make_strand_slider(wire.section, law, chord_scale) if share > 0.0 else None
         matrix = compute_stretch_torsion(wire.section)
         other_stiffnesses = matrix.torsional, matrix.axial, matrix.coupling
         section = Section(law, *other_stiffnesses, wire.mass_per_length, spec.wire_diameter)
         return _adjust_section(section, strands, share, inputs)
 
-
-def make_law_family(spec: WireSpec, values: Mapping[str, float]) -> LawFamily:
-    """Make the family of laws of a wire, and choose its slip curvatures.
-
-    Parameters
-    ----------
-    spec : wire as described by its sheet
-    values : values of `PARAMETERS` for which the slip curvatures are chosen, such as those of a
-        calibration; the sheet gives the values of parameters that are missing or NaN
-
-    Raises
-    ------
-    ValueError
-        If the law cannot be tabulated, or cannot be fitted by sliders.
-    """
-    table = tabulate_wire(set_parameters(spec, values))
-    base_law = fit_wire_sliders(table)
-    return LawFamily(spec, values, base_law, compute_chord_ratio(base_law, table))
+    return build_section
 
 
 def _build_stiffness_material(block: SectionBlock) -> Material:

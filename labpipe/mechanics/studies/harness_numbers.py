@@ -437,9 +437,8 @@ def find_reasons(path: RodPath, material: Material) -> tuple[Reason, ...]:
     if not path.states:
         return path.reasons
     step, node, curvature = find_largest([state.bending_curvatures for state in path.states])
-    if curvature > material.curvature_limit and "beyond_law" not in {
-        reason.code for reason in reasons
-    }:
+    is_beyond_law = any(reason.code == "beyond_law" for reason in reasons)
+    if curvature > material.curvature_limit and not is_beyond_law:
         reasons.append(
             Reason.of(
                 "mechanics.studies.beyond_backed",

@@ -42,9 +42,6 @@ from labpipe.records.curve import Interval
 from labpipe.records.quality import Reason
 from labpipe.records.result import Result, Status
 
-PATH_FAILED = "failed"
-"""Status of a `RodPath` without an equilibrium at one of its steps."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HarnessSolution:
@@ -160,7 +157,7 @@ def solve_harness(
     solution = HarnessSolution(
         *(file, harness, material, path, Status.FAILED, reasons, (), limit, folder), bands=bands
     )
-    if path.status == PATH_FAILED:
+    if path.status == "failed":
         return solution
     status = Status.DOUBTFUL if reasons else Status.OK
     return replace(solution, status=status, results=_build_results(solution))
@@ -354,6 +351,9 @@ def _find_draw_doubt(
     The reason; None if the bands are not doubtful.
     """
     max_draw_error = 0.5  # relative to half the width of a band
+    # the numbers of `_evaluate` have a curvature instead of a radius
+    units = {_SHAPE: "m", RADIUS: "1/m", RADIUS_ON_PATH: "1/m"}
+    units = {name: units.get(name) or get_unit(name) for name in bands}
     sizes = estimate_sizes(line.path.line)
     squares: dict[str, list[float]] = {name: [] for name in bands}
     n_draws = n_unsolved = 0
@@ -362,11 +362,11 @@ def _find_draw_doubt(
         for row in choose_draws(distribution):
             n_draws += 1
             path = solve(index, distribution.to_inputs(distribution.amounts[row]))
-            if path.status == PATH_FAILED:
+            if path.status == "failed":
                 n_unsolved += 1
                 continue
             for name, value in _evaluate(collect_fields(path).__getitem__, path).items():
-                size = sizes[_get_field_unit(name)]
+                size = sizes[units[name]]
                 error = _compute_draw_error(value, values_by_draw[name], row, bands[name], size)
                 squares[name].append(error**2)
     errors = {name: math.sqrt(np.mean(square)) for name, square in squares.items() if square}
@@ -381,13 +381,6 @@ def _find_draw_doubt(
         return None
     all_faults = " and ".join(faults)
     return Reason.of("mechanics.studies.causes_do_not_add", count=n_draws, faults=all_faults)
-
-
-def _get_field_unit(name: str) -> str:
-    """Return the unit of a number of `_evaluate`, which has a curvature instead of a radius."""
-    if name == _SHAPE:
-        return "m"
-    return "1/m" if name in (RADIUS, RADIUS_ON_PATH) else get_unit(name)
 
 
 def _compute_draw_error(number: Floats, draws: Floats, row: int, band: Band, size: float) -> float:

@@ -222,7 +222,7 @@ def build_json(solution: HarnessSolution) -> dict[str, object]:
     ----------
     solution : solution of the harness
     """
-    line, material = solution.path.line, solution.material
+    line, material, bands = solution.path.line, solution.material, solution.bands
     section, bend, limit = line.section, solution.sharpest_bend, solution.limit
     section_fields = ("diameter", "mass_per_length", "torsional_stiffness", "axial_stiffness")
     allowed = select_json(limit, allowed="radius", allowed_from="source", assumed="is_assumed")
@@ -246,7 +246,10 @@ def build_json(solution: HarnessSolution) -> dict[str, object]:
         },
         "results": [build_result_entry(result) for result in solution.results],
         "sweep": _list_sweep_rows(solution),
-        "bands": _build_bands(solution),
+        # the kind of the bands, and the share of each cause in their variance
+        "bands": {"kind": None, "reason": format_sentence("mechanics.studies.no_bands")}
+        if bands is None
+        else {"kind": "pointwise 95 %", "shares": to_json(bands.line.states[-1].shares)},
         "quality": [select_json(note, "code", "severity", "message") for note in material.notes],
         "units": _TABLE_UNITS,
     }
@@ -259,16 +262,6 @@ def _list_sweep_rows(solution: HarnessSolution) -> list[dict[str, object]]:
     names = (_LENGTH, "status", _RADIUS, "lower [m]", "upper [m]", _RADIUS_ON_PATH)
     rows = _build_sweep_table(solution)[list(names)].to_dict("records")
     return [{str(name).removesuffix(" [m]"): to_json(row[name]) for name in row} for row in rows]
-
-
-def _build_bands(solution: HarnessSolution) -> dict[str, object]:
-    """Build the entry of the bands: their kind and the share of each cause in their variance.
-
-    Without bands, the entry states the reason.
-    """
-    if solution.bands is None:
-        return {"kind": None, "reason": format_sentence("mechanics.studies.no_bands")}
-    return {"kind": "pointwise 95 %", "shares": to_json(solution.bands.line.states[-1].shares)}
 
 
 _TABLE_UNITS: Mapping[str, str] = {

@@ -89,7 +89,7 @@ def model_wires(
     wires, refused = make_tables(wire_sheet.specs, sheet, say)
     if not wires:
         raise ProcessingError("\n".join(refused.values()))
-    tables = tuple(wire.table for wire in wires)
+    tables = tuple(table for table, _ in wires)
     removed = _find_removed_wires(folder, [spec.name for spec in wire_sheet.specs])
     modelled = ModelledWires(sheet, folder, tables, refused, (), removed, wire_sheet.curves)
     say("tables and decks")
@@ -99,7 +99,7 @@ def model_wires(
 
     def write_others(folder: Path) -> list[Path]:
         """Write the decks and the workbook."""
-        decks = write_texts({wire.table.name: wire.decks for wire in wires}, folder)
+        decks = write_texts({table.name: texts for table, texts in wires}, folder)
         workbook = folder / WORKBOOK_FILE
         save_wire_workbook(tables, workbook, refusals=refused, stress_tables=descriptions)
         return [workbook, *decks]
@@ -116,23 +116,9 @@ def model_wires(
     return replace(modelled, files=files)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ModelledWire:
-    """A wire that could be modelled.
-
-    Parameters
-    ----------
-    table : moment-curvature law of the wire
-    decks : texts for simulation programs, from `labpipe.mechanics.decks.make_deck_texts`
-    """
-
-    table: WireTable
-    decks: tuple[str, ...]
-
-
 def make_tables(
     specs: Sequence[WireSpec], sheet: Path, say: Callable[[str], None] = lambda _: None
-) -> tuple[tuple[ModelledWire, ...], dict[str, str]]:
+) -> tuple[list[tuple[WireTable, tuple[str, ...]]], dict[str, str]]:
     """Model wires and make the texts of their decks.
 
     Parameters
@@ -143,20 +129,20 @@ def make_tables(
 
     Returns
     -------
-    modelled_wires : wires that could be modelled, in the order of `specs`
+    modelled_wires : law of each wire that could be modelled, in the order of `specs`, and the texts
+        of its decks from `labpipe.mechanics.decks.make_deck_texts`
     refused : reason why a wire could not be modelled, keyed by its name
     """
-    modelled_wires: list[ModelledWire] = []
-    refused: dict[str, str] = {}
+    modelled_wires, refused = [], {}
     for spec in specs:
         say(spec.name)
         try:
             table = tabulate_wire(spec)
-            modelled_wires.append(ModelledWire(table, make_deck_texts(table)))
+            modelled_wires.append((table, make_deck_texts(table)))
         except ValueError as reason:
-            error = build_wire_error(sheet, spec, "a wire that can be built and bent", str(reason))
+            error = build_wire_error(sheet, spec, "a wire that can be built and bent", reason)
             refused[spec.name] = str(error)
-    return tuple(modelled_wires), refused
+    return modelled_wires, refused
 
 
 def _find_removed_wires(folder: Path, names: Sequence[str]) -> tuple[str, ...]:

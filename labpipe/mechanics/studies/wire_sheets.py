@@ -287,7 +287,7 @@ def _parse_rows(block_type: type[_B], rows: Sequence[Mapping[str, Cell]], file: 
     faults: list[PlacedFault] = []
     for row in rows:
         cells = {key: cell for key, cell in row.items() if key in block_type.model_fields}
-        block = block_type.read(get_texts(cells))
+        block = block_type.read({key: cell.text for key, cell in cells.items()})
         if isinstance(block, list):
             faults += place_faults(block, cells)
         else:
@@ -315,11 +315,6 @@ def _find_table(column: str, name: Cell, path: Path) -> tuple[Table, Path]:
     sheet_place = f"sheet '{sheet_name}'"
     cells = read_workbook_cells(path, sheet_name, sheet_place)
     return split_table(cells, path, rows_of=rows_of, place=sheet_place), path
-
-
-def get_texts(row: Mapping[str, Cell]) -> dict[str, str]:
-    """Get the text of each cell of a row, keyed by column."""
-    return {name: cell.text for name, cell in row.items()}
 
 
 def place_faults(faults: Iterable[Fault], row: Mapping[str, Cell]) -> Iterator[PlacedFault]:
@@ -433,7 +428,7 @@ def read_wire_sheet(path: Path) -> WireSheet:
     tables: dict[tuple[str, str], StatedCurve] = {}
     wire_rows: list[WireRow] = []
     for row in rows:
-        wire_row = WireRow.read(get_texts(row))
+        wire_row = WireRow.read({name: cell.text for name, cell in row.items()})
         if isinstance(wire_row, list):
             messages += format_faults(path, place_faults(wire_row, row))
         else:
