@@ -238,13 +238,6 @@ class TrackletTake:
         frames = f"frame {first}" if stop - start == 1 else f"frames {first} to {last}"
         return f"{frames} ({self.time[start]:.3f} s to {self.time[stop - 1]:.3f} s)"
 
-    def make_note(
-        self, message: str, label: int, start: int, stop: int, *periods: tuple[float, float]
-    ) -> QualityNote:
-        """Make a note on a column in a stretch of frames, `stop` excluded."""
-        name, span = self.names[label], self.describe(start, stop)
-        return QualityNote.of(message, f"{name}, {span}", *periods, name=name, span=span)
-
 
 def make_repair_notes(
     take: TrackletTake,
@@ -275,7 +268,7 @@ def make_repair_notes(
         *_make_stretch_notes("markers.pose_frozen", take, is_frozen, take.names),
         *_make_relabel_notes(take, naming, measured),
         *(
-            take.make_note("markers.label_by_elimination", label, chain.start, chain.stop)
+            _make_span_note("markers.label_by_elimination", take, label, chain.start, chain.stop)
             for label, chain in naming.eliminated
         ),
         *_make_jump_notes(take, links, naming),
@@ -284,6 +277,19 @@ def make_repair_notes(
         *_make_ambiguity_notes(take, links, naming),
         *_make_dropped_notes(take, naming, measured),
     )
+
+
+def _make_span_note(
+    message: str,
+    take: TrackletTake,
+    label: int,
+    start: int,
+    stop: int,
+    *periods: tuple[float, float],
+) -> QualityNote:
+    """Make a note on a column in a stretch of frames, `stop` excluded."""
+    name, span = take.names[label], take.describe(start, stop)
+    return QualityNote.of(message, f"{name}, {span}", *periods, name=name, span=span)
 
 
 def _make_missing_notes(
@@ -365,7 +371,7 @@ def _make_jump_notes(take: TrackletTake, links: Links, naming: Naming) -> Iterat
         for previous, following in pairwise(chains):
             if following.start == previous.stop and links.successor[previous.tracklets[-1]] < 0:
                 frame = following.start
-                yield take.make_note("markers.marker_jump", label, frame, frame + 1)
+                yield _make_span_note("markers.marker_jump", take, label, frame, frame + 1)
 
 
 def _make_ambiguity_notes(
@@ -382,7 +388,7 @@ def _make_ambiguity_notes(
     for chain in naming.doubtful:
         start, stop = chain.start, chain.stop
         period = float(take.time[start]), float(take.time[stop - 1])
-        yield take.make_note("markers.second_track", chain.label, start, stop, period)
+        yield _make_span_note("markers.second_track", take, chain.label, start, stop, period)
 
 
 def _make_dropped_notes(
