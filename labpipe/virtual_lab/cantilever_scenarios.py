@@ -519,9 +519,14 @@ def solve_path(test: MechanicalTest) -> MechanicalPath:
         for goal in (test.stroke, 0.0):
             branch = _Branch(test, rig, cycle, max_curvature)
             for shapes in branch.solve(state, goal):
-                segment = _build_segment(shapes, cycle, goal > 0.0, progress)
-                cycles[-1].append(segment)
-                state, progress = shapes[-1].state, float(segment.progress[-1])
+                travel = np.array([shape.state.travel for shape in shapes])
+                distance = progress + np.abs(travel - travel[0])
+                arrays = {
+                    name: np.array([getattr(shape, name) for shape in shapes])
+                    for name in ("tension", "x", "y", "angle")
+                }
+                cycles[-1].append(Segment(cycle, goal > 0.0, distance, travel, **arrays))
+                state, progress = shapes[-1].state, float(distance[-1])
                 max_curvature = _find_largest_curvature(shapes, max_curvature)
     return MechanicalPath(test, rig, rest, tuple(s for segments in cycles for s in segments))
 
@@ -634,18 +639,6 @@ def _is_same_state(first: WireState, second: WireState) -> bool:
     return bool(np.max(np.abs(first.plays - second.plays), initial=0.0) <= 1e-9 * largest)
 
 
-def _build_segment(
-    shapes: list[CantileverShape], cycle: int, is_loading: bool, progress: float
-) -> Segment:
-    """Build a segment from its shapes; it begins at a progress, m."""
-    travel = np.array([shape.state.travel for shape in shapes])
-    arrays = {
-        name: np.array([getattr(shape, name) for shape in shapes])
-        for name in ("tension", "x", "y", "angle")
-    }
-    return Segment(cycle, is_loading, progress + np.abs(travel - travel[0]), travel, **arrays)
-
-
 KINK_WINDOW = (0.2e-3, 5e-3)
 """Range of displacement of the kink and of the initial stiffness, m."""
 TRUTH_POINTS = 20_001
@@ -654,19 +647,14 @@ _INITIAL_RANGE = 5e-3
 """Range of displacement of the stiffness after zero force, m."""
 _FIT_POINTS = 800
 """Number of points of the curve to which lines are fitted."""
+_WEIGHT_ROOTS = np.sqrt(np.pad(np.ones(_FIT_POINTS - 2), 1, constant_values=0.5))
+"""Square roots of the trapezoidal weights of these points."""
 
 
 def fit_slope(displacement: Floats, force: Floats, start: float, stop: float) -> float:
     """Fit a line between two displacements by least squares; return its slope, N/m."""
     grid = np.linspace(start, stop, _FIT_POINTS)
-    return float(np.polyfit(grid, np.interp(grid, displacement, force), 1, w=_build_weights())[0])
-
-
-def _build_weights() -> Floats:
-    """Build the square roots of the trapezoidal weights of a grid."""
-    roots = np.ones(_FIT_POINTS)
-    roots[[0, -1]] = np.sqrt(0.5)
-    return roots
+    return float(np.polyfit(grid, np.interp(grid, displacement, force), 1, w=_WEIGHT_ROOTS)[0])
 
 
 def evaluate_loading(displacement: Floats, force: Floats) -> Truth:
@@ -736,7 +724,7 @@ def find_kink(displacement: Floats, force: Floats, start: float, stop: float) ->
     -----
     The break point is refined by a parabola through the best point of the grid and its neighbours.
     """
-    grid, roots = np.linspace(start, stop, _FIT_POINTS), _build_weights()
+    grid, roots = np.linspace(start, stop, _FIT_POINTS), _WEIGHT_ROOTS
     forces = np.interp(grid, displacement, force)
 
     def fit(break_point: float) -> tuple[Floats, float]:

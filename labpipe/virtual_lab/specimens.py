@@ -455,7 +455,10 @@ def _build_law(bundle: BundleModel) -> PlayLaw:
     limits, stiffnesses = _build_sliders(bundle)
     laws = [(number, *find_corners(law)) for number, law in _list_laws(bundle)]
     last = min(WIRES[name].largest_curvature for name, _ in bundle.wires)
-    knots = _merge_corners([*(curvature for _, _, curvature, _ in laws), limits], last)
+    min_relative_distance = 1e-6  # between two corners
+    corners = np.concatenate([*(curvature for _, _, curvature, _ in laws), limits, [last]])
+    corners = np.unique(corners[(corners > 0.0) & (corners <= last)])
+    knots = corners[np.diff(corners, prepend=0.0) > min_relative_distance * corners]
     moment_sum = bundle.conduit_stiffness * knots
     for number, moment, curvature, slopes in laws:
         extrapolated = np.maximum(knots - curvature[-1], 0.0) / slopes[-1]
@@ -474,14 +477,6 @@ def _build_sliders(bundle: BundleModel) -> tuple[Floats, Floats]:
     stiffnesses = bundle.friction_share * layout.stiffness[off_axis]
     glue_stiffness = bundle.glue_share * float(np.sum(layout.stiffness * layout.is_outer))
     return np.append(limits, glue_limit), np.append(stiffnesses, glue_stiffness)
-
-
-def _merge_corners(corners: list[Floats], last: float) -> Floats:
-    """Merge the corners of laws up to the last curvature, 1/m, without repeats, sorted."""
-    min_relative_distance = 1e-6
-    curvatures = np.unique(np.append(np.concatenate(corners), last))
-    inner: Floats = curvatures[(curvatures > 0.0) & (curvatures <= last)]
-    return inner[np.diff(inner, prepend=0.0) > min_relative_distance * inner]
 
 
 def _read_bundles(kind: str) -> dict[str, BundleModel]:

@@ -631,19 +631,13 @@ class HalfBundle:
                 return None
             moment = unknowns[:-2]
             if np.max(np.abs(correction[:-2])) <= tolerance * (np.max(np.abs(moment)) + 1e-12):
-                return self._build_shape(unknowns, state.plays, goal_displacement, friction)
+                response = self.law.respond(moment, state.plays)
+                shape = self._compute_shape(response.curvature)
+                _, fy = _compute_direction(self._interpolate(shape, unknowns[-1])[2], friction)
+                force, contact = 2.0 * float(unknowns[-2]) * float(fy), float(unknowns[-1])
+                history = response.curvature, response.plays
+                return HalfShape(goal_displacement, force, contact, shape, moment, *history)
         return None
-
-    def _build_shape(
-        self, unknowns: Floats, plays: Floats, goal_displacement: float, friction: float
-    ) -> HalfShape:
-        """Build the shape from the solved unknowns."""
-        moment, normal, contact = unknowns[:-2], float(unknowns[-2]), float(unknowns[-1])
-        response = self.law.respond(moment, plays)
-        shape = self._compute_shape(response.curvature)
-        _, fy = _compute_direction(self._interpolate(shape, unknowns[-1])[2], friction)
-        geometry = goal_displacement, 2.0 * normal * float(fy), contact, shape
-        return HalfShape(*geometry, moment, response.curvature, response.plays)
 
     def _integrate(self, values: Floats) -> Floats:
         """Integrate from mid-span to each station by the trapezoidal rule."""

@@ -120,16 +120,13 @@ def _mesh_unit_half_bar(n_bricks_along: int) -> tuple[Floats, Ints]:
         np.column_stack([np.full(len(station_points), x), points[station_points]])
         for x, station_points in zip(station_x, stations, strict=True)
     ]
-    bricks = [_stack_bricks(numbers[2 * i : 2 * i + 3], quadrangles) for i in range(n_bricks_along)]
-    return np.concatenate(nodes), np.concatenate(bricks)
-
-
-def _stack_bricks(station_numbers: Ints, quadrangles: Ints) -> Ints:
-    """Number the nodes of the bricks of one layer, from the node numbers at its three stations."""
-    below, middle, above = (numbers[quadrangles] for numbers in station_numbers)
-    corners, mid_sides = slice(0, 4), slice(4, 8)
-    faces = (below[:, corners], above[:, corners], below[:, mid_sides], above[:, mid_sides])
-    return np.concatenate([*faces, middle[:, corners]], axis=1)
+    # node numbers of the quadrangles at the three stations of each layer of bricks
+    at_stations = numbers[:, quadrangles]
+    below, middle, above = at_stations[:-2:2], at_stations[1::2], at_stations[2::2]
+    corners, mid_sides = below[..., :4], below[..., 4:]
+    faces = (corners, above[..., :4], mid_sides, above[..., 4:])
+    bricks = np.concatenate([*faces, middle[..., :4]], axis=-1).reshape(-1, 20)
+    return np.concatenate(nodes), bricks
 
 
 def _mesh_half_disc() -> tuple[Floats, Ints]:

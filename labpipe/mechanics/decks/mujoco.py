@@ -76,8 +76,12 @@ def write_mujoco_deck(
     min_edges = 3
     settling_time = 35.0  # times the first angular frequency
     origin = "as given"
-    if stiffness is None:
-        stiffness, origin = _find_slope_at_zero(table)
+    if stiffness is None and table.slips_at_once:
+        stiffness = float(table.secant_stiffness[1])
+        origin = "the slope of the law at zero, its first secant, as strands slip at once"
+    elif stiffness is None:
+        stiffness = table.stick_stiffness
+        origin = "the slope of the law at zero, while all strands stick"
     length = table.spec.length if length is None else length
     require_positive("stiffness", stiffness)
     require_positive("length", length)
@@ -118,11 +122,3 @@ def write_mujoco_deck(
         circle=np.pi / 4.0 * table.layout.wire_radius**4,
         first_frequency=first_frequency,
     )
-
-
-def _find_slope_at_zero(table: WireTable) -> tuple[float, str]:
-    """Return the slope of the law at zero curvature, N m^2, and a description of its origin."""
-    if table.slips_at_once:
-        origin = "the slope of the law at zero, its first secant, as strands slip at once"
-        return float(table.secant_stiffness[1]), origin
-    return table.stick_stiffness, "the slope of the law at zero, while all strands stick"

@@ -56,7 +56,9 @@ def write_line_deck(line: Line, boundaries: Sequence[rod.Boundary], *, title: st
         torsional_stiffness=section.torsional_stiffness,
     )
     supports = [boundary for boundary in boundaries if isinstance(boundary, rod.Held)]
-    base = next((support for support in supports if _is_base(support)), None)
+    # A support that clamps the start of the line and never releases it is the base of the chain.
+    starts = [held for held in supports if held.node == 0 and held.frame is not None]
+    base = next((held for held in starts if held.release is None), None)
     strings = [boundary for boundary in boundaries if isinstance(boundary, rod.String)]
     loads = [boundary for boundary in boundaries if isinstance(boundary, rod.Load)]
     vectors = [boundary.vector[-1] for boundary in boundaries if isinstance(boundary, rod.Gravity)]
@@ -85,11 +87,6 @@ def write_line_deck(line: Line, boundaries: Sequence[rod.Boundary], *, title: st
     )
 
 
-def _is_base(support: rod.Held) -> bool:
-    """Return whether a support clamps the start of the line and never releases it."""
-    return support.node == 0 and support.frame is not None and support.release is None
-
-
 def _compute_poses(support: rod.Held) -> Floats:
     """Return position and quaternion of a mocap body, shape (steps + 1, 7)."""
     count = len(support.position)
@@ -108,7 +105,9 @@ def _list_bodies(
 ) -> list[dict[str, object]]:
     """Return the nested bodies of the chain, on its base or free in space."""
     frames = multiply(_find_frames(line, chain), _TO_BODY)
-    prefix = _find_unused_prefix([attachment.name for attachment in attachments])
+    prefix = "node"
+    while any(attachment.name.startswith(f"{prefix}_") for attachment in attachments):
+        prefix = f"_{prefix}"
     bodies: list[dict[str, object]] = [
         {
             "name": f"{prefix}_0" if base is None else base.name,
@@ -129,14 +128,6 @@ def _list_bodies(
         body_start = (node - 0.5) * chain.spacing if node else 0.0
         sites[node].append((attachment.name, arc_length - body_start))
     return [{**body, "sites": body_sites} for body, body_sites in zip(bodies, sites, strict=True)]
-
-
-def _find_unused_prefix(names: Sequence[str]) -> str:
-    """Return a prefix for names of the chain's bodies with which no other name begins."""
-    prefix = "node"
-    while any(name.startswith(f"{prefix}_") for name in names):
-        prefix = f"_{prefix}"
-    return prefix
 
 
 def _find_frames(line: Line, chain: Chain) -> Floats:

@@ -34,7 +34,6 @@ from labpipe.records.group import Band, SampleCurve
 from labpipe.records.quality import QualityNote, Reason
 from labpipe.records.wire import (
     Calibration,
-    CurveErrors,
     CurveMatch,
     ExternalCurve,
     ExternalCurveComparison,
@@ -169,7 +168,13 @@ def _compare_group(
     except ValueError as error:
         reason = Reason("no_prediction", str(error))
     else:
-        errors = _compute_errors(curves, prediction)
+        measured = np.concatenate([curve.deflection for curve in curves])
+        model_and_band = (
+            np.interp(measured, prediction.deflection, values)
+            for values in (prediction.force, prediction.lower, prediction.upper)
+        )
+        force = np.concatenate([curve.force for curve in curves])
+        errors = compute_curve_errors(force, *model_and_band)
         values = calibration.solutions[0].values
         solution = compute_calibrated_curve(
             wire, values, first_curve.length, first_curve.rig, max_deflection
@@ -210,17 +215,6 @@ def _compute_band(curves: Sequence[MeasuredCurve], prediction: Prediction | None
     residuals = interpolate_curves(block_means, [curve.test for curve in curves])
     force = residuals.force + predict_force(residuals.displacement)
     return compute_band(replace(residuals, force=force))
-
-
-def _compute_errors(curves: Sequence[MeasuredCurve], prediction: Prediction) -> CurveErrors:
-    """Compute the errors of all points of curves, and the fraction of points inside the band."""
-    deflection = np.concatenate([curve.deflection for curve in curves])
-    model, lower, upper = (
-        np.interp(deflection, prediction.deflection, values)
-        for values in (prediction.force, prediction.lower, prediction.upper)
-    )
-    measured = np.concatenate([curve.force for curve in curves])
-    return compute_curve_errors(measured, model, lower, upper)
 
 
 def note_insulations(
@@ -357,10 +351,13 @@ def compare_external_curves(
     loadings : first loadings of all tests. If no test has the wire and length of a curve, its rig
         is that of the first loading
     """
-    comparisons = []
+    comparisons, tests = [], [loading.curve for loading in loadings]
     for curve in curves:
         matches = (g for g in groups if _has_wire_and_length(curve, g.wire, g.length))
-        group, rig = next(matches, None), _choose_rig(curve, loadings)
+        group = next(matches, None)
+        rig = tests[0].rig and replace(tests[0].rig, anchor_x=curve.length)
+        rigs = (test.rig for test in tests if _has_wire_and_length(curve, test.wire, test.length))
+        rig = next(rigs, rig)
         comparison = _compare_external_curve(curve, calibration, wires[curve.wire], group, rig)
         comparisons.append(comparison)
     return tuple(comparisons)
@@ -370,15 +367,6 @@ def _has_wire_and_length(curve: ExternalCurve, wire: str, length: float) -> bool
     """Return whether an external curve is of a given wire and free length."""
     max_length_difference = 1e-6  # m
     return curve.wire == wire and abs(curve.length - length) < max_length_difference
-
-
-def _choose_rig(curve: ExternalCurve, loadings: Sequence[FirstLoading]) -> StringRig | None:
-    """Choose the rig of the first test of the wire and length of a curve, or of the first test."""
-    for test in (loading.curve for loading in loadings):
-        if _has_wire_and_length(curve, test.wire, test.length):
-            return test.rig
-    rig = loadings[0].curve.rig
-    return None if rig is None else replace(rig, anchor_x=curve.length)
 
 
 def _compare_external_curve(
