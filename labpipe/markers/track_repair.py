@@ -280,16 +280,11 @@ def make_repair_notes(
 
 
 def _make_span_note(
-    message: str,
-    take: TrackletTake,
-    label: int,
-    start: int,
-    stop: int,
-    *periods: tuple[float, float],
+    message: str, take: TrackletTake, label: int, start: int, stop: int, *times: tuple[float, float]
 ) -> QualityNote:
     """Make a note on a column in a stretch of frames, `stop` excluded."""
     name, span = take.names[label], take.describe(start, stop)
-    return QualityNote.of(message, f"{name}, {span}", *periods, name=name, span=span)
+    return QualityNote.of(message, f"{name}, {span}", *times, name=name, span=span)
 
 
 def _make_missing_notes(
