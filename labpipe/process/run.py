@@ -43,7 +43,7 @@ from labpipe.protocol.yaml_text import parse_yaml
 from labpipe.records.curve import Bending
 from labpipe.records.recording import Recording
 from labpipe.records.result import Status, TestResult
-from labpipe.store.replace import finish_moves, is_unfinished, locked, map_errors, replace_files
+from labpipe.store.replace import finish_moves, is_unfinished, lock, map_errors, replace_files
 from labpipe.store.result_files import (
     RawTest,
     read_name,
@@ -136,7 +136,7 @@ def process(task: Task, say: Say = lambda _: None) -> ProcessedTest:
     source, has_finished_files = task.sheet, False
     is_in_place = source.suffix == ".h5" and task.results_folder in (None, source.parent)
     if is_in_place and is_unfinished(source.parent):  # a process was killed
-        with locked(source.parent), map_errors(source.parent):
+        with lock(source.parent), map_errors(source.parent):
             has_finished_files = finish_moves(source.parent)
     raw, protocol = read_source(source, follow_links=task.follow_links)
     say("process")
@@ -147,7 +147,7 @@ def process(task: Task, say: Say = lambda _: None) -> ProcessedTest:
         if not task.figures and read_run(folder / RESULT_FILE) == result.run:
             outdated_figures = []
     outdated_files = [FAILURE_FILE, *outdated_figures]
-    with locked(folder), replace_files(folder, owned=outdated_files) as new_folder:
+    with lock(folder), replace_files(folder, owned=outdated_files) as new_folder:
         say("write")
         with ThreadPoolExecutor(max_workers=1) as compressor:  # compression releases the GIL
             writing = compressor.submit(write_result, result, new_folder / RESULT_FILE)
@@ -181,7 +181,7 @@ def draw_figures(folder: Path) -> tuple[Path, ...]:
     """
     from labpipe.report.figures import save_figures
 
-    with locked(folder):
+    with lock(folder):
         result = read_result(folder / RESULT_FILE)
         with replace_files(folder, owned=_FIGURE_FILES) as new_folder:
             paths = save_figures(result, new_folder / FIGURES_FOLDER)
