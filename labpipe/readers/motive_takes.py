@@ -35,7 +35,13 @@ import numpy as np
 from labpipe.errors import ReadError
 from labpipe.readers.channels import ChannelChoice
 from labpipe.readers.number_table import Body, read_columns
-from labpipe.readers.raw_files import ContentError, map_read_errors, read_content, read_head
+from labpipe.readers.raw_files import (
+    ContentError,
+    map_read_errors,
+    read_content,
+    read_head,
+    require,
+)
 from labpipe.readers.recording_checks import make_clock_notes, make_track_notes
 from labpipe.readers.workbooks import clear_sheet_cache, format_rows, is_workbook, open_sheets
 from labpipe.records.arrays import Floats, Ints
@@ -632,15 +638,7 @@ def _read_line(take: _Take, cells: list[str]) -> None:
             else:
                 take.bodies[cells[1]] = _RowStyleBody(cells[1], cells[2], int(cells[3]))
         case _:
-            message = "unknown row type"
-            raise ValueError(message)
-
-
-def _check_length(cells: Sequence[str], length: int) -> None:
-    """Raise ValueError if a line has not the required number of cells."""
-    if len(cells) != length:
-        message = f"{len(cells)} instead of {length} cells"
-        raise ValueError(message)
+            require(False, "unknown row type")
 
 
 def _read_frame(take: _Take, cells: list[str]) -> None:
@@ -650,7 +648,8 @@ def _read_frame(take: _Take, cells: list[str]) -> None:
     count = int(cells[3])
     start = 4 + pose_cells * count
     n_points, width = int(cells[start]), 5 if take.version != "1.0" else 4
-    _check_length(cells, start + 1 + width * n_points)
+    n_cells = start + 1 + width * n_points
+    require(len(cells) == n_cells, f"{len(cells)} instead of {n_cells} cells")
     frame = float(cells[1]), float(cells[2]), count, n_points
     bodies = {body.id: body for body in take.bodies.values()}
     poses = [
@@ -672,13 +671,13 @@ def _read_frame(take: _Take, cells: list[str]) -> None:
 def _read_body(take: _Take, cells: list[str]) -> None:
     """Read a body line with counter, markers of the model, measured markers and mean error."""
     count, model_cells = int(cells[6]), 4 if take.version != "1.0" else 3
-    _check_length(cells, 7 + (model_cells + 5) * count + 1)
+    n_cells = 7 + (model_cells + 5) * count + 1
+    require(len(cells) == n_cells, f"{len(cells)} instead of {n_cells} cells")
     start = 7 + model_cells * count
     markers = [_parse_floats(cells[i : i + 3]) for i in range(start, start + 3 * count, 3)]
     error = float(cells[-1])
-    if not take.frames or float(cells[1]) != take.frames[-1][0]:
-        message = f"frame {cells[1]} has no frame line before it"
-        raise ValueError(message)
+    follows_frame = bool(take.frames) and float(cells[1]) == take.frames[-1][0]
+    require(follows_frame, f"frame {cells[1]} has no frame line before it")
     take.bodies[cells[3]].states[len(take.frames) - 1] = (int(cells[5]) == 0, error, markers)
 
 
