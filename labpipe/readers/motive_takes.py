@@ -73,11 +73,8 @@ Cells = Sequence[str]
 def recognise(path: Path) -> bool:
     """Return whether a file is a Motive export of either style, or a workbook of table style."""
     if not is_workbook(path):
-        return (
-            read_head(path, 64)
-            .removeprefix(BOM_UTF8)
-            .startswith(_TABLE_STYLE_STARTS + _ROW_STYLE_STARTS)
-        )
+        head = read_head(path, 64).removeprefix(BOM_UTF8)
+        return head.startswith(_TABLE_STYLE_STARTS + _ROW_STYLE_STARTS)
     try:
         return _find_sheet(path) is not None
     except ReadError:
@@ -130,6 +127,7 @@ def _read_table_style(content: bytes, path: Path, sheet: str = "") -> Recording:
     text = b"\n".join(lines).decode("utf-8", errors="replace")
     rows = [next(csv.reader([line], delimiter=separator), []) for line in text.split("\n")]
     header = parse_header(rows)
+    stated_rows = header.properties.get("Total Exported Frames", "")
     body = Body(
         data=content[sum(len(line) + 1 for line in lines[: header.rows]) :],
         names=header.names,
@@ -137,9 +135,7 @@ def _read_table_style(content: bytes, path: Path, sheet: str = "") -> Recording:
         first_line=header.rows + 1,
         separator=separator,
         decimal=".",
-        stated_rows=parse_count(
-            header.properties.get("Total Exported Frames", "").removesuffix(".0")
-        ),
+        stated_rows=parse_count(stated_rows.removesuffix(".0")),
         as_exported=not sheet,
         sheet=sheet,
     )
