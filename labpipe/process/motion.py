@@ -189,9 +189,9 @@ def average_equal_blocks(values: Floats, min_blocks: int) -> Floats:
     -------
     Shape (blocks,), block means. Last samples that do not fill a block are left out.
     """
-    size = max(1, len(values) // min_blocks)
-    means: Floats = values[: len(values) // size * size].reshape(-1, size).mean(axis=1)
-    return means
+    block_size = max(1, len(values) // min_blocks)
+    n_blocks = len(values) // block_size
+    return np.asarray(values[: n_blocks * block_size].reshape(n_blocks, block_size).mean(axis=1))
 
 
 def orient_force(force: Signal) -> Signal:
@@ -377,8 +377,8 @@ def _begins_and_ends_at_rest(signal: Signal) -> bool:
     """Return whether both ends of a record are near its smallest value, far below its peaks."""
     max_rest_level = 0.2  # above the smallest value, as a fraction of the range
     finite = drop_missing(signal.values)
-    size = max(1, len(finite) // 200)
-    end_levels = float(finite[:size].mean()), float(finite[-size:].mean())
+    n_end = max(1, len(finite) // 200)
+    end_levels = float(finite[:n_end].mean()), float(finite[-n_end:].mean())
     return max(end_levels) < float(finite.min()) + max_rest_level * float(np.ptp(finite))
 
 

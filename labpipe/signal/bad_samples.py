@@ -285,9 +285,9 @@ class _Channel:
         if paired is None:
             return False
         min_travel = noise_factor * estimate_noise_level(paired)
-        size = max(1, min(length // 4, max(8, len(paired) // 50)))
-        low, high = max(0, sample - size), min(len(paired) - 1, sample + size)
-        travel, duration = (np.diff(values[[low, sample, high]]) for values in (paired, self.time))
+        reach = max(1, min(length // 4, max(8, len(paired) // 50)))
+        samples = [max(0, sample - reach), sample, min(len(paired) - 1, sample + reach)]
+        travel, duration = (np.diff(values[samples]) for values in (paired, self.time))
         if not (np.abs(travel) > min_travel).all():  # also if a value is NaN
             return False
         speed_before, speed_after = travel / np.maximum(duration, 1e-12)
@@ -377,12 +377,12 @@ def find_spikes(force: Floats) -> Ints:
     window_rows = np.clip(uneven[:, None] + np.arange(-half_window, half_window + 1), 0, len(f) - 1)
     deviation = f[uneven] - np.partition(f[window_rows], half_window, axis=1)[:, half_window]
     is_far = np.abs(deviation) > min_deviation
-    indices, size = uneven[is_far], np.abs(deviation[is_far])
+    indices, sizes = uneven[is_far], np.abs(deviation[is_far])
     spikes = [indices[:0]]
     for run in np.split(np.arange(len(indices)), np.flatnonzero(np.diff(indices) > 1) + 1):
         # The spike shifts the medians of its neighbours, which deviate less and are excluded.
-        core = run[size[run] > 0.3 * size[run].max(initial=0.0)]
-        if len(core) and _is_spike(f, indices[core], float(size[core].min())):
+        core = run[sizes[run] > 0.3 * sizes[run].max(initial=0.0)]
+        if len(core) and _is_spike(f, indices[core], float(sizes[core].min())):
             spikes.append(indices[core])
     ends = np.r_[:half_window, len(f) - half_window : len(f)]
     distance = np.maximum(f[ends] - levels.max(), levels.min() - f[ends])

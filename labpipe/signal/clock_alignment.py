@@ -323,17 +323,17 @@ def _compute_lag_correction(
 def _compute_bin_means(time: Floats, values: Floats, edges: Floats) -> Floats:
     """Compute the mean of the samples in each bin; NaN for an empty bin."""
     ends = np.searchsorted(time, edges)
-    low, high = ends[:-1], ends[1:]
-    filled = np.flatnonzero(high > low)
-    means: Floats = np.full(len(low), np.nan)
-    if len(filled) == 0:
+    starts, stops = ends[:-1], ends[1:]
+    filled_bins = np.flatnonzero(stops > starts)
+    means: Floats = np.full(len(starts), np.nan)
+    if len(filled_bins) == 0:
         return means
-    rows = slice(int(low[filled[0]]), int(high[filled[-1]]))
-    sums = np.add.reduceat(values[rows], low[filled] - rows.start)
-    means[filled] = sums / (high - low)[filled]
+    rows = slice(int(starts[filled_bins[0]]), int(stops[filled_bins[-1]]))
+    sums = np.add.reduceat(values[rows], starts[filled_bins] - rows.start)
+    means[filled_bins] = sums / (stops - starts)[filled_bins]
     # The samples of a bin are not centred in it, so that the mean is shifted to its middle.
-    offset = np.zeros(len(low))
-    offset[filled] = 0.5 * (time[low[filled]] + time[high[filled] - 1])
-    offset[filled] -= 0.5 * (edges[1:] + edges[:-1])[filled]
+    offset = np.zeros(len(starts))
+    offset[filled_bins] = 0.5 * (time[starts[filled_bins]] + time[stops[filled_bins] - 1])
+    offset[filled_bins] -= 0.5 * (edges[1:] + edges[:-1])[filled_bins]
     centred: Floats = means - offset * np.gradient(means, edges[1] - edges[0])
     return centred

@@ -64,8 +64,8 @@ def fit_corner(time: Floats, values: Floats, *, guess: float, window: float) -> 
     """
     min_bins_per_side, min_side_samples = 600, 4
     is_used = (np.abs(time - guess) <= window) & ~np.isnan(values)
-    size = int(is_used.sum()) // (2 * min_bins_per_side)
-    t, y = average_blocks(time[is_used] - guess, values[is_used], size)
+    block_size = int(is_used.sum()) // (2 * min_bins_per_side)
+    t, y = average_blocks(time[is_used] - guess, values[is_used], block_size)
     if min((t < 0).sum(), (t > 0).sum()) < min_side_samples:
         return None
     grid = np.linspace(-0.5 * window, 0.5 * window, 41)
@@ -349,21 +349,21 @@ def _refine_grid(
     """
     n_times = 25
     max_log_likelihood_drop = 8.0  # times with a larger drop are not likely
-    low, high = ends
-    grid = _evaluate_grid(t, y, np.linspace(low, high, n_times), variance, dwell)
+    first, last = ends
+    grid = _evaluate_grid(t, y, np.linspace(first, last, n_times), variance, dwell)
     for _ in range(8):
         log_likelihoods = np.logaddexp.reduce(grid.log_likelihood, axis=1)
         drops = log_likelihoods.max() - log_likelihoods
         likely_rows = np.flatnonzero(drops < max_log_likelihood_drop)
-        first_row, last_row, width = int(likely_rows[0]), int(likely_rows[-1]), high - low
-        is_open_below = first_row == 0 and low > -_SEARCH_RANGE
-        is_open_above = last_row == n_times - 1 and high < _SEARCH_RANGE
+        first_row, last_row, width = int(likely_rows[0]), int(likely_rows[-1]), last - first
+        is_open_below = first_row == 0 and first > -_SEARCH_RANGE
+        is_open_above = last_row == n_times - 1 and last < _SEARCH_RANGE
         if not (is_open_below or is_open_above) and last_row - first_row >= n_times // 3:
             break
-        times = [low - 0.5 * width, *grid.times.tolist(), high + 0.5 * width]
-        low = max(-_SEARCH_RANGE, times[first_row])
-        high = min(_SEARCH_RANGE, times[last_row + 2])
-        grid = _evaluate_grid(t, y, np.linspace(low, high, n_times), variance, dwell)
+        times = [first - 0.5 * width, *grid.times.tolist(), last + 0.5 * width]
+        first = max(-_SEARCH_RANGE, times[first_row])
+        last = min(_SEARCH_RANGE, times[last_row + 2])
+        grid = _evaluate_grid(t, y, np.linspace(first, last, n_times), variance, dwell)
     return grid
 
 
