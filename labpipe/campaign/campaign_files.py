@@ -29,7 +29,7 @@ from labpipe.process.reading import fingerprint_dialect_cards, list_named_export
 from labpipe.process.run import PROCESSING_VERSION, make_input_key
 from labpipe.protocol.load import dump_protocol, find_protocol, load_test_sheet, resolve_protocol
 from labpipe.protocol.sheet_grammar import SHEET_NAME, TestSheet
-from labpipe.store.replace import TEMPORARY_FOLDERS, finish_moves, is_unfinished, locked, map_errors
+from labpipe.store.replace import TEMPORARY_FOLDERS, finish_moves, is_unfinished, lock, map_errors
 from labpipe.store.summaries import FAILURE_FILE, SUMMARY_FILE
 
 RAW, PROCESSED = "raw", "processed"
@@ -199,7 +199,7 @@ def find_outcome(campaign: CampaignFolders, test: str) -> OutcomeFiles:
     """
     folder = campaign.processed / test
     if is_unfinished(folder):  # a process that is still writing holds the lock
-        with suppress(StoreError), locked(folder), map_errors(folder):
+        with suppress(StoreError), lock(folder), map_errors(folder):
             finish_moves(folder)
     return OutcomeFiles(folder, _compute_signature(str(folder)))
 

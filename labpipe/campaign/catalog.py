@@ -25,7 +25,7 @@ from labpipe.campaign.campaign_files import UNKNOWN, MadeOf, OutcomeFiles
 from labpipe.errors import StoreError, UsageError
 from labpipe.messages import format_sentence
 from labpipe.process.output_paths import RESULT_FILE
-from labpipe.store.replace import locked, map_errors
+from labpipe.store.replace import lock, map_errors
 from labpipe.store.summaries import FAILURE_FILE, SUMMARY_FILE, compute_entry_seal, read_summary
 
 PENDING, RUNNING, OK, DOUBTFUL, FAILED, STALE, REJECTED = STATES = (
@@ -605,7 +605,7 @@ def open_catalog(folder: Path, notes: list[str]) -> Catalog:
     if not _can_write(path):
         notes.append(format_sentence("campaign.catalog_in_memory", path=path))
         return make_catalog(folder)
-    with locked(folder, timeout=lock_timeout):
+    with lock(folder, timeout=lock_timeout):
         try:
             return _open_file(path)  # another process has just made it
         except _NoCatalog as reason:

@@ -21,7 +21,7 @@ from labpipe.campaign.catalog import escape_surrogates
 from labpipe.errors import LabpipeError, StoreError, UsageError
 from labpipe.messages import format_sentence
 from labpipe.process.output_paths import RESULT_FILE, list_files_below
-from labpipe.store.replace import locked, replace_file
+from labpipe.store.replace import lock, replace_file
 from labpipe.store.result_files import read_run
 
 DECISIONS_FILE: Final = "decisions.json"
@@ -241,7 +241,7 @@ def add_decisions(folder: Path, campaign: str, decisions: Iterable[Decision]) ->
     know.
     """
     lock_timeout = 30.0  # s to wait for another process that writes
-    with locked(folder, timeout=lock_timeout):
+    with lock(folder, timeout=lock_timeout):
         stored = read_decisions(folder)
         if not stored.is_readable:
             raise UsageError("\n".join(stored.faults))

@@ -69,7 +69,7 @@ from labpipe.statistics.group_samples import (
 from labpipe.statistics.groups import PoolingLimits, build_group, compare_groups
 from labpipe.statistics.lots import judge_lot
 from labpipe.statistics.significance import judge_family, mark_outliers
-from labpipe.store.replace import locked, replace_files
+from labpipe.store.replace import lock, replace_files
 from labpipe.store.result_files import ReportedTest, read_reported, read_result
 from labpipe.store.summaries import SUMMARY_FILE, check_summary
 
@@ -559,7 +559,7 @@ def report_tests(
     tests = read_tests(find_results(targets), say)
     campaign = make_campaign(tests, options.title or tests.folder.resolve().name, options)
     folder = tests.folder / "report" if out is None else out
-    with locked(folder), replace_files(folder) as temporary_folder:
+    with lock(folder), replace_files(folder) as temporary_folder:
         say("report")
         samples = (*list_samples(campaign), *campaign.rejected_samples)
         report_id, pages = compute_report_id(campaign), dict[str, str]()

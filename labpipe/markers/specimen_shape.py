@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import partial
 from itertools import chain
 from typing import Any, Final, Literal
 
@@ -20,8 +20,6 @@ from labpipe.records.causes import CENTRE, GRIP, PULL
 from labpipe.records.curve import PointFlag, Shape
 from labpipe.records.quality import QualityNote
 
-MAX_CHANGE = 1e-10
-"""Largest change of arc lengths between rounds at convergence, m."""
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
 """Nodes and weights of Gauss-Legendre quadrature on [-1, 1]."""
 
@@ -85,12 +83,6 @@ def build_curve_basis(*, terms: int, length: float, clamped: bool, free_tip: boo
     ValueError
         If the conditions leave no free coefficient.
     """
-    return CurveBasis(length, _build_unit_basis(terms, clamped, free_tip))
-
-
-@cache
-def _build_unit_basis(terms: int, clamped: bool, free_tip: bool) -> Floats:
-    """Build the matrix of `build_curve_basis`, which does not depend on the length."""
     powers = np.arange(2 if clamped else 0, terms)
     if len(powers) < 1 + free_tip:
         needed = (2 if clamped else 0) + 1 + free_tip
@@ -100,7 +92,7 @@ def _build_unit_basis(terms: int, clamped: bool, free_tip: bool) -> Floats:
         tip_curvature = (powers * (powers - 1.0))[:, None]
         basis = basis @ np.linalg.qr(tip_curvature, mode="complete")[0][:, 1:]
     _, triangle = np.linalg.qr(compute_powers(np.linspace(0, 1, 10 * terms), terms) @ basis)
-    return np.asarray(basis @ np.linalg.inv(triangle), dtype=np.float64)
+    return CurveBasis(length, basis @ np.linalg.inv(triangle))
 
 
 def build_marker_design(basis: CurveBasis, arc_length: Floats, centre_offset: float) -> Floats:
@@ -133,21 +125,22 @@ class RestCurve:
     clamped_end : shape (3,), m, position of the clamped end or, without a clamp, of the beginning
     tangent : shape (3,), unit vector along the specimen at this point
     arc_length : shape (markers,), m, arc length from this point to the markers
+    ends : conditions at the ends of the curve of every frame
     """
 
     clamped_end: Floats
     tangent: Floats
     arc_length: Floats
+    ends: EndConditions
 
 
 def fit_rest_curve(
     markers: Floats,
     *,
-    grip_offset: float | None,
-    pull_offset: float,
-    centre_offset: float,
+    offsets: Offsets,
+    clamped: bool,
     free_tip: bool,
-    max_change: float = MAX_CHANGE,
+    max_change: float = 1e-10,
 ) -> RestCurve:
     """Fit the clamped end, its direction and the arc lengths of the markers to the shape at rest.
 
@@ -155,10 +148,8 @@ def fit_rest_curve(
     ----------
     markers : shape (markers, 3), m, relative to the pivot, in order along the specimen, with x
         along the specimen
-    grip_offset : distance from the pivot to the clamped end along the specimen, m; None for a
-        specimen without a clamp, which begins at its first marker
-    pull_offset : distance from the last marker to the pull point along the specimen, m
-    centre_offset : distance from the axis to the centres of the markers, m
+    offsets : offsets between markers and specimen
+    clamped : whether the specimen has a clamp; otherwise it begins at its first marker
     free_tip : whether the moment at the pull point is zero
     max_change : largest change of arc lengths at convergence, m, which takes at most 30 rounds
 
@@ -171,38 +162,34 @@ def fit_rest_curve(
     A cubic in arc length (a quadratic for few markers) is fitted with free position and slope at
     its beginning. The arc lengths are first those of the chords between the markers, then those of
     the fitted curve, until they converge. The beginning is moved along its tangent until its
-    distance from the pivot in this direction is `grip_offset`; the pivot need not be on the axis.
+    distance from the pivot in this direction is `offsets.grip`; the pivot need not be on the axis.
     """
-    max_rounds = 30
+    max_rounds, max_terms = 30, 4  # a cubic is enough, because the specimen is nearly straight
+    terms = min(max_terms, len(markers) - 1 + free_tip)
+    unit_basis = build_curve_basis(terms=terms, length=1.0, clamped=False, free_tip=free_tip)
     chords = np.linalg.norm(np.diff(markers, axis=0), axis=1)
     arc_length = np.r_[0.0, np.cumsum(chords)]
-    if grip_offset is not None:
-        arc_length += markers[0, 0] - grip_offset
+    if clamped:
+        arc_length += markers[0, 0] - offsets.grip
     for _ in range(max_rounds):
-        length = float(arc_length[-1]) + pull_offset
-        coefficients = _fit_rest_coefficients(markers, arc_length, length, centre_offset, free_tip)
+        length = float(arc_length[-1]) + offsets.pull
+        basis = replace(unit_basis, length=length)
+        design = build_marker_design(basis, arc_length, offsets.centre)
+        in_plane = np.linalg.lstsq(design, markers[:, :2].T.ravel(), rcond=None)[0].reshape(2, -1)
+        values = basis.compute_values(arc_length)
+        out_of_plane = np.linalg.lstsq(values, markers[:, 2], rcond=None)[0]
+        coefficients = np.vstack([in_plane, out_of_plane]) @ basis.matrix.T
         curve_length = _compute_curve_lengths(coefficients, arc_length, length)
         tangent = coefficients[:, 1] / np.linalg.norm(coefficients[:, 1])
-        shift = 0.0 if grip_offset is None else coefficients[:, 0] @ tangent - grip_offset
-        curve_length += shift - (curve_length[0] if grip_offset is None else 0.0)
+        shift = coefficients[:, 0] @ tangent - offsets.grip if clamped else 0.0
+        curve_length += shift if clamped else -curve_length[0]
         change = np.abs(curve_length - arc_length).max()
         arc_length = curve_length
         if change < max_change:
             break
-    return RestCurve(coefficients[:, 0] - shift * tangent, tangent, arc_length)
-
-
-def _fit_rest_coefficients(
-    markers: Floats, arc_length: Floats, length: float, centre_offset: float, free_tip: bool
-) -> Floats:
-    """Fit power series in s / length to the markers at rest; return coefficients (3, terms), m."""
-    rest_terms = 4  # a cubic is enough, because the specimen is nearly straight at rest
-    terms = min(rest_terms, len(markers) - 1 + free_tip)
-    basis = build_curve_basis(terms=terms, length=length, clamped=False, free_tip=free_tip)
-    design = build_marker_design(basis, arc_length, centre_offset)
-    in_plane = np.linalg.lstsq(design, markers[:, :2].T.ravel(), rcond=None)[0].reshape(2, -1)
-    z_coefficients = np.linalg.lstsq(basis.compute_values(arc_length), markers[:, 2], rcond=None)[0]
-    return np.asarray(np.vstack([in_plane, z_coefficients]) @ basis.matrix.T, dtype=np.float64)
+    length, direction = float(arc_length[-1]) + offsets.pull, tangent if clamped else None
+    ends = EndConditions(length=length, direction=direction, free_tip=free_tip)
+    return RestCurve(coefficients[:, 0] - shift * tangent, tangent, arc_length, ends)
 
 
 def _compute_curve_lengths(coefficients: Floats, arc_length: Floats, length: float) -> Floats:
@@ -515,20 +502,21 @@ def fit_shape(
     if (count := markers.shape[1]) < MIN_MARKERS:
         raise ValueError(format_sentence("markers.few_at_rest", count=count, needed=MIN_MARKERS))
     mean_markers = np.nanmean(markers[rest], axis=0)
-    fit_rest = partial(_fit_rest, mean_markers, clamped=clamped, free_tip=free_tip)
+    fit_rest = partial(fit_rest_curve, mean_markers, clamped=clamped, free_tip=free_tip)
     perturbed_offsets = offsets.perturb(uncertainties) if clamped else {}
     perturbed_tip = {}
     for cause, increased_offsets in perturbed_offsets.items():
-        rest_curve, ends = fit_rest(increased_offsets, max_change=perturbed_max_change)
+        rest_curve = fit_rest(offsets=increased_offsets, max_change=perturbed_max_change)
         fit = fit_frames(
             markers - rest_curve.clamped_end,
             rest_curve.arc_length,
             increased_offsets.centre,
-            ends,
+            rest_curve.ends,
             terms=terms,
         )
         perturbed_tip[cause] = fit.last_point[:, 1]
-    rest_curve, ends = fit_rest(offsets, max_change=MAX_CHANGE)
+    rest_curve = fit_rest(offsets=offsets)
+    ends = rest_curve.ends
     markers = markers - (rest_curve.clamped_end if clamped else 0.0)
     fit_inputs = (markers, rest_curve.arc_length, offsets.centre, ends)
     fit = fit_frames(*fit_inputs, terms=terms)
@@ -566,26 +554,6 @@ def fit_shape(
         perturbed_tip=perturbed_tip,
         notes=tuple(_make_notes(names, is_seen_at_rest, fit, time)),
     )
-
-
-def _fit_rest(
-    markers: Floats, offsets: Offsets, *, clamped: bool, free_tip: bool, max_change: float
-) -> tuple[RestCurve, EndConditions]:
-    """Fit the curve at rest to the mean markers (markers, 3), and make the end conditions."""
-    rest_curve = fit_rest_curve(
-        markers,
-        grip_offset=offsets.grip if clamped else None,
-        pull_offset=offsets.pull,
-        centre_offset=offsets.centre,
-        free_tip=free_tip,
-        max_change=max_change,
-    )
-    ends = EndConditions(
-        length=float(rest_curve.arc_length[-1]) + offsets.pull,
-        direction=rest_curve.tangent if clamped else None,
-        free_tip=free_tip,
-    )
-    return rest_curve, ends
 
 
 def compute_deflection(shape: Shape, *, rest: Selection) -> Floats:

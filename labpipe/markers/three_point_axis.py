@@ -379,7 +379,11 @@ def fit_span(
     if sections.count < TERMS + 3:
         count, needed = sections.count, TERMS + 3
         raise ValueError(format_sentence("markers.few_sections", count=count, needed=needed))
-    _check_span(sections, span)
+    x = np.sort(sections.x)
+    n_inside = max(int(np.sum((x >= start) & (x <= start + span))) for start in x)
+    if n_inside < TERMS + 2:
+        facts = {"count": sections.count, "inside": n_inside, "span": 1e3 * span}
+        raise ValueError(format_sentence("markers.few_inside", needed=TERMS + 2, **facts))
     bent_frames = np.flatnonzero(is_bent)
     numbers = np.linspace(0, len(bent_frames) - 1, min(max_frames, len(bent_frames))).astype(int)
     sampled_frames = replace(sections, markers=sections.markers[bent_frames[numbers]])
@@ -392,21 +396,12 @@ def fit_span(
         fits.append((misfit, axis, mid_span, curvature))
     fits.sort(key=lambda fit: fit[0])
     _, axis, mid_span, curvature = fits[0]
-    low, high = 1e3 * (sections.x.min() - mid_span), 1e3 * (sections.x.max() - mid_span)
+    low, high = 1e3 * (x[[0, -1]] - mid_span)
     reach = 1e3 * min_reach * 0.5 * span
     if low > -reach or high < reach:
         raise ValueError(format_sentence("markers.short_reach", low=low, high=high, reach=reach))
     side_change = abs(fits[-1][3] / curvature - 1.0)
     return replace(_fit_shapes(sections, axis, mid_span, span, radius), side_change=side_change)
-
-
-def _check_span(sections: Sections, span: float) -> None:
-    """Raise ValueError if no position of the supports has enough sections between them."""
-    x = np.sort(sections.x)
-    n_inside = max(int(np.sum((x >= start) & (x <= start + span))) for start in x)
-    if n_inside < TERMS + 2:
-        facts = {"count": sections.count, "inside": n_inside, "span": 1e3 * span}
-        raise ValueError(format_sentence("markers.few_inside", needed=TERMS + 2, **facts))
 
 
 def _find_mid_span(

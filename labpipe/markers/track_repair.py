@@ -120,9 +120,8 @@ def repair_tracks(
         text = format_sentence("markers.few_markers", count=count, needed=needed, names=name_list)
         raise ValueError(text)
     take = TrackletTake(names, tracks.frames, time, tracklets)
-    positions, flags = _assemble_markers(measured, tracklets, naming)
-    gaps = _flag_gaps(tracklets, links, naming, len(measured))
-    _fill_gaps(positions, flags, origin, time, gaps)
+    positions, flags = _assemble_markers(measured, tracklets, links, naming)
+    _fill_gaps(positions, flags, origin, time)
     notes = make_repair_notes(take, links, naming, is_frozen, flags, measured=measured)
     return RepairedTracks(marker_names, positions, flags, notes)
 
@@ -150,19 +149,24 @@ def _fill_linearly(reference: Floats, time: Floats) -> Floats:
 
 
 def _assemble_markers(
-    measured: Floats, tracklets: Tracklets, naming: Naming
+    measured: Floats, tracklets: Tracklets, links: Links, naming: Naming
 ) -> tuple[Floats, NDArray[np.uint8]]:
-    """Assemble the measured positions, m, and the flags of each marker from its tracklets."""
+    """Assemble the measured positions, m, and the flags of each marker from its tracklets.
+
+    Frames between joined tracklets are flagged as filled; their positions are still NaN.
+    """
     shape = (len(measured), len(naming.markers))
     positions = np.full((*shape, 3), np.nan)
     flags = np.full(shape, PointFlag.MISSING, dtype=np.uint8)
     for marker, (label, chains) in enumerate(naming.markers.items()):
         for tracklet in _list_tracklets(chains):
-            column = tracklets.column[tracklet]
+            column, following = tracklets.column[tracklet], links.successor[tracklet]
             frames = slice(tracklets.start[tracklet], tracklets.stop[tracklet])
             positions[frames, marker] = measured[frames, column]
             has_own_label = column == label
             flags[frames, marker] = PointFlag.MEASURED if has_own_label else PointFlag.RELABELLED
+            if following >= 0:
+                flags[frames.stop : tracklets.start[following], marker] = PointFlag.FILLED
     return positions, flags
 
 
@@ -171,27 +175,14 @@ def _list_tracklets(chains: tuple[Chain, ...]) -> list[int]:
     return [tracklet for chain in chains for tracklet in chain.tracklets]
 
 
-def _flag_gaps(tracklets: Tracklets, links: Links, naming: Naming, n_frames: int) -> Flags:
-    """Flag the frames between joined tracklets of a marker, shape (frames, markers)."""
-    is_gap = np.zeros((n_frames, len(naming.markers)), dtype=np.bool_)
-    for marker, chains in enumerate(naming.markers.values()):
-        for tracklet in _list_tracklets(chains):
-            following = links.successor[tracklet]
-            if following >= 0:
-                is_gap[tracklets.stop[tracklet] : tracklets.start[following], marker] = True
-    return is_gap
-
-
-def _fill_gaps(
-    positions: Floats, flags: NDArray[np.uint8], origin: Floats, time: Floats, is_gap: Flags
-) -> None:
-    """Fill the gaps in place by cubics in the positions relative to `origin`, and flag them."""
+def _fill_gaps(positions: Floats, flags: NDArray[np.uint8], origin: Floats, time: Floats) -> None:
+    """Fill the gaps in place by cubics in the positions relative to `origin`."""
+    is_gap = flags == PointFlag.FILLED
     for marker in np.flatnonzero(is_gap.any(axis=0)):
-        measured = np.flatnonzero(flags[:, marker] != PointFlag.MISSING)
+        measured = np.flatnonzero(~is_gap[:, marker] & (flags[:, marker] != PointFlag.MISSING))
         path = positions[measured, marker] - origin[measured]
         gap = np.flatnonzero(is_gap[:, marker])
         positions[gap, marker] = origin[gap] + _bridge_path(time[measured], path, time[gap])
-        flags[gap, marker] = PointFlag.FILLED
 
 
 def _bridge_path(time: Floats, path: Floats, gap_times: Floats) -> Floats:
@@ -276,13 +267,24 @@ def make_repair_notes(
         *_make_missing_notes(take, naming, measured),
         *_make_stretch_notes("markers.pose_frozen", take, is_frozen, take.names),
         *_make_relabel_notes(take, naming, measured),
-        *_make_elimination_notes(take, naming),
+        *(
+            _make_span_note("markers.label_by_elimination", take, label, chain.start, chain.stop)
+            for label, chain in naming.eliminated
+        ),
         *_make_jump_notes(take, links, naming),
         *_make_stretch_notes("markers.gap_filled", take, flags == PointFlag.FILLED, markers),
         *_make_stretch_notes("markers.gap_left", take, flags == PointFlag.MISSING, markers),
         *_make_ambiguity_notes(take, links, naming),
         *_make_dropped_notes(take, naming, measured),
     )
+
+
+def _make_span_note(
+    message: str, take: TrackletTake, label: int, start: int, stop: int, *times: tuple[float, float]
+) -> QualityNote:
+    """Make a note on a column in a stretch of frames, `stop` excluded."""
+    name, span = take.names[label], take.describe(start, stop)
+    return QualityNote.of(message, f"{name}, {span}", *times, name=name, span=span)
 
 
 def _make_missing_notes(
@@ -327,7 +329,12 @@ def _make_relabel_notes(
     """Yield a note on each exchange of labels, and on each stretch without a label."""
     exchanges: dict[tuple[int, int], list[tuple[str, str]]] = {}
     for label, chains in naming.markers.items():
-        for column, start, stop in _list_relabelled_stretches(take.tracklets, label, chains):
+        indices = _list_tracklets(chains)
+        for column, group in groupby(indices, key=lambda i: int(take.tracklets.column[i])):
+            if column == label:
+                continue
+            run = list(group)
+            start, stop = int(take.tracklets.start[run[0]]), int(take.tracklets.stop[run[-1]])
             name, other_label = take.names[label], take.names[column]
             text, span = f"{name} was labelled as {other_label}", take.describe(start, stop)
             if is_unlabelled(other_label):
@@ -353,31 +360,13 @@ def _describe_distance(track: Floats, continuation: Floats, start: int, stop: in
     return f", {1e3 * largest:.2f} mm apart where they meet" if np.isfinite(largest) else ""
 
 
-def _list_relabelled_stretches(
-    tracklets: Tracklets, label: int, chains: tuple[Chain, ...]
-) -> Iterator[tuple[int, int, int]]:
-    """Yield column, start and stop of the stretches of a marker under another label."""
-    for column, group in groupby(_list_tracklets(chains), key=lambda i: int(tracklets.column[i])):
-        run = list(group)
-        if column != label:
-            yield column, int(tracklets.start[run[0]]), int(tracklets.stop[run[-1]])
-
-
-def _make_elimination_notes(take: TrackletTake, naming: Naming) -> Iterator[QualityNote]:
-    """Yield a note on each chain that was assigned to the only missing marker."""
-    for label, chain in naming.eliminated:
-        name, span = take.names[label], take.describe(chain.start, chain.stop)
-        where = f"{name}, {span}"
-        yield QualityNote.of("markers.label_by_elimination", where, name=name, span=span)
-
-
 def _make_jump_notes(take: TrackletTake, links: Links, naming: Naming) -> Iterator[QualityNote]:
     """Yield a note on each jump between successive chains of a marker."""
     for label, chains in naming.markers.items():
         for previous, following in pairwise(chains):
             if following.start == previous.stop and links.successor[previous.tracklets[-1]] < 0:
-                name, span = take.names[label], take.describe(following.start, following.start + 1)
-                yield QualityNote.of("markers.marker_jump", f"{name}, {span}", name=name, span=span)
+                frame = following.start
+                yield _make_span_note("markers.marker_jump", take, label, frame, frame + 1)
 
 
 def _make_ambiguity_notes(
@@ -392,10 +381,9 @@ def _make_ambiguity_notes(
         where, period = f"{names}, {span}", (float(take.time[last_frame]), float(take.time[-1]))
         yield QualityNote.of("markers.label_ambiguous", where, period, names=names, span=span)
     for chain in naming.doubtful:
-        name, span = take.names[chain.label], take.describe(chain.start, chain.stop)
-        period = float(take.time[chain.start]), float(take.time[chain.stop - 1])
-        where = f"{name}, {span}"
-        yield QualityNote.of("markers.second_track", where, period, name=name, span=span)
+        start, stop = chain.start, chain.stop
+        period = float(take.time[start]), float(take.time[stop - 1])
+        yield _make_span_note("markers.second_track", take, chain.label, start, stop, period)
 
 
 def _make_dropped_notes(
@@ -407,19 +395,19 @@ def _make_dropped_notes(
         columns = take.tracklets.column[list(chain.tracklets)]
         names = ", ".join(dict.fromkeys(take.names[column] for column in columns))
         span = take.describe(chain.start, chain.stop)
-        size, where = 1e3 * _compute_extent(take.tracklets, chain, measured), f"{names}, {span}"
+        tracks = take.tracklets
+        points = [
+            measured[tracks.start[i] : tracks.stop[i], tracks.column[i]] for i in chain.tracklets
+        ]
+        # diagonal of the bounding box of the track
+        size, where = (
+            1e3 * np.linalg.norm(np.ptp(np.concatenate(points), axis=0)),
+            f"{names}, {span}",
+        )
         yield QualityNote.of("markers.track_dropped", where, names=names, span=span, size=size)
     if count := len(unlisted := chains[_MAX_NOTES:]):
         frames = sum(chain.frames for chain in unlisted)
         yield QualityNote.of("markers.tracks_dropped", "markers", count=count, frames=frames)
-
-
-def _compute_extent(tracklets: Tracklets, chain: Chain, measured: Floats) -> float:
-    """Compute the diagonal of the bounding box of a track, m."""
-    bounds = zip(tracklets.start, tracklets.stop, tracklets.column, strict=True)
-    stretches = [measured[start:stop, column] for start, stop, column in bounds]
-    points = np.concatenate([stretches[tracklet] for tracklet in chain.tracklets])
-    return float(np.linalg.norm(np.ptp(points, axis=0)))
 
 
 def group_rings(names: Sequence[str]) -> dict[str, tuple[str, ...]]:

@@ -131,7 +131,10 @@ def _find_jumps(positions: Floats, relative: Floats, time: Floats, max_jump: flo
     is_jump: Flags = np.asarray(squared_steps > (max_jump * n_periods[:, None]) ** 2, np.bool_)
     # Two markers closer than max_jump can exchange labels without a jump.
     frames = np.flatnonzero((squared_steps > (max_jump / 4) ** 2).sum(axis=1) > 1)
-    is_jump[frames] |= _flag_exchanges(relative[frames], relative[frames + 1])
+    offsets = relative[frames + 1][:, :, None] - relative[frames][:, None]
+    distances = np.linalg.norm(offsets, axis=3)
+    is_nearer = distances < np.einsum("fii->fi", distances)[:, :, None]
+    is_jump[frames] |= (is_nearer & is_nearer.transpose(0, 2, 1)).any(axis=2)
     return is_jump
 
 
@@ -141,27 +144,17 @@ def _compute_squared_steps(positions: Floats) -> Floats:
     return np.asarray(np.einsum("fmi,fmi->fm", steps, steps), dtype=np.float64)
 
 
-def _flag_exchanges(positions_before: Floats, positions_after: Floats) -> Flags:
-    """Flag tracks that exchange positions with another track between two frames."""
-    distances = np.linalg.norm(positions_after[:, :, None] - positions_before[:, None], axis=3)
-    steps = np.einsum("fii->fi", distances)
-    is_nearer = distances < steps[:, :, None]
-    return np.asarray((is_nearer & is_nearer.transpose(0, 2, 1)).any(axis=2), dtype=np.bool_)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Links:
     """Links between tracklets.
 
     Parameters
     ----------
-    chain : shape (tracklets,), number of the chain of each tracklet
     successor : shape (tracklets,), number of the next tracklet of the chain, -1 at its end
     ambiguous : pairs of tracklets that compete with a link of similar distance; their labels are
         not changed
     """
 
-    chain: Ints
     successor: Ints
     ambiguous: tuple[tuple[int, int], ...]
 
@@ -222,7 +215,7 @@ def link_tracklets(
         (int(pairs.end[index]), int(pairs.start[index if changes_label[index] else rival]))
         for index, rival in rivals_of_pairs.items()
     )
-    return Links(_number_chains(successor), successor, ambiguous)
+    return Links(successor, ambiguous)
 
 
 def _find_candidates(
@@ -272,40 +265,27 @@ def _choose_pairs(pairs: _Pairs, *, unlinked_cost: float) -> list[int]:
     """Choose the pairs of the assignment with the smallest total cost; return their indices."""
     if all(len(np.unique(side)) == len(side) for side in (pairs.end, pairs.start)):
         return list(np.argsort(pairs.end).tolist())  # no pair competes with another
-    from scipy.optimize import linear_sum_assignment  # slow import, not needed by tensile tests
+    from scipy.sparse import coo_array  # slow import, not needed by tensile tests
+    from scipy.sparse.csgraph import min_weight_full_bipartite_matching
 
-    chosen: list[int] = []
-    for group in _group_pairs(pairs):
-        ends, row = np.unique(pairs.end[group], return_inverse=True)
-        starts, column = np.unique(pairs.start[group], return_inverse=True)
-        saving = np.zeros((len(ends), len(starts)))
-        saving[row, column] = unlinked_cost - pairs.cost[group]
-        index = np.full(saving.shape, -1)
-        index[row, column] = group
-        best_pairs = index[linear_sum_assignment(saving, maximize=True)]
-        chosen.extend(int(pair) for pair in best_pairs if pair >= 0)
-    return chosen
-
-
-def _group_pairs(pairs: _Pairs) -> list[Ints]:
-    """Group the pairs with common ends or starts, directly or indirectly."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    ends, starts = np.unique(pairs.end), np.unique(pairs.start)
-    row, column = np.searchsorted(ends, pairs.end), np.searchsorted(starts, pairs.start)
-    nodes = len(ends) + len(starts)
-    graph = coo_array((np.ones(len(row)), (row, len(ends) + column)), shape=(nodes, nodes))
-    group = connected_components(graph, directed=False)[1][row]
-    order = np.argsort(group, kind="stable")
-    return np.split(order, np.flatnonzero(np.diff(group[order])) + 1) if len(order) else []
+    ends, row = np.unique(pairs.end, return_inverse=True)
+    starts, column = np.unique(pairs.start, return_inverse=True)
+    # Each end may also be matched with a column of its own, and is then unlinked. The same amount
+    # is added to all weights, because a weight of 0 would be no edge.
+    own_row = np.arange(len(ends))
+    weights = unlinked_cost + np.append(pairs.cost, np.full(len(ends), unlinked_cost))
+    places = np.append(row, own_row), np.append(column, len(starts) + own_row)
+    graph = coo_array((weights, places), shape=(len(ends), len(starts) + len(ends))).tocsr()
+    index = {place: i for i, place in enumerate(zip(row.tolist(), column.tolist(), strict=True))}
+    matches = zip(*(x.tolist() for x in min_weight_full_bipartite_matching(graph)), strict=True)
+    return [index[match] for match in matches if match in index]
 
 
 def _find_rivals(
     pairs: _Pairs, chosen: list[int], tracklets: Tracklets, margin: float
 ) -> Iterable[tuple[int, int]]:
     """Yield the index of each chosen pair with a rival of similar distance, and of the rival."""
-    column = tracklets.column
+    column, first, last = tracklets.column, tracklets.start, tracklets.stop
     pairs_by_end, pairs_by_start = _group_by_value(pairs.end), _group_by_value(pairs.start)
     for index in chosen:
         end, start = int(pairs.end[index]), int(pairs.start[index])
@@ -313,8 +293,10 @@ def _find_rivals(
         max_distance = pairs.distance[index] + (margin if changes_label else 0.0)
         for rival in pairs_by_end[end] + pairs_by_start[start]:
             rival_end, rival_start = int(pairs.end[rival]), int(pairs.start[rival])
+            # Two tracklets with a common frame are different points.
             competes = any(
-                _share_frame(tracklets, *x) for x in ((start, rival_start), (end, rival_end))
+                a != b and max(first[a], first[b]) < min(last[a], last[b])
+                for a, b in ((start, rival_start), (end, rival_end))
             )
             is_relevant = changes_label or column[rival_end] != column[rival_start]
             if rival != index and competes and is_relevant and pairs.distance[rival] < max_distance:
@@ -328,25 +310,6 @@ def _group_by_value(keys: Ints) -> dict[int, list[int]]:
     for index, key in enumerate(keys.tolist()):
         indices_by_value.setdefault(key, []).append(index)
     return indices_by_value
-
-
-def _share_frame(tracklets: Tracklets, first: int, second: int) -> bool:
-    """Return whether two different tracklets have a common frame, and are thus different points."""
-    begin = max(tracklets.start[first], tracklets.start[second])
-    return first != second and bool(begin < min(tracklets.stop[first], tracklets.stop[second]))
-
-
-def _number_chains(successor: Ints) -> Ints:
-    """Number the chains, and return the number of the chain of each tracklet."""
-    chain = np.full(len(successor), -1, dtype=np.int64)
-    next_chain = 0
-    for tracklet, following in enumerate(successor.tolist()):
-        if chain[tracklet] < 0:
-            chain[tracklet] = next_chain
-            next_chain += 1
-        if following >= 0:
-            chain[following] = chain[tracklet]
-    return chain
 
 
 _UNLABELLED = re.compile(r"unlabell?ed", re.IGNORECASE)
@@ -458,13 +421,14 @@ def _collect_chains(
     tracklets: Tracklets, links: Links, time: Floats, is_named: list[bool], min_label_time: float
 ) -> list[Chain]:
     """Collect the tracklets of each chain, and choose the label of the chain."""
-    members: dict[int, list[int]] = {}
-    for tracklet, chain in enumerate(links.chain.tolist()):
-        members.setdefault(chain, []).append(tracklet)
     column, length = tracklets.column, tracklets.stop - tracklets.start
     is_long = time[tracklets.stop - 1] - time[tracklets.start] >= min_label_time
     chains = []
-    for indices in members.values():
+    successor = links.successor.tolist()
+    for first in sorted({*range(len(successor))} - {*successor}):
+        indices = [first]
+        while (following := successor[indices[-1]]) >= 0:
+            indices.append(following)
         named_tracklets = [index for index in indices if is_named[column[index]]]
         candidates = [index for index in named_tracklets if is_long[index]]
         candidates = candidates or sorted(named_tracklets, key=lambda index: -length[index])

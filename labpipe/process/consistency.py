@@ -257,6 +257,33 @@ def _check_rest_force(record: CheckedRecord) -> Iterator[Finding]:
         yield record.report("process.rest_force_doubtful", "force_zero", level=level, ratio=ratio)
 
 
+def _check_early_force(record: CheckedRecord) -> Iterator[Finding]:
+    """Report a force that changes before the motion: its clock does not agree, or its zero jumps.
+
+    The mean force of the last 0.2 s before the motion is compared with earlier means.
+    """
+    duration, min_change = 0.2, 2e-3  # s; fraction of the largest force
+    min_means = 5
+    signals, curve = record.signals, record.curve
+    start = curve.branches[0].start
+    size = start - int(np.searchsorted(curve.time, curve.time[start] - duration))
+    has_one_clock = signals.raw[signals.force].clock == signals.raw[signals.displacement].clock
+    if has_one_clock or start < (min_means + 1) * size or not size:
+        return
+    means = drop_missing(curve.force[start % size : start].reshape(-1, size).mean(axis=1))
+    if len(means) <= min_means:
+        return
+    level = median(means[:-1])
+    spread = 1.4826 * median(np.abs(means[:-1] - level))
+    error = max(spread, record.force_noise / sqrt(size))
+    change = float(means[-1] - level)
+    if abs(change) > max(MIN_NOISE_RATIO * error, min_change * record.largest_force):
+        ratio = abs(change) / record.largest_force
+        yield record.report(
+            "process.force_early", "clock", "force_zero", change=change, ratio=ratio
+        )
+
+
 def _check_rest_displacement(record: CheckedRecord) -> Iterator[Finding]:
     """Report the displacement before the motion if no step zeroes it."""
     min_level = 0.02  # fraction of the stroke
@@ -745,6 +772,7 @@ def _check_second_specimen(record: CheckedRecord) -> Iterator[Finding]:
 _CHECKS = (
     _check_displacement_jumps,
     _check_rest_force,
+    _check_early_force,
     _check_rest_displacement,
     _check_force_level,
     _check_partial_breaks,

@@ -314,8 +314,8 @@ def name_channels(recording: Recording, source: Source, path: Path) -> Recording
     if recording.markers is not None:
         tracks, remedy = recording.markers, format_sentence("process.size_of_markers")
         limit, place = LARGEST_VALUES["m"], (path, "markers")
-        stated = tracks.unit_in_file
-        _check_size(tracks.positions, "m", limit, place, stated=stated, remedy=remedy)
+        stated_unit = tracks.unit_in_file
+        _check_size(tracks.positions, "m", limit, place, stated=stated_unit, remedy=remedy)
     channels, notes, faults = list[Channel](), list[QualityNote](), list[str]()
     code = ""
     for name, spec in source.all_channels.items():
@@ -345,13 +345,13 @@ def name_channels(recording: Recording, source: Source, path: Path) -> Recording
 
 def _check_channel_size(channel: Channel, source: ChannelSource, path: Path) -> None:
     """Raise an error for a channel with values too large for its unit or its plausible peak."""
-    stated, key = source.unit or channel.unit_in_file, source.key
-    keys = format_overrides(f"{key}.unit", "...", **{f"{key}.wrong_unit_in_file": stated})
+    stated_unit, key = source.unit or channel.unit_in_file, source.key
+    keys = format_overrides(f"{key}.unit", "...", **{f"{key}.wrong_unit_in_file": stated_unit})
     remedy = format_sentence("process.size_of_channel", unit=keys, peak=f"'{key}.plausible_peak'")
     values, unit = source.gain * channel.values + source.offset, source.target_unit
     limit = max(LARGEST_VALUES.get(unit, np.inf), *(source.peak_range or (0.0, 0.0)))
     place = path, f"channel {channel.path!r}"
-    _check_size(values, unit, limit, place, stated=stated, remedy=remedy)
+    _check_size(values, unit, limit, place, stated=stated_unit, remedy=remedy)
 
 
 def _check_size(

@@ -193,10 +193,11 @@ def check_lowest_force(prepared: PreparedTest, _: Motion, protocol: Protocol) ->
     force = prepared.signals.filtered.get(prepared.signals.force)
     if force is None or (string is None and specimen.span is None):
         return
-    size = max(1, convert_seconds_to_window(block_duration, force.time))
-    blocks = force.values[: len(force.values) // size * size].reshape(-1, size).mean(axis=1)
-    window = max(1, convert_seconds_to_window(mean_duration, force.time[::size]))
-    means = compute_moving_average(blocks, window=min(window, len(blocks) - 1 + len(blocks) % 2))
+    block_size = max(1, convert_seconds_to_window(block_duration, force.time))
+    n_blocks = len(force.values) // block_size
+    blocks = force.values[: n_blocks * block_size].reshape(n_blocks, block_size).mean(axis=1)
+    window = max(1, convert_seconds_to_window(mean_duration, force.time[::block_size]))
+    means = compute_moving_average(blocks, window=min(window, n_blocks - 1 + n_blocks % 2))
     limits = list[tuple[float, str]]()
     if string is not None:
         # The force can fall below zero only by the weight that the string carries.
@@ -305,8 +306,7 @@ def check_signs(prepared: PreparedTest, motion: Motion, protocol: Protocol) -> l
     }
     lowest = 1e3 * float(np.nanmin(displacement.values))
     texts = {"force": f"{extreme:.3g} N", "displacement": f"{lowest:.3g} mm"}
-    falling = [quantity for quantity in texts if is_falling[quantity]]
-    names = [name for name in falling if curve.reverse is None or name in curve.reverse]
+    names = [x for x in texts if is_falling[x] and (curve.reverse is None or x in curve.reverse)]
     signs, name_list = " and ".join(f"the {x} goes to {texts[x]}" for x in names), ", ".join(names)
     remedy = format_sentence(
         "process.signs_reversed" if curve.reverse else "process.signs_to_reverse",
@@ -494,7 +494,7 @@ def find_cut_ends(
     if moves_at_end(time, values):
         is_single, stroke = len(motion.branches) == 1, protocol.rig.stroke
         is_complete = is_full_stroke(travel, stroke) if is_single else _has_arrived(motion, limits)
-        if not is_complete or any(x.code in _CUT_FILE_CODES for x in findings.entries):
+        if not is_complete or any(note.code in _CUT_FILE_CODES for note in findings.notes):
             ends = dict.fromkeys(("force", "displacement"), float(time[-1]))
     force = signals.raw[signals.force]
     last_sample = int(np.flatnonzero(~np.isnan(force.values))[-1])

@@ -278,8 +278,8 @@ def match_protocols(
 
 def _has_length(protocol: Protocol, length: float | None) -> bool:
     """Return whether the free length in a protocol agrees with a length, m, within 5 %."""
-    stated = protocol.specimen.length
-    return length is not None and stated is not None and abs(length - stated) <= 0.05 * stated
+    nominal = protocol.specimen.length
+    return length is not None and nominal is not None and abs(length - nominal) <= 0.05 * nominal
 
 
 def _find_named_protocols(texts: Sequence[str], protocols: Iterable[str]) -> list[str]:

@@ -104,7 +104,15 @@ def read_export(
         `inspect`.
     """
     reader_names = [reader] if isinstance(reader, str) else list(reader or READERS)
-    export_reader = _find_reader(path, reader_names, dialect)
+    # Other readers are not loaded if one of these recognises the file.
+    export_reader = next((x for n in reader_names if (x := READERS[n]).recognise(path)), None)
+    if export_reader is None:
+        try:
+            export_reader = recognise_export(path)
+        except ReadError:
+            if not (dialect and reader_names == ["load-frame"] and path.is_file()):
+                raise
+            export_reader = READERS["load-frame"]  # a card is named, so it may fit
     if export_reader.name not in reader_names:
         names, name = " or ".join(reader_names), export_reader.name
         raise ReadError.about("readers.other_format", path, allowed=names, name=name)
@@ -114,19 +122,6 @@ def read_export(
         if note.severity is Severity.ERROR:
             raise ReadError.about("readers.unusable_time", path, note.where, note=note.message)
     return recording
-
-
-def _find_reader(path: Path, reader_names: Sequence[str], dialect: Sequence[str] | None) -> Reader:
-    """Find the reader by content, or the reader of load frames if none fits but a card is named."""
-    for name in reader_names:  # so that other readers are not loaded
-        if READERS[name].recognise(path):
-            return READERS[name]
-    try:
-        return recognise_export(path)
-    except ReadError:
-        if dialect and list(reader_names) == ["load-frame"] and path.is_file():
-            return READERS["load-frame"]
-        raise
 
 
 class UnknownFile(NamedTuple):

@@ -106,13 +106,11 @@ class _Table:
 
     Parameters
     ----------
-    names : of the columns, with their units; empty if the file has none
     units : by column, of the row of units; empty texts if the file has none
     head : place of the names, or of the first row
-    body : the rows of samples
+    body : the rows of samples, with the names and units of the columns
     """
 
-    names: Sequence[str]
     units: Sequence[str]
     head: str
     body: Body
@@ -138,7 +136,19 @@ def read_curve(path: Path, deflection: CurveColumn, force: CurveColumn) -> tuple
         fewer than 3 points.
     """
     with add_file_name(path):
-        table = _read_sheet_table(path) if is_workbook(path) else _read_text_table(path)
+        if is_workbook(path):
+            cells = (cell for row in read_workbook_cells(path) for cell in row)
+            if faulty_cell := next((cell for cell in cells if cell.fault), None):
+                place, fault = faulty_cell.place, faulty_cell.fault
+                raise ContentError.of("readers.cell_without_value", place, why=fault)
+            name, rows = next(iter(open_sheets(path).items()))
+            table = _find_table(split_lines(format_rows(rows)), "\t", f"sheet '{name}'")
+        else:
+            content = read_content(path)
+            if is_binary(content):
+                raise ContentError.of("readers.binary_curve")
+            lines = split_lines(decode(content.data, content, ("utf-8", "latin-1")))
+            table = _find_table(_format_tip_lines(lines) if is_calculix(lines) else lines, "\t;, ")
         return _convert_points(table, (deflection, force))
 
 
@@ -177,29 +187,6 @@ def _convert_points(table: _Table, curve_columns: Sequence[CurveColumn]) -> tupl
     return deflections, forces
 
 
-def _read_sheet_table(path: Path) -> _Table:
-    faulty_cell = next(
-        (cell for row in read_workbook_cells(path) for cell in row if cell.fault), None
-    )
-    if faulty_cell is not None:
-        raise ContentError.of(
-            "readers.cell_without_value", faulty_cell.place, why=faulty_cell.fault
-        )
-    name, rows = next(iter(open_sheets(path).items()))
-    return _find_table(split_lines(format_rows(rows)), "\t", f"sheet '{name}'")
-
-
-def _read_text_table(path: Path) -> _Table:
-    """Read the table of a text, or of the blocks that CalculiX printed."""
-    content = read_content(path)
-    if is_binary(content):
-        raise ContentError.of("readers.binary_curve")
-    lines = split_lines(decode(content.data, content, ("utf-8", "latin-1")))
-    if is_calculix(lines):
-        lines = _format_tip_lines(lines)
-    return _find_table(lines, "\t;, ")
-
-
 def _find_table(lines: Sequence[str], separators: str, sheet: str = "") -> _Table:
     """Find names, units and rows of numbers in the lines of a text or sheet."""
     max_head_lines = 400  # lines in which the first row of numbers is searched
@@ -225,7 +212,7 @@ def _find_table(lines: Sequence[str], separators: str, sheet: str = "") -> _Tabl
         sheet=sheet,
     )
     head = body.describe_place((above[-1] if above else first_row) - first_row)
-    return _Table(names, [*units, *[""] * (width - len(units))], head, body)
+    return _Table([*units, *[""] * (width - len(units))], head, body)
 
 
 def _read_points(table: _Table, columns: Sequence[int]) -> tuple[list[int], list[Floats]]:
@@ -253,7 +240,7 @@ def _find_column(table: _Table, column: CurveColumn) -> int:
     spellings = {name.strip().casefold() for name in names}
     matches = [
         i
-        for i, name in enumerate(table.names)
+        for i, name in enumerate(table.body.names)
         if spellings & {name.casefold(), _split_heading(name, column.si_unit)[0].casefold()}
     ]
     if len(matches) == 1:
@@ -261,12 +248,14 @@ def _find_column(table: _Table, column: CurveColumn) -> int:
     number = parse_count(column.column or "")
     if not matches and number is not None and 1 <= number <= len(table.units):
         return number - 1
-    similar_names = ", ".join(map(repr, sort_by_likeness(names[0], [*filter(None, table.names)])))
+    found_names = sort_by_likeness(names[0], [*filter(None, table.body.names)])
     raise ContentError.of(
         "readers.several_columns" if matches else "readers.no_column",
         table.head,
         name=names[0],
-        found=", ".join(str(i + 1) for i in matches) or similar_names or "numbers alone",
+        found=", ".join(str(i + 1) for i in matches)
+        or ", ".join(map(repr, found_names))
+        or "numbers alone",
         entry=f"{column.quantity}: {{column: 1, unit: {column.example}}}",
     )
 
@@ -286,8 +275,8 @@ def _split_heading(text: str, si_unit: str) -> tuple[str, str]:
 
 def _compute_unit_factor(table: _Table, index: int, column: CurveColumn) -> float:
     """Compute the factor from the unit of a column to SI, and refuse contradicting units."""
-    head = table.names[index] if index < len(table.names) else ""
-    stated_unit = _split_heading(head, column.si_unit)[1] or table.units[index]
+    heading = table.body.names[index]
+    stated_unit = _split_heading(heading, column.si_unit)[1] or table.units[index]
     place = f"{table.head}, column {index + 1}"
     unit = column.unit or stated_unit
     for text in {unit, stated_unit or unit}:

@@ -94,7 +94,10 @@ def read(path: Path, *, channels: Sequence[ChannelChoice] | None = None) -> Reco
         {key: cells[i] if i < len(cells) else "" for key, cells in properties.items()}
         for i in range(len(names))
     ]
-    descriptions = _parse_descriptions(rows)
+    descriptions: dict[str, dict[str, str]] = {}
+    for row in rows:
+        if len(row) >= 4 and row[1] and row[0] in {"descriptions", ""}:
+            descriptions.setdefault(row[1], {})[row[2]] = row[3]
     general, measurement = (descriptions.get(group, {}) for group in ("General", "Measurement"))
     saving_day = _parse_reference_day(measurement.get("ReferenceTime", ""))
     export = Export(
@@ -117,15 +120,6 @@ def _make_trace(properties: Mapping[str, str], values: Floats) -> Trace:
         load=lambda: values,
         properties={key: properties[key] for key in _TRACE_PROPERTIES if key in properties},
     )
-
-
-def _parse_descriptions(rows: Sequence[Sequence[str]]) -> dict[str, dict[str, str]]:
-    """Parse the values of the description rows, keyed by group and key."""
-    descriptions: dict[str, dict[str, str]] = {}
-    for row in rows:
-        if len(row) >= 4 and row[1] and row[0] in {"descriptions", ""}:
-            descriptions.setdefault(row[1], {})[row[2]] = row[3]
-    return descriptions
 
 
 def _parse_reference_day(nanoseconds: str) -> date | None:

@@ -40,7 +40,7 @@ from labpipe.readers.controldesk import (
     resolve_date,
     to_json,
 )
-from labpipe.readers.raw_files import map_read_errors, read_head
+from labpipe.readers.raw_files import map_read_errors, read_head, require
 from labpipe.records.quality import QualityNote
 
 if TYPE_CHECKING:
@@ -95,7 +95,10 @@ def read(path: Path, *, channels: Sequence[ChannelChoice] | None = None) -> Reco
         structs = {
             name: items[0]
             for name, items in variables.items()
-            if _is_struct(items) and {"X", "Y"} <= items[0].keys()
+            if isinstance(items, list)
+            and items
+            and isinstance(items[0], dict)
+            and {"X", "Y"} <= items[0].keys()
         }
         if len(structs) != 1:
             names = ", ".join(list(structs or variables)[:5]) or "nothing"
@@ -148,9 +151,8 @@ def _refuse_links(group: h5py.Group) -> None:
     import h5py
 
     for name in group:
-        if isinstance(group.get(name, getlink=True), h5py.ExternalLink):
-            message = f"{group.name.strip('/')}/{name} is a link into another file"
-            raise ValueError(message)
+        is_external = isinstance(group.get(name, getlink=True), h5py.ExternalLink)
+        require(not is_external, f"{group.name.strip('/')}/{name} is a link into another file")
 
 
 def _has_references(item: Any) -> bool:
@@ -168,18 +170,16 @@ def _convert_dataset(item: h5py.Dataset, file: h5py.File, size: int) -> MatValue
         return "" if is_text else np.empty(0)
     if _has_references(item):
         return [_convert_node(file[ref], file, size) for ref in np.ravel(item[()])]
-    if item.is_virtual or item.external:
-        message = f"{item.name} keeps its samples in another file"
-        raise ValueError(message)
+    is_elsewhere = item.is_virtual or bool(item.external)
+    require(not is_elsewhere, f"{item.name} keeps its samples in another file")
     shape = zip(item.shape, item.chunks or (), strict=item.chunks is not None)
     has_all_samples = item.size <= _MAX_EAGER_ELEMENTS or (
         item.id.get_storage_size() >= item.nbytes
         if item.chunks is None
         else item.id.get_num_chunks() >= prod(ceil(n / chunk) for n, chunk in shape)
     )
-    if item.nbytes > max_deflate_ratio * size or not has_all_samples:
-        message = f"{item.name} claims {item.nbytes} bytes in a file of {size}"
-        raise ValueError(message)
+    is_possible = item.nbytes <= max_deflate_ratio * size and has_all_samples
+    require(is_possible, f"{item.name} claims {item.nbytes} bytes in a file of {size}")
     if is_text:
         units = np.asarray(item[()]).T.astype("<u2")
         return units.tobytes().decode("utf-16-le", errors="replace")
@@ -208,10 +208,6 @@ def _parse_struct(name: str, tree: Mapping[str, MatValue], header_text: str, pat
         },
         notes=() if is_known else (note,),
     )
-
-
-def _is_struct(value: MatValue) -> bool:
-    return isinstance(value, list) and bool(value) and isinstance(value[0], dict)
 
 
 def _list_structs(
@@ -249,9 +245,8 @@ def _build_loader(item: Mapping[str, MatValue], name: str, path: Path) -> Callab
     def load() -> object:
         with map_read_errors(path, f"the samples of {name}"):
             data = np.asarray(item["Data"])
-            if data.dtype.kind not in "biuf":
-                message = f"{name} contains {data.dtype} instead of numbers"
-                raise ValueError(message)
+            is_numeric = data.dtype.kind in "biuf"
+            require(is_numeric, f"{name} contains {data.dtype} instead of numbers")
             return data.astype(np.float64, copy=False)
 
     return load
@@ -298,32 +293,24 @@ class _Cursor:
 
     def read_element(self) -> tuple[int, memoryview]:
         """Read type and bytes of the next element, and advance beyond its padding."""
-        if self.position + 8 > len(self.data):
-            message = f"ends after {len(self.data)} bytes, within the tag of an element"
-            raise ValueError(message)
+        n_left, n_bytes = len(self.data) - self.position, len(self.data)
+        require(n_left >= 8, f"ends after {n_bytes} bytes, within the tag of an element")
         kind, size = struct.unpack_from(self.order + "II", self.data, self.position)
         start = self.position + 8
         padded = size if kind == _MI_COMPRESSED else -(-size // 8) * 8
         if kind >> 16:  # a small element has size and type in one word, and then its data
             size, kind, start, padded = kind >> 16, kind & 0xFFFF, self.position + 4, 0
-        if start + size > len(self.data):
-            message = f"an element of {size} bytes with {len(self.data) - start} bytes left"
-            raise ValueError(message)
+        n_left = n_bytes - start
+        require(size <= n_left, f"an element of {size} bytes with {n_left} bytes left")
         self.position = min(self.position + 8 + padded, len(self.data))
         return kind, self.data[start : start + size]
 
     def read_numbers(self) -> np.ndarray:
         """Read the numbers of the next element, in the type in which they are stored."""
         kind, data = self.read_element()
-        if kind not in _DTYPE_BY_MI_TYPE:
-            message = f"type {kind} instead of numbers"
-            raise ValueError(message)
+        require(kind in _DTYPE_BY_MI_TYPE, f"type {kind} instead of numbers")
         array: np.ndarray = np.frombuffer(data, dtype=self.order + _DTYPE_BY_MI_TYPE[kind])
         return array
-
-    def make_inner_cursor(self, data: memoryview) -> _Cursor:
-        """Make a cursor at the beginning of the data of an element that contains elements."""
-        return _Cursor(data, self.order)
 
 
 def parse_mat5(content: bytes | memoryview) -> dict[str, MatValue]:
@@ -354,9 +341,9 @@ def parse_mat5(content: bytes | memoryview) -> dict[str, MatValue]:
     while cursor.position < len(content):
         kind, data = cursor.read_element()
         if kind == _MI_COMPRESSED:
-            kind, data = cursor.make_inner_cursor(memoryview(zlib.decompress(data))).read_element()
+            kind, data = _Cursor(memoryview(zlib.decompress(data)), order).read_element()
         if kind == _MI_MATRIX:
-            name, value = _parse_matrix(cursor.make_inner_cursor(data))
+            name, value = _parse_matrix(_Cursor(data, cursor.order))
             variables[name] = value
     return variables
 
@@ -382,18 +369,14 @@ def _parse_matrix(cursor: _Cursor) -> tuple[str, MatValue]:
         value = _parse_text(cursor)
     elif kind in _NUMERIC_CLASSES and not flags & complex_flag:
         value = cursor.read_numbers()
-        if len(value) != count:
-            message = f"{len(value)} numbers instead of {count}"
-            raise ValueError(message)
+        require(len(value) == count, f"{len(value)} numbers instead of {count}")
     return bytes(name).decode("latin-1"), value
 
 
 def _parse_item(cursor: _Cursor) -> MatValue:
     kind, data = cursor.read_element()
-    if kind != _MI_MATRIX:
-        message = f"type {kind} instead of an array"
-        raise ValueError(message)
-    return _parse_matrix(cursor.make_inner_cursor(data))[1]
+    require(kind == _MI_MATRIX, f"type {kind} instead of an array")
+    return _parse_matrix(_Cursor(data, cursor.order))[1]
 
 
 def _parse_struct_array(cursor: _Cursor, count: int) -> list[dict[str, MatValue]]:
@@ -412,9 +395,8 @@ def _parse_struct_array(cursor: _Cursor, count: int) -> list[dict[str, MatValue]
 
 def _check_count(count: int, cursor: _Cursor) -> int:
     """Return a count of elements, or raise ValueError if each has less than eight bytes."""
-    if not 0 <= count <= len(cursor.data) // 8:
-        message = f"{count} parts in {len(cursor.data)} bytes"
-        raise ValueError(message)
+    is_possible = 0 <= count <= len(cursor.data) // 8
+    require(is_possible, f"{count} parts in {len(cursor.data)} bytes")
     return count
 
 

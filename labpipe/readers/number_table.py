@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import date, time, timedelta
 from typing import TYPE_CHECKING
@@ -152,26 +152,29 @@ def split_line(line: str, separator: str) -> list[str]:
 
 
 def split_head(
-    lines: Sequence[str], separators: Iterable[str]
+    lines: Sequence[str],
+    separators: Iterable[str],
+    is_last: Callable[[Sequence[str]], bool] = lambda row: len(row) > 1 and is_sample(row),
 ) -> tuple[str, list[list[str]]] | None:
-    """Split the lines of a head up to the first sample into cells.
+    """Split the lines of a head into cells, up to the first sample or another row.
 
     Parameters
     ----------
     lines : lines of the head
     separators : candidate separators, in the order of trial
+    is_last : function that returns whether a row is the last one; by default whether it is a sample
+        of two or more cells
 
     Returns
     -------
-    The first separator that yields a sample of two or more cells, and the rows up to that sample;
-    None if no separator does.
+    The first separator that yields the last row, and the rows up to it; None if no separator does.
     """
     for separator in separators:
         rows: list[list[str]] = []
         for line in lines:
             is_plain = separator not in line and '"' not in line  # fast for hundreds of lines
             rows.append([line] if is_plain else split_line(line, separator))
-            if len(rows[-1]) > 1 and is_sample(rows[-1]):
+            if is_last(rows[-1]):
                 return separator, rows
     return None
 
@@ -477,7 +480,12 @@ def _find_first_error(body: Body) -> ContentError:
             return _build_cell_count_error(row, body, body.describe_place(i))
         for column in body.columns:
             cell = row[column].strip() if column < len(row) else ""
-            if cell and not _is_finite(cell, body):
+            if NUMERAL[body.decimal].fullmatch(cell):
+                is_valid = bool(np.isfinite(float(cell.replace(body.decimal, "."))))
+            else:
+                is_infinite = cell.strip("+-").casefold() in INFINITE_WORDS
+                is_valid = not cell or is_missing(cell) or (body.as_exported and is_infinite)
+            if not is_valid:
                 return build_cell_error(cell, body.decimal, body.describe_place(i, column))
     return ContentError.of("readers.no_rows_of_numbers", f"from {body.describe_place(0)} on")
 
@@ -500,11 +508,3 @@ def _build_cell_count_error(row: Sequence[str], body: Body, place: str) -> Conte
         cells=len(row),
         row=",".join(row)[:40],
     )
-
-
-def _is_finite(cell: str, body: Body) -> bool:
-    """Return whether a cell is a finite number, missing or, if exported, infinite."""
-    if NUMERAL[body.decimal].fullmatch(cell):
-        return bool(np.isfinite(float(cell.replace(body.decimal, "."))))
-    is_infinite = cell.strip("+-").casefold() in INFINITE_WORDS
-    return is_missing(cell) or (body.as_exported and is_infinite)

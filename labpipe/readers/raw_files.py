@@ -34,6 +34,12 @@ class ContentError(ValueError):
         return cls(name, place, facts)
 
 
+def require(holds: bool, message: str) -> None:
+    """Raise ValueError if a condition on the content of a file does not hold."""
+    if not holds:
+        raise ValueError(message)
+
+
 @contextmanager
 def add_file_name(path: Path) -> Iterator[None]:
     """Convert a `ContentError` to a `ReadError` that names the file.

@@ -58,9 +58,13 @@ def find_holes(time: Floats) -> tuple[Hole, ...]:
     causes a long and a short step (1.51 ms and 0.49 ms at 1 kHz), without a lost sample.
     """
     steps = np.diff(time)
-    if len(steps) < 2 or _are_even(steps):
+    if len(steps) < 2 or _are_even(steps) or not (median_step := median(steps)) > 0.0:
         return ()
-    return _find_long_steps(time, steps, median(steps))
+    long_steps = np.flatnonzero(steps > _LONG_STEP_FACTOR * median_step)
+    padded = np.concatenate(([np.inf], steps, [np.inf]))
+    with_neighbour = steps[long_steps] + np.minimum(padded[long_steps], padded[long_steps + 2])
+    holes = long_steps[with_neighbour > (1.0 + _LONG_STEP_FACTOR) * median_step]
+    return tuple(Hole(int(i), float(time[i]), float(steps[i])) for i in holes)
 
 
 def make_clock_notes(clock: Clock, *, is_variable: bool = False) -> Iterator[QualityNote]:
@@ -105,17 +109,6 @@ def _are_even(steps: Floats) -> bool:
     return shortest > 0.0 and longest - shortest <= _MIN_JITTER * shortest
 
 
-def _find_long_steps(time: Floats, steps: Floats, median_step: float) -> tuple[Hole, ...]:
-    """Find the long steps that no short neighbour compensates."""
-    if not median_step > 0.0:
-        return ()
-    long_steps = np.flatnonzero(steps > _LONG_STEP_FACTOR * median_step)
-    padded = np.concatenate(([np.inf], steps, [np.inf]))
-    with_neighbour = steps[long_steps] + np.minimum(padded[long_steps], padded[long_steps + 2])
-    holes = long_steps[with_neighbour > (1.0 + _LONG_STEP_FACTOR) * median_step]
-    return tuple(Hole(int(i), float(time[i]), float(steps[i])) for i in holes)
-
-
 def _make_step_notes(
     time: Floats, steps: Floats, where: str, *, is_variable: bool
 ) -> Iterator[QualityNote]:
@@ -124,7 +117,7 @@ def _make_step_notes(
     max_long_steps, max_long_fraction = 10, 0.05
     if _are_even(steps) or not (median_step := median(steps)) > 0.0:
         return
-    holes, total = _find_long_steps(time, steps, median_step), len(steps)
+    holes, total = find_holes(time), len(steps)
     steps_text, count = _format_range(steps, median_step), len(holes)
     if is_variable and steps.max() > _LONG_STEP_FACTOR * steps.min():
         yield QualityNote.of("readers.time_variable", where, steps=steps_text)

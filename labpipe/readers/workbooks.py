@@ -99,26 +99,21 @@ def clear_sheet_cache() -> None:
 @lru_cache(maxsize=1)
 def _parse_cached(path: Path, mtime: int, size: int) -> Sheets | ReadError:  # noqa: ARG001  versions
     """Parse a workbook, and return an error, so that it is cached as well."""
-    try:
-        with map_read_errors(path, "a whole workbook"):
-            return _parse_sheets(path)
-    except ReadError as error:
-        return error
-
-
-def _parse_sheets(path: Path) -> Sheets:
     from python_calamine import CalamineWorkbook, PasswordError
 
-    if read_head(path, 8).startswith(_XLSX):
-        _check_archive(path)
     try:
-        with CalamineWorkbook.from_path(path) as book:
-            return {
-                name: book.get_sheet_by_name(name).to_python(skip_empty_area=False)
-                for name in book.sheet_names
-            }
-    except PasswordError as error:
-        raise ReadError.about("readers.locked_workbook", path) from error
+        with map_read_errors(path, "a whole workbook"):
+            if read_head(path, 8).startswith(_XLSX):
+                _check_archive(path)
+            with CalamineWorkbook.from_path(path) as book:
+                return {
+                    name: book.get_sheet_by_name(name).to_python(skip_empty_area=False)
+                    for name in book.sheet_names
+                }
+    except ReadError as error:
+        if isinstance(error.__cause__, PasswordError):
+            return ReadError.about("readers.locked_workbook", path)
+        return error
 
 
 def _check_archive(path: Path) -> None:
@@ -362,12 +357,7 @@ def split_table(cells: list[list[Cell]], path: Path, *, rows_of: str, place: str
         raise ReadError.about("readers.no_rows", path, place, rows_of=rows_of, count=count)
     heading, *rows = filled_rows
     width = max(i for i, cell in enumerate(heading, start=1) if cell.text)
-    return Table(tuple(heading[:width]), tuple(_fit_row(row, width, path) for row in rows))
-
-
-def _fit_row(row: list[Cell], width: int, path: Path) -> Row:
-    """Cut or extend a row to the width of the heading, and refuse filled cells beyond it."""
-    for cell in row[width:]:
-        if cell.text:
-            raise ReadError.about("readers.no_heading", path, cell.place, text=cell.text)
-    return (*row[:width], *(Cell("", row[0].place) for _ in range(width - len(row))))
+    if beyond := next((cell for row in rows for cell in row[width:] if cell.text), None):
+        raise ReadError.about("readers.no_heading", path, beyond.place, text=beyond.text)
+    padded = (row + [Cell("", row[0].place)] * (width - len(row)) for row in rows)
+    return Table(tuple(heading[:width]), tuple(tuple(row[:width]) for row in padded))

@@ -61,26 +61,17 @@ class ArrayRecord:
 
     def __post_init__(self) -> None:
         record_type: Any = type(self)
-        arrays, tuples = _list_fields_with_axes(record_type)
-        lengths = {axis: len(getattr(self, name)) for name, axis in tuples}
+        arrays, tuples, fixed_lengths = _list_fields_with_axes(record_type)
+        lengths = {axis: len(getattr(self, name)) for name, axis in tuples} | fixed_lengths
         for name, dtype, axes in arrays:
             array = np.asarray(getattr(self, name), dtype=dtype).view()
-            shape = tuple(self._find_length(axis, lengths) for axis in axes)
-            if not _has_shape(array, shape) or any(
-                lengths.setdefault(axis, length) != length
-                for axis, length in zip(axes, array.shape, strict=True)
-            ):
+            shape = tuple(map(lengths.get, axes))  # None for a length that is not known yet
+            lengths = dict(zip(axes, array.shape, strict=False)) | lengths
+            if array.shape != tuple(map(lengths.get, axes)):
                 message = f"expected {name} of shape {shape}, found {array.shape}"
                 raise ValueError(message)
             array.flags.writeable = False
             object.__setattr__(self, name, array)
-
-    def _find_length(self, axis: int | str, lengths: dict[int | str, int]) -> int | None:
-        """Find the length of an axis; None if it is not known yet."""
-        if isinstance(axis, int):
-            return axis
-        entries = AXIS_LABELS.get(axis) or getattr(self, axis, None)
-        return len(entries) if isinstance(entries, tuple) else lengths.get(axis)
 
 
 def get_number_type(array_type: Any) -> Any:
@@ -91,24 +82,19 @@ def get_number_type(array_type: Any) -> Any:
 @cache
 def _list_fields_with_axes(
     record_type: Any,
-) -> tuple[list[tuple[str, Any, tuple[Any, ...]]], list[tuple[str, Any]]]:
-    """List name, number type and axes of the arrays, and name and axis of annotated tuples."""
+) -> tuple[list[tuple[str, Any, tuple[Any, ...]]], list[tuple[str, Any]], dict[Any, int]]:
+    """List name, number type and axes of arrays, name and axis of tuples, and fixed lengths."""
     arrays, tuples = [], []
+    fixed_lengths: dict[Any, int] = {name: len(labels) for name, labels in AXIS_LABELS.items()}
     for name, hint in get_type_hints(record_type, include_extras=True).items():
         values, *annotations = get_args(hint) if get_origin(hint) is Annotated else (hint,)
         axes = tuple(axis for axis in annotations if isinstance(axis, str | int))
         if axes and get_origin(values) is np.ndarray:
             arrays.append((name, get_number_type(values), axes))
-        elif axes and get_origin(values) is tuple:
-            tuples.append((name, axes[0]))
-    return arrays, tuples
-
-
-def _has_shape(array: NDArray[Any], shape: tuple[int | None, ...]) -> bool:
-    """Return whether an array has a shape, of which an unknown length is None."""
-    return array.ndim == len(shape) and all(
-        expected in (None, actual) for expected, actual in zip(shape, array.shape, strict=True)
-    )
+            fixed_lengths |= {axis: axis for axis in axes if isinstance(axis, int)}
+        elif get_origin(values) is tuple:
+            tuples.append((name, axes[0] if axes else name))
+    return arrays, tuples, fixed_lengths
 
 
 def median(values: Floats) -> float:

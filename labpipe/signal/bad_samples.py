@@ -1,4 +1,4 @@
-"""Find invalid samples: clipped or frozen channels, spikes and dropouts."""
+"""Find invalid samples, which are runs of clipped or frozen values, spikes and dropouts."""
 
 from __future__ import annotations
 
@@ -20,19 +20,20 @@ _UNUSUAL_RUN_FACTOR = 4.0
 _JUMP_SPEED_FACTOR = 5.0
 """Multiple of the usual speed above which a step is a jump."""
 _MIN_JUMP_FRACTION = 0.02
-"""Fraction of the range: smaller jumps are harmless, and levels closer to zero are at rest."""
+"""Smallest jump as a fraction of the range, and largest distance of a level at rest from zero."""
 _MIN_NOISY_RUN = 10.0
-"""Number of equal samples; a logger that repeats values produces fewer in a noisy channel."""
+"""Number of equal samples that a logger which repeats values does not reach in a noisy channel."""
 _SPIKE_WINDOW = 7
 """Number of samples of the window in which a spike is compared with its neighbours."""
 _MAX_SPIKE_SAMPLES = _SPIKE_WINDOW // 2
+"""Largest number of consecutive samples of a spike."""
 _MIN_SPIKE_FRACTION = 0.01
-"""Fraction of the range of the signal: smaller spikes are harmless."""
+"""Smallest spike as a fraction of the range of the signal."""
 
 
 @dataclass(frozen=True, slots=True)
 class StuckRun:
-    """A run of equal samples.
+    """Run of equal samples.
 
     Parameters
     ----------
@@ -50,7 +51,7 @@ def find_stuck_runs(time: Floats, values: Floats, paired: Floats | None = None) 
 
     Parameters
     ----------
-    time : shape (n,), s
+    time : shape (n,), s, times of the samples
     values : shape (n,), values of the channel; a NaN ends a run
     paired : shape (n,), other quantity of the test (the displacement for a force, the force for a
         displacement); None if it was not recorded
@@ -61,15 +62,16 @@ def find_stuck_runs(time: Floats, values: Floats, paired: Floats | None = None) 
 
     Notes
     -----
-    There are two criteria. In a noisy channel a run counts if noise produces a run of its length in
-    fewer than one of 10^6 records. In a quiet channel the values must approach and leave the run
-    steeply: by more than five steps of the resolution within half its length, with at least 0.3 of
-    the slope farther away. Meanwhile `paired` must continue. If the channel is clipped, or frozen
-    up to the last sample, it must continue at about its previous speed through both ends; if the
-    channel is frozen and then jumps, by a fraction of its range. A machine at rest, a rounded peak,
-    a plateau, creep under constant force, slack, and a coarse resolution are not reported.
+    There are two criteria. In a noisy channel, a run counts if noise produces a run of its length
+    in fewer than one of 10^6 records. In a quiet channel, the values must approach and leave the
+    run steeply, by more than five steps of the resolution within half its length, with at least 0.3
+    of the slope farther away. Meanwhile `paired` must continue. If the channel is clipped, or
+    frozen up to the last sample, `paired` must continue at about its previous speed through both
+    ends. If the channel is frozen and then jumps, `paired` must change by a fraction of its range.
+    A machine at rest, a rounded peak, a plateau, creep under constant force, slack, and a coarse
+    resolution are not reported.
     """
-    min_run = 3  # two equal samples occur at any corner
+    min_run = 3  # samples; two equal samples occur at any corner
     starts, lengths = _find_equal_runs(values)
     channel = _Channel(time, values, paired, starts, lengths)
     if not (lengths >= min_run).any() or not channel.high > channel.low:
@@ -87,7 +89,7 @@ def find_stuck_runs(time: Floats, values: Floats, paired: Floats | None = None) 
 
 
 def _find_equal_runs(values: Floats) -> tuple[Ints, Ints]:
-    """Find first samples and lengths of the runs of two or more equal values."""
+    """Find the first samples and the lengths of the runs of two or more equal values."""
     is_equal = np.zeros(len(values) + 1, dtype=np.bool_)  # whether equal to the previous sample
     np.equal(values[1:], values[:-1], out=is_equal[1:-1])
     starts, stops = np.flatnonzero(is_equal[1:] != is_equal[:-1]).reshape(-1, 2).T
@@ -96,7 +98,7 @@ def _find_equal_runs(values: Floats) -> tuple[Ints, Ints]:
 
 @dataclass(frozen=True, eq=False)
 class _Channel:
-    """A channel with its usual run length, speed and noise, computed on demand.
+    """Channel with its usual run length, speed and noise, which are computed on demand.
 
     Parameters
     ----------
@@ -112,7 +114,7 @@ class _Channel:
 
     @cached_property
     def usual_run(self) -> float:
-        """95 % quantile of the run lengths, single samples included, in samples."""
+        """95 % quantile of the run lengths, in samples; single samples are runs of length 1."""
         n_single = len(self.values) - np.count_nonzero(np.isnan(self.values)) - self.lengths.sum()
         rank = 0.95 * (n_single + len(self.lengths) - 1) - n_single
         ranks = np.arange(-1, len(self.lengths))
@@ -130,7 +132,7 @@ class _Channel:
 
     @cached_property
     def rounding(self) -> float:
-        """Largest size of a step that is only rounding."""
+        """Largest size of a step that is a rounding error."""
         max_rounding_fraction = 1e-7
         return min(max_rounding_fraction, 0.1 / len(self.values)) * (self.high - self.low)
 
@@ -146,12 +148,12 @@ class _Channel:
 
     @cached_property
     def resolution(self) -> float:
-        """Quantisation step."""
-        return _find_resolution(self.values, self.steps[0], self.rounding)
+        """Quantisation step of the channel."""
+        return _estimate_resolution(self.values, self.steps[0], self.rounding)
 
     @cached_property
     def speed(self) -> float:
-        """95 % quantile of the speeds of the steps."""
+        """95 % quantile of the speeds of the steps, in the unit of the channel per second."""
         sizes, durations = self.steps
         return float(np.quantile(sizes / durations, 0.95))
 
@@ -186,6 +188,7 @@ class _Channel:
         return float(self.values[np.argmin(np.isnan(self.values))])
 
     def _is_at_rest(self, sample: int) -> bool:
+        """Return whether a sample is near zero or near the first value."""
         level, tolerance = float(self.values[sample]), _MIN_JUMP_FRACTION * (self.high - self.low)
         return abs(level) <= tolerance or abs(level - self.first_value) <= tolerance
 
@@ -193,7 +196,7 @@ class _Channel:
         """Return whether a jump follows the run while the other quantity moves smoothly."""
         if stop >= len(self.values):
             return False
-        # At a tear of the specimen, the force drops in stages.
+        # When the specimen tears, the force drops in stages, so that a jump also precedes the run.
         if not self._is_jump(stop) or (start > 0 and self._is_jump(start)):
             return False
         # A coarse converter has long runs between its steps.
@@ -224,7 +227,7 @@ class _Channel:
 
     def _interrupts_motion(self, start: int, stop: int) -> bool:
         """Return whether the run has steep sides while the other quantity continues."""
-        # Multiple of the usual run length; no plateau of a measured force has longer runs.
+        # Plateaus of measured forces have runs of at most this multiple of the usual run length.
         plateau_factor = 50.0
         min_travel = 0.3  # fraction of the range of the other quantity
         sides = [(start, -1)] if start >= 2 else []
@@ -232,8 +235,8 @@ class _Channel:
         if self.paired is None or not sides:
             return False
         continues = [self._paired_keeps_speed(sample, stop - start) for sample, _ in sides]
-        # In a short run, the speed at one of its ends is uncertain.
-        paired_continues = any(continues) if stop - start < 2 * 4 else all(continues)
+        # In a run of fewer than 8 samples, the speed at one of its ends is uncertain.
+        paired_continues = any(continues) if stop - start < 8 else all(continues)
         usual_run = max(self.usual_run, self._count_previous_run(start))
         is_long = stop - start >= plateau_factor * usual_run
         travels = self._compute_paired_travel(start, stop) > min_travel
@@ -243,13 +246,13 @@ class _Channel:
         return paired_continues and (is_long or all(is_steep))
 
     def _count_previous_run(self, start: int) -> int:
-        """Count the samples of the previous run, because runs become longer towards a plateau."""
+        """Count the samples of the run before a sample; runs become longer towards a plateau."""
         level = self.values[start - 1] if start else np.nan
         other_samples = np.flatnonzero(self.values[:start] != level)
         return start - 1 - int(other_samples[-1]) if len(other_samples) else start
 
     def _paired_keeps_direction(self, start: int, stop: int) -> bool:
-        """Return whether the other quantity does not reverse at the start, as it does in a hold."""
+        """Return whether the other quantity continues in its direction, unlike in a hold."""
         paired = self.paired
         if paired is None:
             return False
@@ -258,9 +261,9 @@ class _Channel:
 
     def _leaves_steeply(self, sample: int, direction: int, length: int) -> bool:
         """Return whether the channel leaves a sample steeply, forwards (1) or backwards (-1)."""
-        # Rise within half the run length, in resolution steps (a rounded peak has 3) and as a
-        # fraction of the range, below which missing values do not matter. Ratio of the slope next
-        # to the run to the slope farther away, which decreases towards a rounded peak.
+        # Smallest rise within half the run length, in steps of the resolution (a rounded peak has
+        # 3) and as a fraction of the range, below which missing values do not matter. Smallest
+        # ratio of the slope next to the run to the slope farther away, which a rounded peak lowers.
         min_rise_in_steps, min_rise_fraction, min_slope_ratio = 5.0, 0.005, 0.3
         reach = min(max(2, length // 2), sample if direction < 0 else len(self.values) - 1 - sample)
         rise = np.abs(self.values[sample + direction * np.arange(reach + 1)] - self.values[sample])
@@ -268,7 +271,7 @@ class _Channel:
             return False
         half_reach = reach // 2
         far_slope = float(rise[-1] - rise[half_reach]) / (reach - half_reach)
-        # A fraction of the first step may be within the run.
+        # The first step may be smaller, because a part of it may be within the run.
         near_slope = max(float(rise[half_reach]) / half_reach, float(rise[2] - rise[1]))
         min_rise = min_rise_fraction * (self.high - self.low)
         is_far = rise[-1] > max(min_rise_in_steps * self.resolution, min_rise)
@@ -276,26 +279,26 @@ class _Channel:
 
     def _paired_keeps_speed(self, sample: int, length: int) -> bool:
         """Return whether the other quantity passes a sample at about constant speed."""
-        # Limits of the ratio of the speed after the sample to the speed before it.
-        min_speed_ratio, max_speed_ratio = 0.4, 2.5
-        noise_factor = 5.0
+        min_speed_ratio, max_speed_ratio = 0.4, 2.5  # speed after the sample over that before it
+        noise_factor = 5.0  # standard deviations of the other quantity
         paired = self.paired
         if paired is None:
             return False
         min_travel = noise_factor * estimate_noise_level(paired)
-        size = max(1, min(length // 4, max(8, len(paired) // 50)))
-        low, high = max(0, sample - size), min(len(paired) - 1, sample + size)
-        travel, duration = (np.diff(values[[low, sample, high]]) for values in (paired, self.time))
+        reach = max(1, min(length // 4, max(8, len(paired) // 50)))
+        samples = [max(0, sample - reach), sample, min(len(paired) - 1, sample + reach)]
+        travel, duration = (np.diff(values[samples]) for values in (paired, self.time))
         if not (np.abs(travel) > min_travel).all():  # also if a value is NaN
             return False
         speed_before, speed_after = travel / np.maximum(duration, 1e-12)
         return bool(min_speed_ratio <= speed_after / speed_before <= max_speed_ratio)
 
 
-def _find_resolution(values: Floats, steps: Floats, rounding: float) -> float:
-    """Find the quantisation step, or the rounding error if a short record has no such step.
+def _estimate_resolution(values: Floats, steps: Floats, rounding: float) -> float:
+    """Estimate the quantisation step of a channel.
 
-    For a long record it is the smallest step between neighbours.
+    For a short record it is the step of the grid on which all values are, or the rounding error
+    without such a grid. For a long record it is the smallest step between neighbours.
     """
     max_grid_check_samples = 5000
     if len(values) > max_grid_check_samples:
@@ -310,27 +313,31 @@ def _find_resolution(values: Floats, steps: Floats, rounding: float) -> float:
 def _compute_longest_noise_run(values: Floats, count: int, resolution: float) -> float:
     """Compute the run length that noise exceeds in one of 10^6 records; infinite without noise.
 
-    values : values without gaps and unusual runs; count : number of samples of the record
+    Parameters
+    ----------
+    values : values of the channel without gaps and unusual runs
+    count : number of samples of the record
+    resolution : quantisation step of the channel
     """
-    false_alarm_rate = 1e-6  # per record
+    false_alarm_rate, min_differences = 1e-6, 20  # per record; third differences
     # Ratio of the median third to the median second difference, which is 1.8 for white noise, and
     # far below 1 for a smooth curve.
     min_white_ratio = 1.2
     second = np.diff(values, n=2)
     third = np.diff(second)
-    if len(third) < 20:
+    if len(third) < min_differences:
         return float("inf")
-    size = median(np.abs(second, out=second))
-    noise = convert_to_noise(size)
-    if not noise > resolution or median(np.abs(third, out=third)) < min_white_ratio * size:
+    median_second = median(np.abs(second, out=second))
+    noise, min_third = convert_to_noise(median_second), min_white_ratio * median_second
+    if not noise > resolution or median(np.abs(third, out=third)) < min_third:
         return float("inf")  # no noise, or a smooth curve
-    # Probability that noise gives two neighbours the same value.
+    # The probability that two neighbours have the same value in spite of noise.
     equal_probability = resolution / (2.0 * sqrt(pi) * noise)
     return max(_MIN_NOISY_RUN, 1.0 + log(false_alarm_rate / count) / log(equal_probability))
 
 
 def find_spikes(force: Floats) -> Ints:
-    """Find spikes: samples that deviate from neighbours of about equal level.
+    """Find spikes and dropouts, which deviate from neighbours of about equal level.
 
     Parameters
     ----------
@@ -338,16 +345,16 @@ def find_spikes(force: Floats) -> Ints:
 
     Returns
     -------
-    Indices of the samples, in order. A spike or dropout has at most three consecutive samples.
+    The indices of their samples, in order. A spike has at most three consecutive samples.
 
     Notes
     -----
     The deviation from the median of seven samples must exceed eight robust standard deviations
     (1.4826 MAD), 1 % of the range of that median, two steps of a coarse resolution, and four times
     the largest step between the three neighbours on each side. The medians of the neighbours on
-    both sides must differ by less than half the deviation, so a permanent loss of force is not a
-    spike. The first and last three samples have neighbours on one side only. There, the distance of
-    a spike from the range of all other levels must exceed this range.
+    both sides must differ by less than half the deviation, so that a permanent loss of force is not
+    a spike. The first and last three samples have neighbours on one side only. There, the distance
+    of a spike from the range of all other levels must exceed this range.
     """
     mad_factor, resolution_factor = 8.0, 2.5
     max_medians = 20_000  # number of evenly spaced medians for range and deviation
@@ -370,12 +377,12 @@ def find_spikes(force: Floats) -> Ints:
     window_rows = np.clip(uneven[:, None] + np.arange(-half_window, half_window + 1), 0, len(f) - 1)
     deviation = f[uneven] - np.partition(f[window_rows], half_window, axis=1)[:, half_window]
     is_far = np.abs(deviation) > min_deviation
-    indices, size = uneven[is_far], np.abs(deviation[is_far])
+    indices, sizes = uneven[is_far], np.abs(deviation[is_far])
     spikes = [indices[:0]]
     for run in np.split(np.arange(len(indices)), np.flatnonzero(np.diff(indices) > 1) + 1):
-        # Neighbours whose median is shifted by the spike deviate less, and are excluded.
-        core = run[size[run] > 0.3 * size[run].max(initial=0.0)]
-        if len(core) and _is_spike(f, indices[core], float(size[core].min())):
+        # The spike shifts the medians of its neighbours, which deviate less and are excluded.
+        core = run[sizes[run] > 0.3 * sizes[run].max(initial=0.0)]
+        if len(core) and _is_spike(f, indices[core], float(sizes[core].min())):
             spikes.append(indices[core])
     ends = np.r_[:half_window, len(f) - half_window : len(f)]
     distance = np.maximum(f[ends] - levels.max(), levels.min() - f[ends])
@@ -386,13 +393,13 @@ def find_spikes(force: Floats) -> Ints:
 
 def _flag_uneven_samples(f: Floats, min_deviation: float) -> Flags:
     """Flag samples that may deviate by more than `min_deviation` from their neighbours."""
-    block = 8  # number of samples, more than half a window
-    starts = np.arange(0, len(f), block)
+    block_size = 8  # samples, more than half a window
+    starts = np.arange(0, len(f), block_size)
     high = np.pad(np.maximum.reduceat(f, starts), 1, mode="edge")
     low = np.pad(np.minimum.reduceat(f, starts), 1, mode="edge")
     highest = np.maximum(np.maximum(high[:-2], high[1:-1]), high[2:])
     lowest = np.minimum(np.minimum(low[:-2], low[1:-1]), low[2:])
-    return np.repeat(highest - lowest > min_deviation, block)[: len(f)]
+    return np.repeat(highest - lowest > min_deviation, block_size)[: len(f)]
 
 
 def bridge_spikes(force: Floats, spikes: Ints) -> Floats:
@@ -400,12 +407,12 @@ def bridge_spikes(force: Floats, spikes: Ints) -> Floats:
 
     Parameters
     ----------
-    force : shape (n,), N; NaN stay NaN and are not used as neighbours
-    spikes : indices from `find_spikes`
+    force : shape (n,), N; NaN remain NaN and are not used as neighbours
+    spikes : indices of the samples of spikes, from `find_spikes`
 
     Returns
     -------
-    Shape (n,), N, a new array.
+    Shape (n,), N, force without spikes, in a new array.
     """
     valid = np.setdiff1d(np.flatnonzero(~np.isnan(force)), spikes, assume_unique=True)
     bridged = force.copy()
@@ -415,7 +422,8 @@ def bridge_spikes(force: Floats, spikes: Ints) -> Floats:
 
 def _is_spike(f: Floats, run: Ints, deviation: float) -> bool:
     """Return whether a run of deviating samples is short, with similar levels on both sides."""
-    # Smallest deviation in largest steps of the neighbours, so that a sharp turn is not a spike.
+    # The deviation must exceed this multiple of the largest step of the neighbours, so that a sharp
+    # turn is not a spike.
     spike_step_factor = 4.0
     first_sample, last_sample = int(run[0]), int(run[-1])
     values_before = f[max(first_sample - _MAX_SPIKE_SAMPLES, 0) : first_sample]

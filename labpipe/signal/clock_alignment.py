@@ -16,6 +16,7 @@ from labpipe.signal.turning_points import Stroke, find_strokes
 from labpipe.uncertainty.autocorrelation import estimate_long_run_variance
 
 _MIN_BINS = 50
+"""Smallest number of bins of a cycle to which a lag is fitted."""
 
 
 def find_rough_peaks(time: Floats, values: Floats, *, smoothing: float, fall: float) -> Floats:
@@ -23,9 +24,9 @@ def find_rough_peaks(time: Floats, values: Floats, *, smoothing: float, fall: fl
 
     Parameters
     ----------
-    time, values : shape (n,), s and any unit
+    time, values : shape (n,), times (s) and values (any unit) of the signal
     smoothing : duration of the moving average that is applied first, s
-    fall : smallest return of the signal after a turn, as a fraction of its range
+    fall : smallest decrease of the signal after a turn, as a fraction of its range
 
     Returns
     -------
@@ -34,8 +35,8 @@ def find_rough_peaks(time: Floats, values: Floats, *, smoothing: float, fall: fl
     Notes
     -----
     On a plateau before a decrease, the largest sample may be anywhere. The turning point is
-    therefore the time at which the slope changes most: where 2 y(t) - y(t - h) - y(t + h) is
-    largest, with h four times `smoothing`, or a quarter of the shorter stroke.
+    therefore the time at which the slope changes most, where 2 y(t) - y(t - h) - y(t + h) is
+    largest. The distance h is four times `smoothing`, or a quarter of the shorter stroke.
     """
     stride = max(1, convert_seconds_to_window(smoothing, time) // 10)
     window = max(1, 2 * (convert_seconds_to_window(smoothing, time) // stride // 2) + 1)
@@ -57,15 +58,15 @@ def find_rough_peaks(time: Floats, values: Floats, *, smoothing: float, fall: fl
 
 
 def _find_sharpest_turn(values: Floats, rise: Stroke, descent: Stroke, reach: int) -> int:
-    """Find the sample at which a rise turns into a fall, with slopes over `reach` samples."""
+    """Find the sample at which a rise turns into a descent, with slopes over `reach` samples."""
     reach = min(reach, (rise.stop - rise.start) // 4, (descent.stop - descent.start) // 4)
     start, stop = rise.start + reach, descent.stop - reach
     if reach < 1 or stop <= start:
         return rise.stop
     middle = values[start:stop]
-    bend = 2.0 * middle - values[start - reach : stop - reach]
-    bend -= values[start + reach : stop + reach]
-    return start + int(np.nanargmax(bend)) if np.isfinite(bend).any() else rise.stop
+    slope_drops = 2.0 * middle - values[start - reach : stop - reach]
+    slope_drops -= values[start + reach : stop + reach]
+    return start + int(np.nanargmax(slope_drops)) if np.isfinite(slope_drops).any() else rise.stop
 
 
 def match_peaks(motion: Floats, force: Floats) -> tuple[Ints, bool]:
@@ -73,7 +74,7 @@ def match_peaks(motion: Floats, force: Floats) -> tuple[Ints, bool]:
 
     Parameters
     ----------
-    motion, force : shape (p,) and (q,), s, times of the peaks in order, each on its own clock
+    motion, force : shape (p,) and (q,), s, increasing times of the peaks, each on its own clock
 
     Returns
     -------
@@ -84,8 +85,9 @@ def match_peaks(motion: Floats, force: Floats) -> tuple[Ints, bool]:
     -----
     Both records contain the same peaks in the same order, except for peaks before the start of one
     of them. The shift with the most pairs is chosen, and of several such shifts the one with the
-    most constant time difference. If several shifts are equal, the choice is ambiguous: the shift
-    with the smallest time difference is chosen, since both records are started together.
+    most constant time difference. If several shifts are equal in both, the choice is ambiguous. The
+    shift with the smallest time difference is then chosen, since both records usually start
+    together.
     """
     if min(len(motion), len(force)) == 0:
         return np.empty((0, 2), dtype=np.int64), False
@@ -93,7 +95,7 @@ def match_peaks(motion: Floats, force: Floats) -> tuple[Ints, bool]:
     for shift in range(-len(motion) + 1, len(force)):
         peaks = np.arange(max(0, -shift), min(len(motion), len(force) - shift))
         lag = force[peaks + shift] - motion[peaks]
-        spread = round(float(np.ptp(lag)), 1)
+        spread = round(float(np.ptp(lag)), 1)  # s; smaller differences are errors of the peaks
         candidates.append((-len(peaks), spread, abs(float(np.median(lag))), shift, peaks))
     candidates.sort(key=lambda candidate: candidate[:4])
     best_match, *other_matches = candidates
@@ -103,14 +105,14 @@ def match_peaks(motion: Floats, force: Floats) -> tuple[Ints, bool]:
 
 @dataclass(frozen=True, slots=True)
 class Repeat:
-    """Time after which a cycle of the test repeats, on both clocks.
+    """Lag after which a cycle of the test repeats, on both clocks.
 
     Parameters
     ----------
-    motion, force : this lag on the marker clock and on the force clock, s
+    motion, force : lag on the clock of the motion and on the clock of the force, s
     error : standard error of the difference of the two lags, s
-    zero_drift_error : error of the lag from zero drift of the force, s; it only widens the
-        intervals and does not change the weights
+    zero_drift_error : error of the lag from a drift of the zero of the force, s; it only widens the
+        intervals, without a change of the weights
     """
 
     motion: float
@@ -122,18 +124,20 @@ class Repeat:
 def fit_clocks(
     motion: Floats, force: Floats, errors: Floats, *, method: str, repeat: Repeat | None = None
 ) -> ClockFit:
-    """Fit force time = offset + (1 + drift) x marker time to events on both clocks.
+    """Fit force time = offset + (1 + drift) x motion time to events on both clocks.
 
     Parameters
     ----------
-    motion, force : shape (events,), s, at least one event
-    errors : shape (events,), s, standard error of the difference at each event, positive
+    motion, force : shape (events,), s, times of the events on the clocks of motion and force; at
+        least one event
+    errors : shape (events,), s, standard error of the time difference of each event, positive
     method : description of the search for events
-    repeat : lag on both clocks, which determines the drift but not the offset
+    repeat : lag of a repeated cycle, which determines the drift but not the offset; None without
+        such a lag
 
     Returns
     -------
-    The fit. With one event and no repeat, the drift is zero and its interval is NaN.
+    The fit. With one event and no lag, the drift is zero and its interval is NaN.
 
     Raises
     ------
@@ -160,7 +164,7 @@ def fit_clocks(
     design = design[:, : 1 if is_single else 2]
     solution, covariance = solve_weighted(design, differences, deviations)
     residuals = (differences - design @ solution) / deviations
-    sensitivity = covariance @ design[-1] / deviations[-1] ** 2  # to the last difference
+    sensitivity = covariance @ design[-1] / deviations[-1] ** 2  # to the last difference, the lag
     freedom = len(differences) - design.shape[1]
     covariance = covariance * _compute_variance_factor(residuals, freedom=freedom)
     if repeat is not None:
@@ -217,11 +221,11 @@ def make_clock_fit(
 
 
 def _compute_variance_factor(residuals: Floats, *, freedom: int) -> float:
-    """Compute the factor on the variance if events scatter more than their errors, else return 1.
+    """Compute the factor on the variance, which is 1 unless events scatter more than their errors.
 
     The residuals are divided by their errors. The 99 % quantile of chi-square is approximated by
-    the method of Wilson and Hilferty (PNAS 17 (1931) 684), to within 2 % for one degree of freedom,
-    and better for more.
+    the method of Wilson and Hilferty (PNAS 17 (1931) 684), with an error of 2 % for one degree of
+    freedom, and less for more.
     """
     if freedom < 1:
         return 1.0
@@ -243,9 +247,9 @@ def fit_lag(
 
     Parameters
     ----------
-    time, values : shape (n,), s and any unit; increasing time
+    time, values : shape (n,), increasing times (s) and values (any unit) of the signal
     cycle : times of the beginning, the peak and the end of the earlier cycle, s
-    guess : first guess of the lag, within a second, s
+    guess : first guess of the lag, accurate to a second, s
     hysteresis : whether the loop may have shifted along the displacement between the two cycles;
         False for a motion
 
@@ -255,23 +259,23 @@ def fit_lag(
 
     Notes
     -----
-    The model is y(t + lag) - y(t) = tau y'(t) + a + b y(t) + c y'(t) sign(turn - t), with the error
-    tau of the lag, a shift a and a scale b of the later cycle, and a shift c of the loop along the
-    displacement, which has opposite signs in loading and unloading. It is fitted by least squares
-    to at most 2000 bins, and the fit is repeated until tau is negligible. y' is the slope of the
-    mean of both cycles.
+    The model is y(t + lag) - y(t) = tau y'(t) + a + b y(t) + c y'(t) sign(turn - t). In it, tau is
+    the error of the lag, a is a shift and b a change of scale of the later cycle, and c is a shift
+    of the loop along the displacement, which has opposite signs in loading and unloading. The slope
+    y' is that of the mean of both cycles. The model is fitted by least squares to at most 2000
+    bins, and the fit is repeated until tau is negligible.
 
     The standard error follows from the long-run variance of the residuals, so that a cycle that
     repeats poorly has little weight. Noise increases y' and attenuates tau. Therefore tau and its
-    error are divided by the fraction of the sum of squares that is not noise (Fuller, Measurement
-    Error Models, 1987, sec. 1.2).
+    error are divided by the fraction of the sum of squares of y' that is not noise (Fuller,
+    Measurement Error Models, 1987, sec. 1.2).
     """
     start, turn, stop = cycle
-    samples = int(np.searchsorted(time, stop) - np.searchsorted(time, start))
-    bins = max(0, min(2000, samples // 2))
-    if bins < _MIN_BINS:
-        return Failure.of("signal.too_few_bins", count=bins, where="in the cycle", needed=_MIN_BINS)
-    edges = np.linspace(start, stop, bins + 1)
+    n_samples = int(np.searchsorted(time, stop) - np.searchsorted(time, start))
+    count, where = max(0, min(2000, n_samples // 2)), "in the cycle"
+    if count < _MIN_BINS:
+        return Failure.of("signal.too_few_bins", count=count, where=where, needed=_MIN_BINS)
+    edges = np.linspace(start, stop, count + 1)
     middle = 0.5 * (edges[1:] + edges[:-1])
     first = _compute_bin_means(time, values, edges)
     lag = Estimate(guess, np.nan, 0)
@@ -306,9 +310,10 @@ def _compute_lag_correction(
     residuals = difference - design @ solution
     variance = estimate_long_run_variance(residuals, parameters=len(columns))
     covariance = np.linalg.pinv(design.T @ design)
-    # A lag that is too large by tau gives y(t + lag) - y(t) = tau y'(t), so the correction is -tau.
-    # The variance of `residuals`, a difference, is four times the variance of the noise of the mean
-    # cycle, of which a central difference over two steps h has the fraction 1 / (2 h^2).
+    # A lag that is too large by tau gives y(t + lag) - y(t) = tau y'(t), so that the correction is
+    # -tau. The residuals are differences of two cycles. Their variance is four times that of the
+    # noise of the mean cycle. The slope, a central difference over two steps h, has 1 / (2 h^2) of
+    # the variance of this noise.
     slope_noise = float(residuals @ residuals) / (8.0 * float(time[1] - time[0]) ** 2)
     reliability = max(0.1, 1.0 - slope_noise * float(covariance[0, 0]))
     error = float(np.sqrt(variance * covariance[0, 0])) / reliability
@@ -318,17 +323,17 @@ def _compute_lag_correction(
 def _compute_bin_means(time: Floats, values: Floats, edges: Floats) -> Floats:
     """Compute the mean of the samples in each bin; NaN for an empty bin."""
     ends = np.searchsorted(time, edges)
-    low, high = ends[:-1], ends[1:]
-    filled = np.flatnonzero(high > low)
-    means: Floats = np.full(len(low), np.nan)
-    if len(filled) == 0:
+    starts, stops = ends[:-1], ends[1:]
+    filled_bins = np.flatnonzero(stops > starts)
+    means: Floats = np.full(len(starts), np.nan)
+    if len(filled_bins) == 0:
         return means
-    rows = slice(int(low[filled[0]]), int(high[filled[-1]]))
-    sums = np.add.reduceat(values[rows], low[filled] - rows.start)
-    means[filled] = sums / (high - low)[filled]
-    # The samples of a bin are not centred in it, so the mean is shifted to its middle.
-    offset = np.zeros(len(low))
-    offset[filled] = 0.5 * (time[low[filled]] + time[high[filled] - 1])
-    offset[filled] -= 0.5 * (edges[1:] + edges[:-1])[filled]
+    rows = slice(int(starts[filled_bins[0]]), int(stops[filled_bins[-1]]))
+    sums = np.add.reduceat(values[rows], starts[filled_bins] - rows.start)
+    means[filled_bins] = sums / (stops - starts)[filled_bins]
+    # The samples of a bin are not centred in it, so that the mean is shifted to its middle.
+    offset = np.zeros(len(starts))
+    offset[filled_bins] = 0.5 * (time[starts[filled_bins]] + time[stops[filled_bins] - 1])
+    offset[filled_bins] -= 0.5 * (edges[1:] + edges[:-1])[filled_bins]
     centred: Floats = means - offset * np.gradient(means, edges[1] - edges[0])
     return centred

@@ -1,8 +1,9 @@
-"""Find time and height of a corner of a signal, or of the reversal of a force.
+"""Fit the time and the height of a corner of a signal, or of the reversal of a force.
 
-A corner has straight lines on both sides. At a reversal a force first falls steeply, until strands
+A corner has straight lines on both sides. At a reversal, a force first falls steeply, until strands
 slide. The steep fall lasts a tenth of a second. A parabola over a longer window does not follow it,
-and a shorter window contains too few samples.
+and a shorter window contains too few samples. The fall therefore has a slope that may change
+anywhere.
 """
 
 from __future__ import annotations
@@ -18,17 +19,17 @@ from labpipe.uncertainty.autocorrelation import estimate_long_run_variance
 
 @dataclass(frozen=True, slots=True)
 class Corner:
-    """A corner of a signal.
+    """Corner of a signal, with standard errors.
 
     Parameters
     ----------
     time : time of the corner, s
     time_error : standard error of `time`, s; infinite if the two sides meet smoothly
     value : value at the corner, in the unit of the signal
-    value_error : standard error of `value`
+    value_error : standard error of `value`, in the unit of the signal
     n : number of samples used
-    shape_error : component of `time_error` from the unknown shape of the fall of a reversal, s. It
-        is equal at all similar turns of a specimen and does not average out
+    shape_error : component of `time_error` from the unknown shape of the fall after a reversal, s.
+        It is equal at all similar turns of a specimen, so that it does not average out
     """
 
     time: float
@@ -44,7 +45,7 @@ def fit_corner(time: Floats, values: Floats, *, guess: float, window: float) -> 
 
     Parameters
     ----------
-    time, values : shape (n,), s and any unit; increasing time
+    time, values : shape (n,), increasing times (s) and values (any unit) of the signal
     guess : first guess of the time of the corner, s
     window : width of the window on each side of the guess, s; the first search covers its inner
         half
@@ -56,15 +57,15 @@ def fit_corner(time: Floats, values: Floats, *, guess: float, window: float) -> 
 
     Notes
     -----
-    The model is y = v + a min(t - c, 0) + b max(t - c, 0). First v, a and b are fitted by linear
-    least squares for every c on a grid, then all four parameters by the Gauss-Newton method. Long
-    records are first averaged in 600 to 1200 bins per side. Standard errors use the long-run
-    variance of the residuals (`estimate_long_run_variance`). NaN are ignored.
+    The model is y = v + a min(t - c, 0) + b max(t - c, 0), with the corner at the time c. First v,
+    a and b are fitted by linear least squares for every c of a grid, then all four parameters by
+    the Gauss-Newton method. Long records are averaged in 600 to 1200 bins per side. Standard errors
+    use the long-run variance of the residuals (`estimate_long_run_variance`). NaN are ignored.
     """
     min_bins_per_side, min_side_samples = 600, 4
     is_used = (np.abs(time - guess) <= window) & ~np.isnan(values)
-    size = int(is_used.sum()) // (2 * min_bins_per_side)
-    t, y = average_blocks(time[is_used] - guess, values[is_used], size)
+    block_size = int(is_used.sum()) // (2 * min_bins_per_side)
+    t, y = average_blocks(time[is_used] - guess, values[is_used], block_size)
     if min((t < 0).sum(), (t > 0).sum()) < min_side_samples:
         return None
     grid = np.linspace(-0.5 * window, 0.5 * window, 41)
@@ -86,44 +87,44 @@ def fit_corner(time: Floats, values: Floats, *, guess: float, window: float) -> 
 def fit_stop(
     time: Floats, values: Floats, *, guesses: tuple[float, float], window: float
 ) -> tuple[Corner, Corner] | None:
-    """Fit a line, a level and a line: the stop and the restart of a motion.
+    """Fit the stop and the restart of a motion by a line, a level and another line.
 
     Parameters
     ----------
-    time, values : shape (n,), s and any unit; increasing time
+    time, values : shape (n,), increasing times (s) and values (any unit) of the motion
     guesses : first guesses of the times of stop and restart, s
     window : width of the window before the stop and after the restart, s
 
     Returns
     -------
-    Both corners; None if a line or the level has too few samples, or if the lines do not meet the
-    level between the first and the last sample.
+    The corners at stop and restart; None if a line or the level has too few samples, or if the
+    lines do not meet the level between the first and the last sample.
 
     Notes
     -----
     Every sample is assigned to the line before the stop, to the level, or to the line after the
     restart. All three are fitted by least squares, and the corners are their intersections. The
-    assignment is repeated until it does not change; if the level is too long at first, its excess
-    is about halved each time. Standard errors use the long-run variance of the residuals. NaN are
-    ignored.
+    assignment is repeated until it does not change. If the level is too long at first, each
+    repetition about halves its excess. Standard errors use the long-run variance of the residuals.
+    NaN are ignored.
     """
     min_line_samples, min_level_samples = 5, 3  # two samples may lie on both sides of a corner
     is_used = (time >= guesses[0] - window) & (time <= guesses[1] + window) & ~np.isnan(values)
     middle = 0.5 * (guesses[0] + guesses[1])
     t, y = time[is_used] - middle, values[is_used]
     ends = [guess - middle for guess in guesses]
-    assigned: Ints = np.zeros(0, dtype=np.int64)
+    assigned_sections: Ints = np.zeros(0, dtype=np.int64)
     slopes, level = [0.0, 0.0], 0.0
     for _ in range(30):
         sections = np.searchsorted(ends, t)
-        if np.array_equal(sections, assigned):
+        if np.array_equal(sections, assigned_sections):
             break
-        assigned = sections
-        is_before, is_level, is_after = (sections == number for number in range(3))
+        assigned_sections = sections
+        is_before, is_level, is_after = (sections == section for section in range(3))
         n_line, n_level = min(is_before.sum(), is_after.sum()), is_level.sum()
         if n_line < min_line_samples or n_level < min_level_samples:
             return None
-        lines = [np.polyfit(t[section], y[section], 1) for section in (is_before, is_after)]
+        lines = [np.polyfit(t[flags], y[flags], 1) for flags in (is_before, is_after)]
         slopes, level = [float(line[0]) for line in lines], float(y[is_level].mean())
         if 0.0 in slopes:
             return None
@@ -146,12 +147,15 @@ def fit_stop(
 def _make_corner(
     jacobian: Floats, residuals: Floats, parameters: Floats, time_origin: float, count: int
 ) -> Corner:
-    """Make the corner of parameters (value first, time last), with errors from the Jacobian."""
+    """Make the corner from fitted parameters, with standard errors from the Jacobian.
+
+    The first parameter is the value, the last one is the time since the time origin, s.
+    """
     variance = estimate_long_run_variance(residuals, parameters=jacobian.shape[1])
     scale = np.linalg.norm(jacobian, axis=0)
     scale[scale == 0.0] = 1.0
     information = (jacobian / scale).T @ (jacobian / scale)
-    is_determined = np.linalg.cond(information) < 1e12
+    is_determined = np.linalg.cond(information) < 1e12  # not if both sides meet smoothly
     inverse = np.linalg.pinv(information) / np.outer(scale, scale)
     errors = np.sqrt(np.maximum(variance * np.diag(inverse), 0.0))
     return Corner(
@@ -164,16 +168,16 @@ def _make_corner(
 
 
 def average_blocks(time: Floats, values: Floats, size: int) -> tuple[Floats, Floats]:
-    """Average blocks of consecutive samples; unlike decimation, this does not alias hum.
+    """Average blocks of consecutive samples, which unlike decimation does not alias hum.
 
     Parameters
     ----------
-    time, values : shape (n,), s and any unit
+    time, values : shape (n,), times (s) and values (any unit) of a signal
     size : number of samples per block; below 2 the samples are returned unchanged
 
     Returns
     -------
-    Mean times and mean values of the blocks, shape (n // size,); NaN if a block contains NaN.
+    Mean times and mean values of the blocks, shape (n // size,) each; NaN if a block contains NaN.
     """
     if size < 2:
         return time, values
@@ -183,11 +187,13 @@ def average_blocks(time: Floats, values: Floats, size: int) -> tuple[Floats, Flo
 
 
 def _build_line_design(time: Floats, corner: float) -> Floats:
+    """Build the design of a value and two slopes, shape (n, 3), for the time of a corner."""
     u = time - corner
     return np.column_stack([np.ones_like(u), np.minimum(u, 0.0), np.maximum(u, 0.0)])
 
 
 def _fit_joined_lines(time: Floats, values: Floats, corner: float) -> tuple[Floats, float]:
+    """Fit value and slopes for the time of a corner; return them and the sum of squares."""
     design = _build_line_design(time, corner)
     coefficients = np.asarray(np.linalg.lstsq(design, values, rcond=None)[0], dtype=np.float64)
     residuals = values - design @ coefficients
@@ -195,7 +201,7 @@ def _fit_joined_lines(time: Floats, values: Floats, corner: float) -> tuple[Floa
 
 
 def _linearise(time: Floats, values: Floats, parameters: Floats) -> tuple[Floats, Floats]:
-    """Compute Jacobian and residuals of the model; the last parameter is the time of the corner."""
+    """Compute the Jacobian and the residuals; the last parameter is the time of the corner."""
     coefficients, corner_time = parameters[:-1], float(parameters[-1])
     design = _build_line_design(time, corner_time)
     time_column = -np.where(time < corner_time, coefficients[1], coefficients[2])
@@ -205,10 +211,12 @@ def _linearise(time: Floats, values: Floats, parameters: Floats) -> tuple[Floats
 _N_FIXED = 5
 """Number of fixed columns: height, slopes before and after, curvatures before and after."""
 _SLOPE_BEFORE, _SLOPE_AFTER = 1, 2
-"""Indices of the columns of the slopes."""
+"""Indices of the columns of the slopes before and after the corner."""
 _KNOTS = np.append(0.014 * np.arange(1, 9), 0.126 * 2.0 ** (np.arange(21) / 8.0))
-"""Times since the beginning of the fall, in windows, at which the slope may change. They are dense
-enough to follow a sudden change between two of them."""
+"""Times since the beginning of the fall, in windows, at which the slope may change.
+
+They are dense enough to follow a sudden change between two of them.
+"""
 _DWELL_KNOTS = 2.0 ** -np.arange(1.0, 7.0)
 """Times since the beginning of the dwell, in dwells, at which the slope may change."""
 _ROUGHNESSES = 2.0 ** np.arange(-1.0, 10.0, 1.5)
@@ -219,15 +227,16 @@ _SEARCH_RANGE = 0.5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Grid:
-    """Likelihoods of the corner at each time of a grid for each roughness.
+    """Likelihoods of a corner at each time of a grid, for each roughness.
 
     Parameters
     ----------
-    times : shape (times,), times of the corner, in windows from the first guess
+    times : shape (times,), times of the corner since the first guess, in windows
     n_fixed : number of fixed columns of the design
-    precision : shape (roughness,), variance of the noise over the variance of a change of slope
+    precision : shape (roughness,), variance of the noise divided by that of a change of slope
     log_likelihood : shape (times, roughness), logarithm of the likelihood
-    fall_logs : shape (times, roughness), log probability that the force falls after the corner
+    fall_logs : shape (times, roughness), logarithm of the probability that the force falls after
+        the corner
     gram : shape (times, columns, columns), products of the columns of the design
     moments : shape (times, columns), products of the columns and the signal
     inverse : shape (times, roughness, columns, columns), inverse of `gram` plus the precision
@@ -252,7 +261,7 @@ def fit_reversal(
 
     Parameters
     ----------
-    time, values : shape (n,), s and any unit; increasing time
+    time, values : shape (n,), increasing times (s) and values (any unit) of the force
     guess : first guess of the time of the corner, s
     window : width of the window on each side of the guess, s; the corner is searched in its inner
         half
@@ -266,22 +275,24 @@ def fit_reversal(
 
     Notes
     -----
-    With u = t - c, the model is a parabola before the corner, and after it a parabola whose slope
-    may change at times s_k:
+    With the time u = t - c since the corner, the model is a parabola before the corner, and after
+    it a parabola whose slope may change at times s_k:
 
     y = v + a_1 min(u, 0) + a_2 min(u, 0)^2 + b_1 max(u, 0) + b_2 max(u, 0)^2
     + sum_k z_k max(u - s_k, 0).
 
     The times s_k have equal distances next to the corner and equal ratios farther away. The z_k are
-    normal with a common standard deviation, the roughness, over which the result is averaged with
-    its marginal likelihood. A parabolic fall is thus fitted as a parabola over the whole window,
-    any other fall as closely as the noise allows, and the errors include the uncertain choice. This
-    is the Bayesian smoothing spline, whose intervals also cover fixed curves (Wahba, J. R. Stat.
-    Soc. B 45 (1983) 133; Nychka, J. Am. Stat. Assoc. 83 (1988) 1134).
+    normal with a common standard deviation, the roughness. The result is averaged over the
+    roughness, weighted by its marginal likelihood. A parabolic fall is thus fitted as a parabola
+    over the whole window, and any other fall as closely as the noise allows. The errors include the
+    uncertainty of this choice. This is the Bayesian smoothing spline, whose intervals also cover
+    fixed curves (Wahba, J. R. Stat. Soc. B 45 (1983) 133; Nychka, J. Am. Stat. Assoc. 83 (1988)
+    1134).
 
-    The force falls after the corner, at first at least half as steeply as later. Likelihoods are
-    weighted by the probability of that, since an earlier corner followed by a rise or a flat top
-    would fit as well. The noise is the long-run variance of the residuals of the most likely curve.
+    The force must fall after the corner, at first at least half as steeply as later. Likelihoods
+    are weighted by the probability of such a fall, since an earlier corner followed by a rise or a
+    flat top would fit as well. The noise is the long-run variance of the residuals of the most
+    likely curve.
 
     With a dwell D, the fall begins at c + D, and max(u - D, 0) replaces max(u, 0). During the
     dwell the force may relax, fast at first. With q = min(max(u, 0), D), the model then also has
@@ -289,7 +300,7 @@ def fit_reversal(
     ignored.
     """
     min_bins = 600  # on both sides together; longer records are averaged in up to twice as many
-    first_half_width = 0.15  # in windows
+    first_half_width = 0.15  # of the first grid, in windows
     is_used = (time >= guess - window) & (time <= guess + window + dwell) & ~np.isnan(values)
     count, relative_dwell = int(is_used.sum()), dwell / window
     t, y = average_blocks((time[is_used] - guess) / window, values[is_used], count // min_bins)
@@ -317,41 +328,49 @@ def _estimate_white_noise(y: Floats) -> float:
 
     If most second differences are zero, as with coarse quantisation, their mean square is used.
     """
-    second = np.diff(y, 2)
-    level = float(np.median(np.abs(second))) / (0.6745 * np.sqrt(6.0))
-    if level <= 1e-9 * float(np.ptp(y)):
-        level = float(np.sqrt(np.mean(second**2) / 6.0))
-    return float(max(level, 1e-9 * float(np.ptp(y))) ** 2)
+    differences, min_level = np.diff(y, 2), 1e-9 * float(np.ptp(y))
+    level = float(np.median(np.abs(differences))) / (0.6745 * np.sqrt(6.0))
+    if level <= min_level:
+        level = float(np.sqrt(np.mean(differences**2) / 6.0))
+    return float(max(level, min_level) ** 2)
 
 
 def _refine_grid(
     t: Floats, y: Floats, variance: float, ends: tuple[float, float], dwell: float
 ) -> _Grid:
-    """Find a grid that covers the likely times, from a first guess of its ends."""
+    """Find a grid that covers the likely times of the corner, from a first guess of its ends.
+
+    Parameters
+    ----------
+    t, y : times since the first guess, in windows, and values of the signal
+    variance : variance of the noise
+    ends : first guess of the first and the last time, in windows
+    dwell : dwell, in windows
+    """
     n_times = 25
-    max_log_likelihood_drop = 8.0
-    low, high = ends
-    grid = _evaluate_grid(t, y, np.linspace(low, high, n_times), variance, dwell)
+    max_log_likelihood_drop = 8.0  # times with a larger drop are not likely
+    first, last = ends
+    grid = _evaluate_grid(t, y, np.linspace(first, last, n_times), variance, dwell)
     for _ in range(8):
         log_likelihoods = np.logaddexp.reduce(grid.log_likelihood, axis=1)
         drops = log_likelihoods.max() - log_likelihoods
-        likely_times = np.flatnonzero(drops < max_log_likelihood_drop)
-        first_row, last_row, width = int(likely_times[0]), int(likely_times[-1]), high - low
-        is_open_below = first_row == 0 and low > -_SEARCH_RANGE
-        is_open_above = last_row == n_times - 1 and high < _SEARCH_RANGE
+        likely_rows = np.flatnonzero(drops < max_log_likelihood_drop)
+        first_row, last_row, width = int(likely_rows[0]), int(likely_rows[-1]), last - first
+        is_open_below = first_row == 0 and first > -_SEARCH_RANGE
+        is_open_above = last_row == n_times - 1 and last < _SEARCH_RANGE
         if not (is_open_below or is_open_above) and last_row - first_row >= n_times // 3:
             break
-        times = [low - 0.5 * width, *grid.times.tolist(), high + 0.5 * width]
-        low = max(-_SEARCH_RANGE, times[first_row])
-        high = min(_SEARCH_RANGE, times[last_row + 2])
-        grid = _evaluate_grid(t, y, np.linspace(low, high, n_times), variance, dwell)
+        times = [first - 0.5 * width, *grid.times.tolist(), last + 0.5 * width]
+        first = max(-_SEARCH_RANGE, times[first_row])
+        last = min(_SEARCH_RANGE, times[last_row + 2])
+        grid = _evaluate_grid(t, y, np.linspace(first, last, n_times), variance, dwell)
     return grid
 
 
 def _build_design(t: Floats, corners: Floats, dwell: float) -> Floats:
     """Build the design for every time of the corner, shape (corners, columns, n).
 
-    The fixed columns are first: those of `_N_FIXED`, and with a dwell the slope during the dwell.
+    The first columns are fixed: the `_N_FIXED` columns and, with a dwell, the slope during it.
     """
     u = t - corners[:, None]
     rise, fall, relaxation = np.minimum(u, 0.0), np.maximum(u - dwell, 0.0), np.clip(u, 0.0, dwell)
@@ -360,8 +379,8 @@ def _build_design(t: Floats, corners: Floats, dwell: float) -> Floats:
     knots, first = np.append(_KNOTS, _DWELL_KNOTS * dwell), len(fixed) + len(_KNOTS)
     count = len(knots) if dwell > 0.0 else len(_KNOTS)
     design = np.empty((len(corners), len(fixed) + count, len(t)))
-    for number, column in enumerate(fixed):
-        design[:, number] = column
+    for index, column in enumerate(fixed):
+        design[:, index] = column
     design[:, len(fixed) : first] = fall[:, None]
     design[:, first:] = relaxation[:, None]
     bends = design[:, len(fixed) :]
@@ -372,7 +391,7 @@ def _build_design(t: Floats, corners: Floats, dwell: float) -> Floats:
 def _evaluate_grid(t: Floats, y: Floats, corners: Floats, variance: float, dwell: float) -> _Grid:
     """Compute the likelihoods; fixed columns are fitted, random columns are integrated out."""
     design = _build_design(t, corners, dwell)
-    fixed = _N_FIXED + (dwell > 0.0)  # with the slope during the dwell
+    fixed = _N_FIXED + (dwell > 0.0)  # a dwell adds the slope during it
     gram, moments = design @ design.transpose(0, 2, 1), design @ y
     mixed = gram[:, :fixed, fixed:]
     right = np.concatenate([mixed, moments[:, :fixed, None]], axis=2)
@@ -406,14 +425,13 @@ def _weigh_falls(
 
     With a dwell, the slope must also decrease at its beginning and at its end. The second array is
     the log probability that the force falls at least twice as fast after the dwell as during it, as
-    usual; 0 without a dwell.
+    it usually does; it is 0 without a dwell.
     """
     compared_spans = (0.12, 0.25)  # in windows, after the corner
-    # First fraction of a span, and smallest ratio of the slope in it to the mean slope of the span.
+    # Beginning of a span as a fraction of it; smallest slope there over the mean slope of the span.
     early_fraction, min_early_slope = 0.25, 0.5
     unloading_span = 0.06  # in windows, after the dwell
-    # Number of standard errors by which the beginning of a fall may be too flat.
-    slope_tolerance = 2.0
+    slope_tolerance = 2.0  # standard errors by which the beginning of a fall may be too flat
     # Fraction of dwells in which the force relaxes as fast as it falls in unloading.
     fast_relaxation_fraction = 0.001
 
@@ -440,7 +458,7 @@ def _weigh_falls(
 
 
 def _compute_change(start: float, stop: float, dwell: float) -> Floats:
-    """Compute the change of the columns of the design between two times since the corner."""
+    """Compute the changes of the columns of the design between two times since the corner."""
     design = _build_design(np.array([start, stop]), np.zeros(1), dwell)[0]
     return np.asarray(design[:, 1] - design[:, 0], dtype=np.float64)
 
@@ -458,7 +476,8 @@ def _estimate_noise(t: Floats, y: Floats, grid: _Grid, variance: float, dwell: f
 def _average_corners(grid: _Grid, variance: float) -> Corner | None:
     """Average the corner over all times and roughnesses, weighted by their probability.
 
-    None if it may be at the edge of the searched range, or if the force probably does not fall.
+    Return None if the corner may be at the edge of the searched range, or if the force probably
+    does not fall.
     """
     max_edge_probability, min_fall_probability = 0.05, 0.01
     weights = np.exp(grid.log_likelihood - grid.log_likelihood.max())
@@ -481,20 +500,20 @@ def _average_corners(grid: _Grid, variance: float) -> Corner | None:
 
 
 def _compute_shape_fraction(t: Floats, grid: _Grid, dwell: float) -> float:
-    """Compute the fraction of the variance of the corner time that is not from noise.
+    """Compute the fraction of the variance of the corner time that noise does not cause.
 
-    The curve is linearised in time at its most likely time. The variance of a smoother consists of
-    the noise that it passes and the signal that it removes.
+    The curve is linearised with respect to the time of the corner at its most likely value. The
+    variance of a smoother consists of the noise that it passes and of the signal that it removes.
     """
     row = int(np.argmax(np.logaddexp.reduce(grid.log_likelihood, axis=1)))
     weights = np.exp(grid.log_likelihood[row] - grid.log_likelihood[row].max())
     design = _build_design(t, grid.times[[row]], dwell)[0]
     total = noise = 0.0
-    for number, weight in enumerate(weights.tolist()):
-        slopes = _compute_slopes(t - grid.times[row], grid.coefficients[row, number], dwell)
+    for index, weight in enumerate(weights.tolist()):
+        slopes = _compute_slopes(t - grid.times[row], grid.coefficients[row, index], dwell)
         extended = np.vstack([design, slopes])
         gram = extended @ extended.T
-        penalty = np.full(len(gram), grid.precision[number])
+        penalty = np.full(len(gram), grid.precision[index])
         penalty[: grid.n_fixed] = penalty[-1] = 0.0
         inverse = np.linalg.inv(gram + np.diag(penalty))
         total += weight * float(inverse[-1, -1])
@@ -503,7 +522,7 @@ def _compute_shape_fraction(t: Floats, grid: _Grid, dwell: float) -> float:
 
 
 def _compute_slopes(u: Floats, c: Floats, dwell: float) -> Floats:
-    """Compute the slope of the curve with the coefficients `c` at times `u` since the corner."""
+    """Compute the slope of the curve with coefficients `c` at the times `u` since the corner."""
     fall_time = u - dwell
     rise, fall = c[1] + 2.0 * c[3] * u, c[2] + 2.0 * c[4] * fall_time
     bends = c[_N_FIXED + (dwell > 0.0) :]

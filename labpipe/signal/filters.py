@@ -1,4 +1,4 @@
-"""Filter evenly sampled signals: moving average, its variant with lines at the ends, low-pass."""
+"""Filter evenly sampled signals by moving averages and Butterworth low-pass filters."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ def compute_window(span: float, count: int) -> int:
 
     Notes
     -----
-    A fraction means ceil(span x count) samples; other spans are rounded down. An even window is
-    shortened by one sample (documentation of MATLAB's Curve Fitting Toolbox, ``smooth``).
+    A fraction is converted to ceil(span x count) samples; other spans are rounded down. An even
+    window is shortened by one sample (documentation of MATLAB's Curve Fitting Toolbox, ``smooth``).
 
     Examples
     --------
@@ -49,17 +49,17 @@ def compute_window(span: float, count: int) -> int:
 
 
 def compute_moving_average(values: Floats, *, window: int, has_ends: bool = True) -> Floats:
-    """Average over a centred window that becomes symmetrically shorter near the ends.
+    """Compute a centred moving average whose window becomes symmetrically shorter near the ends.
 
     Parameters
     ----------
     values : shape (..., n), averaged along the last axis
     window : odd number of samples, 1 <= window <= n
-    has_ends : whether half a window at each end is computed; otherwise it may be zero
+    has_ends : whether the first and last half window are computed; if False, they may be zero
 
     Returns
     -------
-    Shape (..., n), a new array without a shift in time.
+    Shape (..., n), averages in a new array, without a shift in time.
 
     Raises
     ------
@@ -68,10 +68,10 @@ def compute_moving_average(values: Floats, *, window: int, has_ends: bool = True
 
     Notes
     -----
-    The result is that of MATLAB's ``smooth(y, span, 'moving')``: sample i is the mean over
-    i - h ... i + h with h = min((window - 1) / 2, i, n - 1 - i), so the window is shorter at the
-    ends. It is computed from cumulative sums, so that the computing time hardly depends on the
-    window. NaN are ignored; the mean of a window without data is NaN.
+    The result is that of MATLAB's ``smooth(y, span, 'moving')``. Sample i is the mean over
+    i - h ... i + h with h = min((window - 1) / 2, i, n - 1 - i). It is computed from cumulative
+    sums, so that the computing time hardly depends on the window. NaN are ignored; the mean of a
+    window without data is NaN.
 
     Examples
     --------
@@ -97,7 +97,7 @@ def compute_moving_average(values: Floats, *, window: int, has_ends: bool = True
 
 
 def _compute_window_sums(values: Floats, window: int, *, has_ends: bool = True) -> Floats:
-    """Compute sums over windows that become shorter at the ends, or are zero there."""
+    """Compute sums over windows that become shorter at the ends; without ends they are zero."""
     block_size = 1 << 16  # number of samples whose cumulative sum stays in the cache
     reach, count = window // 2, values.shape[-1]
     sums = np.zeros_like(values)
@@ -120,23 +120,24 @@ class Smoothing:
 
     Parameters
     ----------
-    window : odd number of samples, limited to the length of the signal; below 3 the signal is not
-        changed
+    window : odd number of samples, limited to the length of the signal; a window below 3 does not
+        change the signal
 
     Notes
     -----
-    This is the filter of degree one of Savitzky and Golay, Anal. Chem. 36 (1964) 1627. It is the
-    mean over the window and, in the first and the last half window, the least-squares line through
-    the outermost window. A spreadsheet computes it with AVERAGE and FORECAST. The line preserves
-    the height of a corner at the end and averages its noise. It is clipped to the values of the
-    outermost window, so that it does not overshoot a rounded peak. NaN are ignored; if the
-    outermost window contains fewer than two samples, `compute_moving_average` replaces the line.
+    This is the filter of degree one of Savitzky and Golay, Anal. Chem. 36 (1964) 1627. A sample is
+    replaced by the mean over the window. The first and the last half window are replaced by the
+    least-squares line through the outermost window. A spreadsheet computes the filter with AVERAGE
+    and FORECAST. The line preserves the height of a corner at the end and averages its noise. It is
+    clipped to the values of the outermost window, so that it does not overshoot a rounded peak. NaN
+    are ignored. If the outermost window contains fewer than two samples, `compute_moving_average`
+    replaces the line.
     """
 
     window: int
 
     def __call__(self, values: Floats) -> Floats:
-        """Smooth along the last axis: shape (..., n), a new array without a shift in time."""
+        """Smooth along the last axis; return a new array of shape (..., n), not shifted in time."""
         count = values.shape[-1]
         window = min(self.window, count - 1 + count % 2)
         if window < 3:
@@ -162,12 +163,15 @@ class Smoothing:
         return mean
 
     def scale_step(self, ratio: float) -> Smoothing:
-        """Return the filter with the nearest odd window for a step `ratio` times as large."""
+        """Return the filter of nearly equal duration for a sampling step `ratio` times as large."""
         return Smoothing(2 * round(0.5 * (self.window / ratio - 1.0)) + 1)
 
 
 def _fit_line(rows: Floats, indices: Floats, end_indices: Floats) -> Floats:
-    """Fit a line to each row, clipped to the values of the row; shape (rows, end indices)."""
+    """Fit a line to each row, and evaluate it at the end indices, shape (rows, end indices).
+
+    The line is clipped to the range of the values of the row.
+    """
     centre = indices.mean()
     centred = indices - centre
     slopes, levels = rows @ centred / (centred @ centred), rows.mean(axis=1)
@@ -181,13 +185,13 @@ def filter_pieces(values: Floats, cuts: Sequence[int], filters: Sequence[Filter]
 
     Parameters
     ----------
-    values : shape (..., n)
+    values : shape (..., n), samples of a signal, in any unit
     cuts : indices of the samples at which a new piece begins
     filters : functions in the order of application, each with a stride that decimates its output
 
     Returns
     -------
-    Shape (..., m), with m < n if a stride is above one.
+    Shape (..., m), filtered samples, with m < n if a stride is above one.
     """
     count = values.shape[-1]
     edges = sorted({0, count, *(cut for cut in cuts if 0 < cut < count)})
@@ -206,7 +210,7 @@ class Butterworth:
 
     Parameters
     ----------
-    cutoff : frequency at which both passes together halve the amplitude, 1/s
+    cutoff : frequency whose amplitude both passes together halve, 1/s
     rate : sampling rate, 1/s
     order : order of one pass
 
@@ -221,7 +225,7 @@ class Butterworth:
     order: int
 
     def __call__(self, values: Floats) -> Floats:
-        """Filter along the last axis: shape (..., n), a new array without a shift in time.
+        """Filter along the last axis; return a new array of shape (..., n), not shifted in time.
 
         Raises
         ------
@@ -243,7 +247,7 @@ class Butterworth:
     def scale_step(self, ratio: float) -> Butterworth | Smoothing:
         """Return the same filter for a sampling step `ratio` times as large.
 
-        The returned filter changes nothing if its cut-off is at or above half its sampling rate.
+        If its cut-off were at or above half the sampling rate, a filter without effect is returned.
         """
         rate = self.rate / ratio
         if self.cutoff >= rate / 2:
@@ -252,12 +256,12 @@ class Butterworth:
 
 
 def convert_seconds_to_window(span: float, time: Floats) -> int:
-    """Convert a span in seconds to an odd number of samples, by the median step of a clock.
+    """Convert a duration to an odd number of samples, by the median step of a clock.
 
     Parameters
     ----------
     span : duration of the window, s
-    time : shape (n,), s
+    time : shape (n,), s, times of the samples
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Split a motion into strokes between turning points; find rough turns, rests and jumps."""
+"""Split a motion into strokes, and find turns, rests and jumps of signals."""
 
 from __future__ import annotations
 
@@ -13,12 +13,15 @@ from labpipe.records.arrays import Floats, compute_median_step, drop_missing, me
 from labpipe.records.curve import Branch, Direction
 
 _BLOCKS_PER_WIDTH = 20
-"""Number of averaged blocks per width: enough for a first guess, few enough to reduce noise."""
+"""Number of averaged blocks per width.
+
+It is large enough for a first guess of a turn, and small enough to reduce noise.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class Stroke:
-    """One stretch of motion in one direction.
+    """Stretch of a motion in one direction.
 
     Parameters
     ----------
@@ -40,15 +43,15 @@ def goes_down(values: Floats) -> bool:
 
     Returns
     -------
-    Whether the fall of its minimum below the lower end exceeds the rise of its maximum above the
-    higher end by more than five standard deviations of the noise. An end is the mean of a hundredth
-    of the samples. False without any value.
+    Whether the minimum is farther below the lower end than the maximum is above the higher end, by
+    more than five standard deviations of the noise. An end is the mean of the first or last
+    hundredth of the samples. False without any value.
     """
     valid = drop_missing(values)
     if not len(valid):
         return False
-    size = max(1, len(valid) // 100)
-    ends = float(valid[:size].mean()), float(valid[-size:].mean())
+    n_end = max(1, len(valid) // 100)
+    ends = float(valid[:n_end].mean()), float(valid[-n_end:].mean())
     rise, fall = float(valid.max()) - max(ends), min(ends) - float(valid.min())
     return fall > rise and fall - rise > 5.0 * estimate_noise_level(valid)  # last, because slow
 
@@ -58,30 +61,30 @@ def estimate_noise_level(values: Floats) -> float:
 
     Parameters
     ----------
-    values : shape (n,)
+    values : shape (n,), evenly spaced samples in any unit
 
     Returns
     -------
-    Standard deviation, in the unit of `values`; 0 for fewer than five samples.
+    The standard deviation, in the unit of `values`; 0 for fewer than five samples.
 
     Notes
     -----
-    It is the median absolute second difference divided by 0.6745 sqrt 6, which is independent of
+    It is the median absolute second difference divided by 0.6745 sqrt(6), which is independent of
     slopes and hardly affected by corners and jumps. NaN are ignored.
     """
-    second = np.diff(values, n=2)
-    second = second[~np.isnan(second)]
-    return convert_to_noise(median(np.abs(second))) if len(second) > 2 else 0.0
+    differences = np.diff(values, n=2)
+    differences = differences[~np.isnan(differences)]
+    return convert_to_noise(median(np.abs(differences))) if len(differences) > 2 else 0.0
 
 
-def convert_to_noise(second: float) -> float:
+def convert_to_noise(median_difference: float) -> float:
     """Convert a median absolute second difference to the standard deviation of white noise.
 
     Parameters
     ----------
-    second : median absolute second difference, in any unit
+    median_difference : median absolute second difference of a signal, in any unit
     """
-    return second / (0.6745 * sqrt(6.0))
+    return median_difference / (0.6745 * sqrt(6.0))
 
 
 def compute_step_quantile(values: Floats, quantile: float) -> float:
@@ -89,22 +92,22 @@ def compute_step_quantile(values: Floats, quantile: float) -> float:
 
     Parameters
     ----------
-    values : shape (n,), in any unit; NaN are left out, and so are changes by rounding errors
-    quantile : from 0 to 1
+    values : shape (n,), samples in any unit; NaN and changes by rounding errors are ignored
+    quantile : fraction of the changes below the result, from 0 to 1
 
     Returns
     -------
-    Quantile in the unit of `values`; 0 for fewer than 20 changes. Of many changes, every k-th one
-    is used.
+    The quantile in the unit of `values`; 0 for fewer than 20 changes. Of more than 100 000 changes,
+    an evenly spaced part is used.
     """
-    min_steps, max_steps, rounding = 20, 100_000, 1e-7  # the last one as a fraction of the range
+    min_steps, max_steps, rounding = 20, 100_000, 1e-7  # rounding as a fraction of the range
     finite_values = drop_missing(values)
     steps = np.abs(np.diff(finite_values))
     if len(steps) < min_steps:
         return 0.0
     steps = steps[steps > rounding * np.ptp(finite_values)]
-    every = len(steps) // max_steps + 1
-    return float(np.quantile(steps[::every], quantile)) if len(steps) >= min_steps else 0.0
+    stride = len(steps) // max_steps + 1
+    return float(np.quantile(steps[::stride], quantile)) if len(steps) >= min_steps else 0.0
 
 
 def find_strokes(time: Floats, motion: Floats, *, min_stroke: float) -> tuple[Stroke, ...]:
@@ -118,8 +121,9 @@ def find_strokes(time: Floats, motion: Floats, *, min_stroke: float) -> tuple[St
 
     Returns
     -------
-    The strokes in order. Neighbours share their turning sample, but a dwell at the turn belongs to
-    neither. Empty for a motion smaller than `min_stroke`, or for fewer than three samples.
+    The strokes in order. Successive strokes share their turning sample, but a dwell at the turn
+    belongs to neither. Empty for a motion smaller than `min_stroke`, or for fewer than three
+    samples.
 
     Raises
     ------
@@ -129,10 +133,9 @@ def find_strokes(time: Floats, motion: Floats, *, min_stroke: float) -> tuple[St
     Notes
     -----
     Extremes are found with hysteresis: an extreme counts if the motion returns from it by
-    `min_stroke`. A dwell and a smooth reversal differ in the times t1 and t4 that the motion is
-    within a tolerance of the extreme, and within four times that tolerance, on both sides together:
-    a corner has t4 = 4 t1, a parabola t4 = 2 t1, and a dwell t4 < 1.5 t1. NaN are replaced by
-    linear interpolation.
+    `min_stroke`. Let t1 and t4 be the times for which the motion is within a tolerance of an
+    extreme, and within four times that tolerance, on both sides together. A corner has t4 = 4 t1, a
+    parabola t4 = 2 t1, and a dwell t4 < 1.5 t1. NaN are replaced by linear interpolation.
     """
     if not min_stroke > 0:
         raise ValueError(format_sentence("signal.bad_stroke", min_stroke=min_stroke))
@@ -147,7 +150,7 @@ def find_strokes(time: Floats, motion: Floats, *, min_stroke: float) -> tuple[St
     tolerance = 5.0 * estimate_noise_level(motion)
     dwells = []
     for turn, *neighbours in zip(extremes, [None, *extremes], [*extremes[1:], None], strict=False):
-        sides = [_measure_extreme(time, motion, (turn, x), tolerance) for x in neighbours]
+        sides = [_measure_extreme(time, motion, (turn, other), tolerance) for other in neighbours]
         dwells.append(_compute_dwell_times(*sides))
     return tuple(
         _trim_dwells(time, motion, pair, (leaving[1], arriving[0]))
@@ -160,8 +163,8 @@ def _find_extremes(motion: Floats, min_stroke: float) -> list[int]:
 
     In a long record, 50 000 to 100 000 evenly spaced samples are searched.
     """
-    max_points = 50_000
-    stride = max(1, len(motion) // max_points)
+    min_searched_samples = 50_000
+    stride = max(1, len(motion) // min_searched_samples)
     values = motion[::stride]
     spread = np.maximum.accumulate(values) - np.minimum.accumulate(values)
     if spread[-1] < min_stroke:
@@ -178,9 +181,9 @@ def _find_extremes(motion: Floats, min_stroke: float) -> list[int]:
 
 
 def _find_next_turn(values: Floats, start: int, min_stroke: float) -> tuple[int, int | None]:
-    """Find the next maximum, and the sample at which the values have returned from it, if any.
+    """Find the next maximum, and the sample at which the values have returned from it, or None.
 
-    Stretches of doubling length make the search linear in the length of the record.
+    Stretches of doubling length make the search time proportional to the length of the record.
     """
     length = 1024
     while True:
@@ -197,7 +200,7 @@ def _find_next_turn(values: Floats, start: int, min_stroke: float) -> tuple[int,
 def _trim_dwells(
     time: Floats, motion: Floats, extremes: tuple[int, int], dwells: tuple[float, float]
 ) -> Stroke:
-    """Cut the dwell from both ends of the stretch between two extremes."""
+    """Remove the dwells from both ends of the stretch between two extremes."""
     start_extreme, stop_extreme = extremes
     sign = 1 if motion[stop_extreme] > motion[start_extreme] else -1
     step = float(time[stop_extreme] - time[start_extreme]) / (stop_extreme - start_extreme)
@@ -226,7 +229,7 @@ class _ExtremeSide:
 
     @property
     def dwell(self) -> float:
-        """Time at the extreme itself, s."""
+        """Duration of the dwell on this side of the extreme, s."""
         return max(0.0, (4.0 * self.near_time - self.wide_time) / 3.0)
 
 
@@ -234,30 +237,31 @@ def _measure_extreme(
     time: Floats, motion: Floats, ends: tuple[int, int | None], tolerance: float
 ) -> _ExtremeSide | None:
     """Measure the times near an extreme on the side of its neighbour; None without a neighbour."""
-    # The tolerance is at least this fraction of the travel to the neighbour. A dwell is at least a
-    # fraction of the time to the neighbour, or a number of samples.
+    # The tolerance is at least the first fraction of the travel to the neighbour. A dwell is at
+    # least the second fraction of the time to the neighbour, and at least a number of samples.
     min_tolerance_fraction, min_dwell_fraction, min_dwell_samples = 1e-4, 0.005, 5.0
     turn, neighbour = ends
     if neighbour is None:
         return None
     samples = np.arange(turn, neighbour, 1 if neighbour > turn else -1)
     samples = np.append(samples, neighbour)
-    since, travel = (np.abs(x[samples] - x[turn]) for x in (time, motion))
+    duration, travel = (np.abs(values[samples] - values[turn]) for values in (time, motion))
     tolerance = max(tolerance, min_tolerance_fraction * float(travel[-1]))
-    near_time, wide_time = (float(since[travel <= x * tolerance][-1]) for x in (1.0, 4.0))
+    near_time, wide_time = (float(duration[travel <= k * tolerance][-1]) for k in (1.0, 4.0))
     dwell_fraction = max(min_dwell_fraction, min_dwell_samples / abs(neighbour - turn))
-    return _ExtremeSide(near_time, wide_time, float(since[-1]) * dwell_fraction)
+    return _ExtremeSide(near_time, wide_time, float(duration[-1]) * dwell_fraction)
 
 
 def _compute_dwell_times(
     side_before: _ExtremeSide | None, side_after: _ExtremeSide | None
 ) -> tuple[float, float]:
-    """Compute the dwell, s, before and after an extreme, which may be anywhere in the dwell.
+    """Compute the durations, s, of the dwell before and after an extreme.
 
-    At an end of the motion, which has one side only, any rest is a dwell.
+    The extreme may be anywhere in the dwell. At an end of the motion, which has one side only, any
+    rest is a dwell.
     """
     sides = [side for side in (side_before, side_after) if side is not None]
-    near_time, wide_time = sum(x.near_time for x in sides), sum(x.wide_time for x in sides)
+    near_time, wide_time = sum(s.near_time for s in sides), sum(s.wide_time for s in sides)
     shortest_dwell = min(side.shortest_dwell for side in sides) if len(sides) > 1 else 0.0
     is_dwell = 2.0 * near_time - wide_time > shortest_dwell
     if not is_dwell or (len(sides) > 1 and not wide_time < 1.5 * near_time):
@@ -273,10 +277,10 @@ def split_branches(
 
     Parameters
     ----------
-    time : shape (n,), s
+    time : shape (n,), s, times of the samples
     strokes : strokes in order of time
-    turning_times : shape (strokes, 2), s, times between samples of start and stop of each stroke;
-        NaN where unknown
+    turning_times : shape (strokes, 2), s, start and stop of each stroke, which may lie between
+        samples; NaN where they are not known
 
     Returns
     -------
@@ -284,23 +288,23 @@ def split_branches(
     and the next unloading branch.
     """
     branches = []
-    for number, stroke in enumerate(strokes):
+    for index, stroke in enumerate(strokes):
         ends = time[[stroke.start, stroke.stop]]
         if turning_times is not None:
-            ends = np.where(np.isnan(turning_times[number]), ends, turning_times[number])
+            ends = np.where(np.isnan(turning_times[index]), ends, turning_times[index])
         direction = Direction.LOADING if stroke.sign == strokes[0].sign else Direction.UNLOADING
-        stop = stroke.stop + (number == len(strokes) - 1)
-        branches.append(Branch(stroke.start, stop, number // 2 + 1, direction, *ends.tolist()))
+        stop = stroke.stop + (index == len(strokes) - 1)  # the last branch has its last sample
+        branches.append(Branch(stroke.start, stop, index // 2 + 1, direction, *ends.tolist()))
     return tuple(branches)
 
 
 def find_sharpest_turn(time: Floats, values: Floats, *, width: float) -> float | None:
-    """Find the time of the largest drop of the slope of a signal.
+    """Find the time at which the slope of a signal drops most.
 
     Parameters
     ----------
-    time, values : shape (n,), s and any unit; NaN are ignored
-    width : time on each side over which the slopes before and after are computed, s
+    time, values : shape (n,), times (s) and values (any unit) of the signal; NaN are ignored
+    width : time over which the slopes before and after are computed, s
 
     Returns
     -------
@@ -309,14 +313,14 @@ def find_sharpest_turn(time: Floats, values: Floats, *, width: float) -> float |
 
     Notes
     -----
-    The mean slopes over `width` before and after the time differ most, at a level above 0.3 of the
-    range. The largest value is not used, since the largest force of a bundle in large deflection
-    can be before the turn of the motion. A range below ten standard deviations of the noise of the
-    averages contains no turn.
+    At this time the mean slopes over `width` before and after differ most, at a level above 0.3 of
+    the range. The time of the largest value is not used, since the largest force of a bundle in
+    large deflection can be before the turn of the motion. A range below ten standard deviations of
+    the noise of the averages contains no turn.
     """
-    # The range of a thousand values of white noise is seven standard deviations.
+    # The range of a thousand values of white noise is only seven standard deviations.
     range_noise_factor = 10.0
-    # Fraction of the range: lower falls are noise, or the first contact of the load frame.
+    # Turns below this fraction of the range are noise, or the first contact of the load frame.
     min_height_fraction = 0.3
     levels = _average_blocks_of_width(time, values, width)
     if levels is None:
@@ -334,14 +338,14 @@ def find_sharpest_turn(time: Floats, values: Floats, *, width: float) -> float |
 def find_turn_near(
     time: Floats, values: Floats, *, middle: float, reach: float, width: float, dwell: float
 ) -> float | None:
-    """Find approximately when a signal stops rising before a known dwell.
+    """Find the approximate time at which a signal stops rising before a known dwell.
 
     Parameters
     ----------
-    time, values : shape (n,), s and any unit; NaN are ignored
+    time, values : shape (n,), times (s) and values (any unit) of the signal; NaN are ignored
     middle : middle of the searched range, s
-    reach : half-width of the searched range, s
-    width : time on each side of a corner over which the slopes before and after are computed, s
+    reach : half width of the searched range, s
+    width : time over which the slopes before and after a corner are computed, s
     dwell : time between the corners, s; 0 for a signal without dwell
 
     Returns
@@ -350,9 +354,9 @@ def find_turn_near(
 
     Notes
     -----
-    It is the time with the largest sum of the drops of slope at both corners. One corner alone
-    could be mistaken for the other, since the slope drops more at a steep fall than at the end of a
-    rise. Slopes are computed over at most the dwell, but at least 0.3 of the width.
+    At this time, the sum of the drops of slope at both corners is largest. One corner alone could
+    be mistaken for the other, since the slope drops more at the beginning of a steep fall than at
+    the end of a rise. Slopes are computed over at most the dwell, but at least 0.3 of the width.
     """
     min_width_fraction = 0.3
     width = width * min(1.0, max(min_width_fraction, dwell / width)) if dwell > 0.0 else width
@@ -369,24 +373,24 @@ def find_turn_near(
 def _average_blocks_of_width(
     time: Floats, values: Floats, width: float
 ) -> tuple[Floats, Floats] | None:
-    """Average blocks of a twentieth of a width; return their times and means.
+    """Average blocks of a twentieth of a width; return their middle times, s, and their means.
 
-    None for a record shorter than two widths.
+    Return None for a record shorter than two widths.
     """
     valid = ~np.isnan(values)
     edges = np.arange(time[0], time[-1], width / _BLOCKS_PER_WIDTH) if valid.any() else np.zeros(0)
     if len(edges) < 2 * _BLOCKS_PER_WIDTH + 2:
         return None
-    block = np.searchsorted(edges, time[valid], side="right") - 1
-    count = np.bincount(block, minlength=len(edges)).astype(np.float64)
-    filled = count > 0
-    total = np.bincount(block, values[valid], minlength=len(edges))
+    blocks = np.searchsorted(edges, time[valid], side="right") - 1
+    counts = np.bincount(blocks, minlength=len(edges)).astype(np.float64)
+    is_filled = counts > 0
+    sums = np.bincount(blocks, values[valid], minlength=len(edges))
     middles = edges + 0.5 * width / _BLOCKS_PER_WIDTH
-    return middles, np.interp(middles, middles[filled], total[filled] / count[filled])
+    return middles, np.interp(middles, middles[is_filled], sums[is_filled] / counts[is_filled])
 
 
 def _compute_slope_drops(level: Floats) -> tuple[Floats, Floats]:
-    """Compute the drop of the rise over a width at each inner level, and the rise after it."""
+    """Compute the rise over a width before each inner level minus that after it, and the latter."""
     rise_before = level[_BLOCKS_PER_WIDTH:-_BLOCKS_PER_WIDTH] - level[: -2 * _BLOCKS_PER_WIDTH]
     rise_after = level[2 * _BLOCKS_PER_WIDTH :] - level[_BLOCKS_PER_WIDTH:-_BLOCKS_PER_WIDTH]
     return rise_before - rise_after, rise_after
@@ -397,20 +401,19 @@ def moves_at_end(time: Floats, positions: Floats) -> bool:
 
     Parameters
     ----------
-    time, positions : shape (n,), s and any unit, of one motion, without NaN
+    time, positions : shape (n,), times (s) and positions (any unit) of the motion, without NaN
 
     Returns
     -------
-    Whether a straight line through the last samples has the direction of the motion and at least
-    half its mean speed; False for fewer than three samples, or equal first and last positions.
+    Whether a straight line through the last samples has the direction of the motion, and at least
+    half of its mean speed. False for fewer than three samples, or equal first and last positions.
 
     Notes
     -----
     The line is fitted to as few samples as noise and resolution allow, but to at least three, and
     at most to about a third of all samples.
     """
-    # Speed at the end and its standard error, as fractions of the mean speed.
-    min_end_speed, max_error = 0.5, 0.15
+    min_end_speed, max_error = 0.5, 0.15  # of the speed at the end; fractions of the mean speed
     travel = float(positions[-1] - positions[0])
     duration = float(time[-1] - time[0])
     if len(positions) < 3 or travel == 0.0 or not duration > 0.0:
@@ -444,9 +447,9 @@ def count_rest_samples(values: Floats) -> int:
 
     Notes
     -----
-    The corner has the least sum of squares among up to 200 samples. It is accepted if it reduces
-    the sum of squares about one straight line by more than 25 variances of the residuals. Since
-    noise may be autocorrelated, it must also reduce this sum by more than half.
+    The corner is that with the smallest sum of squares of up to 200 candidates. It is accepted if
+    it reduces the sum of squares of one straight line by more than 25 variances of the residuals.
+    Since noise may be autocorrelated, it must also reduce this sum by more than half.
     """
     max_corners = 200
     min_gain_in_variances, min_gain_fraction = 25.0, 0.5
@@ -471,19 +474,19 @@ def count_rest_samples(values: Floats) -> int:
 def find_level_jumps(
     time: Floats, values: Floats, *, min_fraction: float = 0.02
 ) -> tuple[tuple[int, float], ...]:
-    """Find changes between two samples that differ from the four changes on each side.
+    """Find the jumps of a signal, which are changes unlike the four changes on each side.
 
     Parameters
     ----------
-    time, values : shape (n,), s (or row numbers) and any unit; NaN are ignored, and a change across
-        a gap at the usual speed is not a jump
+    time, values : shape (n,), times (s, or row numbers) and values (any unit) of the signal; NaN
+        are ignored, and a change across a gap at the usual speed is not a jump
     min_fraction : smallest jump as a fraction of the range of the values
 
     Returns
     -------
-    Index of the first sample after each jump and size of the jump (unit of `values`), in order of
-    time. A jump is not found among the first or last four changes, or if the signal returns within
-    the next four changes.
+    The index of the first sample after each jump and the size of the jump (unit of `values`), in
+    order of time. Jumps among the first or last four changes are not found, nor are jumps after
+    which the signal returns within four changes.
 
     Notes
     -----
@@ -502,8 +505,8 @@ def find_level_jumps(
     speeds = np.diff(finite_values) / durations
     min_jump = min_fraction * float(np.ptp(finite_values))
     min_jump = max(min_jump, noise_factor * estimate_noise_level(finite_values))
-    # All neighbours differ from a jump by at least 0.8 of its size, since they deviate by at most a
-    # fifth of it from the usual speed.
+    # The neighbours deviate from the usual speed by at most a fifth of a jump, so that they differ
+    # from the jump by at least 0.8 of its size.
     differences = np.abs(np.diff(speeds))
     least_differences = np.minimum(differences[:-1], differences[1:])
     steps = np.flatnonzero(least_differences * durations[1:-1] > 0.8 * min_jump) + 1

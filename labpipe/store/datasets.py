@@ -1,12 +1,12 @@
 """Write arrays and texts of a result file in compressed chunks, and read them by the layout.
 
-The filters of HDF5 use one processor core. Here all cores compress chunks in the format of these
-filters (shuffle, gzip, fletcher32), which any HDF5 library reads. ISA-L compresses six to nine
-times as fast as zlib, to the same size.
+The filters of HDF5 use only one processor core. This module compresses chunks on all cores, in the
+format of these filters (shuffle, gzip, fletcher32), which any HDF5 library can read. ISA-L
+compresses six to nine times as fast as zlib, to the same size.
 
 h5py creates types, spaces and property lists again for each of the hundreds of small objects in a
-result file; here they are created once, with low-level calls of the HDF5 library. The content is
-the same, in a third of the time.
+result file. This module creates them once, with low-level calls of the HDF5 library. The same
+content is then written in a third of the time.
 """
 
 from __future__ import annotations
@@ -34,8 +34,11 @@ from labpipe.store.layout import DatasetSpec, choose_scales
 from labpipe.store.replace import is_unfinished
 
 COMPRESSION_LEVEL, FAST_LEVEL = 3, 0
-"""Compression levels of tables and of series. The fast level takes a third of the time for series.
-At levels 1 and 2, ISA-L (isal 1.9) in a thread may compress equal bytes to different bytes."""
+"""Compression levels of arrays with several axes, and of arrays with one axis.
+
+The fast level takes a third of the time for arrays with one axis. At levels 1 and 2, ISA-L (isal
+1.9) in a thread may compress equal bytes to different bytes.
+"""
 _STRING: Final = h5py.string_dtype()
 _TEXT: Final = h5t.py_create(_STRING, logical=True)
 _TEXT_IN_MEMORY: Final = h5t.py_create(_STRING)
@@ -43,7 +46,7 @@ _SCALAR: Final = h5s.create(h5s.SCALAR)
 
 
 def make_dataset(group: Any, name: str, values: NDArray[Any], chunk: tuple[int, ...]) -> Any:
-    """Create a dataset for an array, without writing the array.
+    """Create a dataset for an array, but do not write the array.
 
     Parameters
     ----------
@@ -68,13 +71,14 @@ def open_dataset(group: Any, name: str) -> Any:
     Parameters
     ----------
     group : open group
-    name : name of the dataset, or its path
+    name : name or path of the dataset
     """
     return h5py.Dataset(h5d.open(group.id, name.encode()))
 
 
 @lru_cache(maxsize=256)
 def _make_type(dtype_text: str) -> Any:
+    """Make the HDF5 type of a NumPy type, which its text defines."""
     hdf5_type = h5t.py_create(np.dtype(dtype_text), logical=True)
     if isinstance(hdf5_type, h5t.TypeStringID):
         hdf5_type.set_strpad(h5t.STR_NULLTERM)
@@ -83,6 +87,7 @@ def _make_type(dtype_text: str) -> Any:
 
 @lru_cache(maxsize=256)
 def _make_properties(chunk: tuple[int, ...]) -> Any:
+    """Make the property list of datasets with a shape of chunks."""
     properties = h5p.create(h5p.DATASET_CREATE)
     properties.set_obj_track_times(False)
     properties.set_chunk(chunk)
@@ -123,17 +128,18 @@ def read_text(owner: Any, name: str) -> str:
 
 
 def read_texts(owner: Any, name: str) -> tuple[str, ...]:
-    """Read an attribute that is a list of texts, like `read_text`."""
+    """Read an attribute that is a list of texts, as `read_text` does."""
     texts = _read_attribute(owner, name, _TEXT_IN_MEMORY, object).tolist()
     return tuple(bytes(text).decode() for text in texts)
 
 
 def read_number(owner: Any, name: str) -> float:
-    """Read an attribute that is a number, like `read_text`."""
+    """Read an attribute that is a number, as `read_text` does."""
     return float(_read_attribute(owner, name, h5t.NATIVE_DOUBLE, np.float64).item())
 
 
 def _read_attribute(owner: Any, name: str, type_in_memory: Any, dtype: Any) -> NDArray[Any]:
+    """Read an attribute into an array, converted to an HDF5 type and its NumPy type."""
     attribute = h5a.open(owner.id, name.encode())
     values: NDArray[Any] = np.empty(attribute.shape, dtype)
     if values.size:
@@ -153,13 +159,13 @@ def has_attribute(owner: Any, name: str) -> bool:
 
 
 def set_texts(owner: Any, name: str, texts: Sequence[str]) -> None:
-    """Write an attribute that is a list of texts, like `set_text`."""
+    """Write an attribute that is a list of texts, as `set_text` does."""
     space = h5s.create_simple((len(texts),))
     h5a.create(owner.id, name.encode(), _TEXT, space).write(np.array(texts, dtype=_STRING))
 
 
 def set_number(owner: Any, name: str, number: float) -> None:
-    """Write an attribute that is a number, int64 or float64, like `set_text`."""
+    """Write an attribute that is a number, int64 or float64, as `set_text` does."""
     value = np.array(number)
     h5a.create(owner.id, name.encode(), _make_type(value.dtype.str), _SCALAR).write(value)
 
@@ -171,15 +177,14 @@ ChunkCache = dict[tuple[object, ...], list[bytes]]
 
 
 def _make_chunks(array: NDArray[Any], rows: int, pool: Executor, cache: ChunkCache) -> list[bytes]:
-    """Compress the chunks of an array in the pool, unless the cache contains them."""
-    # Smaller arrays are compressed faster without threads.
-    min_pool_bytes = 1 << 15
+    """Return the compressed chunks of an array, from the cache or computed in the pool."""
+    min_pool_bytes = 1 << 15  # smaller arrays are compressed faster without threads
     location = locate_array(array)
     if location not in cache:
         starts = range(0, len(array) if array.size else 0, rows)
         blocks = (array[start : start + rows] for start in starts)
-        run = map if array.nbytes < min_pool_bytes else pool.map
-        cache[location] = list(run(_compress_chunk, blocks, repeat(rows)))
+        map_blocks = map if array.nbytes < min_pool_bytes else pool.map
+        cache[location] = list(map_blocks(_compress_chunk, blocks, repeat(rows)))
     return cache[location]
 
 
@@ -189,10 +194,10 @@ def locate_array(array: NDArray[Any]) -> tuple[object, ...]:
 
 
 def has_same_content(dataset: Any, array: NDArray[Any]) -> bool:
-    """Return whether a dataset has exactly the content of an array, NaN bit patterns included.
+    """Return whether a dataset has exactly the content of an array, including bits of NaN.
 
-    In a long dataset, only the first and the last chunk are read through HDF5's filters, to check
-    the format of the chunks. `write_result` compares all bytes on the disk.
+    Of a long dataset, only the first and the last chunk are read through the filters of HDF5, to
+    check the format of the chunks. `write_result` compares all bytes on the disk.
     """
     if dataset.shape != array.shape or dataset.dtype != array.dtype:
         return False
@@ -209,7 +214,7 @@ def has_same_content(dataset: Any, array: NDArray[Any]) -> bool:
 
 
 def _compress_chunk(block: NDArray[Any], rows: int) -> bytes:
-    """Apply HDF5's filters shuffle, gzip and fletcher32 to one chunk.
+    """Apply the HDF5 filters shuffle, gzip and fletcher32 to one chunk.
 
     The last chunk of an array is padded with zeros to the full number of rows, as HDF5 requires.
     """
@@ -230,12 +235,13 @@ def fletcher32(data: bytes) -> int:
 
     Returns
     -------
-    The checksum. Its lower 16 bits are the sum of the words (big-endian, an odd last byte as the
-    upper half of a word) modulo 65535, its upper 16 bits the sum of the running totals.
+    The checksum. Its lower 16 bits are the sum of the words modulo 65535, its upper 16 bits are the
+    sum of the running totals of the words modulo 65535. Words are big-endian; an odd last byte is
+    the upper half of a word.
 
     Notes
     -----
-    Like H5_checksum_fletcher32 of the HDF5 library, a sum that is a multiple of 65535 other than
+    As in H5_checksum_fletcher32 of the HDF5 library, a sum that is a multiple of 65535 other than
     zero gives 65535 and not 0.
 
     Examples
@@ -244,11 +250,11 @@ def fletcher32(data: bytes) -> int:
     '0x5040402'
     """
     modulus, width, count = 65535, 256, -(-len(data) // 2)
-    # Sums over rows and columns of a table, because a copy of the words in int64 would take five
-    # times as long.
+    # The sums are computed over rows and columns of a table, because a copy of the words in int64
+    # would take five times as long.
     words = np.frombuffer(data + bytes(-len(data) % (2 * width)), dtype=">u2").reshape(-1, width)
     row_sums, column_sums = (words.sum(axis=axis, dtype=np.int64) for axis in (1, 0))
-    # The running totals contain word i `count` - i times; their sum is below 2**47 for a chunk.
+    # The running totals contain word i `count` - i times. Their sum is below 2**47 for a chunk.
     repeats = count - width * np.arange(len(row_sums))
     totals = row_sums.sum(), row_sums @ repeats - column_sums @ np.arange(width)
     word_sum, running_sum = (int(x % modulus or (modulus if x else 0)) for x in totals)
@@ -257,7 +263,7 @@ def fletcher32(data: bytes) -> int:
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """A group that is being written, with threads for compression and the data written so far.
+    """Group that is being written, with threads for compression and the data written so far.
 
     Parameters
     ----------
@@ -318,7 +324,7 @@ class Target:
         return dataset
 
     def link_dataset(self, name: str, dataset: Any, spec: DatasetSpec) -> None:
-        """Add a dataset of another group to this group."""
+        """Add a dataset of another group to this group, as a hard link."""
         self.group[name] = dataset
         self.datasets[name] = self.group[name], spec
 
@@ -326,7 +332,7 @@ class Target:
         """Attach dimension scales to all axes of the arrays of this group, as netCDF-4 requires.
 
         An axis without a dataset of its own (`layout.choose_scales`) gets a dataset with its name,
-        which contains the labels of `AXIS_LABELS` or numbers from 0.
+        which contains the labels of `AXIS_LABELS`, or indices from 0.
         """
         scales = choose_scales({name: spec for name, (_, spec) in self.datasets.items()})
         opened_scales: dict[str, Any] = {}
@@ -374,7 +380,7 @@ class Target:
 
 @contextmanager
 def open_result(path: Path) -> Iterator[Any]:
-    """Open a result file of the known schema, and convert all errors to StoreError."""
+    """Open a result file of the current schema, and convert all errors to StoreError."""
     try:
         if is_unfinished(path.parent):
             raise StoreError.about("store.cut_off", path, target=path)
@@ -394,7 +400,7 @@ def open_result(path: Path) -> Iterator[Any]:
 
 
 def _describe_file(path: Path) -> str:
-    """Describe what is at the path of a file that is not HDF5."""
+    """Describe the content of a path that is not an HDF5 file."""
     if not path.exists():
         return "nothing"
     with path.open("rb") as file:  # raises if the file is not readable
@@ -403,7 +409,7 @@ def _describe_file(path: Path) -> str:
 
 
 def _check_schema(path: Path, root: Any) -> None:
-    """Raise StoreError if a file has another schema, or none."""
+    """Raise StoreError if a file has another schema, or no schema."""
     schema, current_schema = root.attrs.get(layout.SCHEMA_ATTRIBUTE), layout.SCHEMA
     if schema is None:
         raise StoreError.about("store.foreign", path, layout.SCHEMA_ATTRIBUTE, known=current_schema)
@@ -419,7 +425,7 @@ def _check_schema(path: Path, root: Any) -> None:
 
 
 def _check_links(path: Path, root: Any) -> None:
-    """Raise StoreError for links to other files, because a result file must be complete."""
+    """Raise StoreError if a file has links to other files, because it must be complete."""
 
     def find_external(name: bytes, link_info: Any) -> bytes | None:
         return None if link_info.type in (h5py.h5l.TYPE_HARD, h5py.h5l.TYPE_SOFT) else name
@@ -439,7 +445,7 @@ def read_array(group: Any, name: str, spec: DatasetSpec) -> Any:
 
 
 def read_array_rows(group: Any, name: str, spec: DatasetSpec, rows: Ints) -> NDArray[Any]:
-    """Read rows of a dataset, like `read_array`.
+    """Read rows of a dataset, as `read_array` does.
 
     Parameters
     ----------
@@ -463,7 +469,7 @@ def _open_checked_dataset(group: Any, name: str, spec: DatasetSpec) -> Any:
 
 
 def _check_storage(dataset: Any) -> None:
-    """Raise StoreError for incomplete or external data, before memory is allocated."""
+    """Raise StoreError for incomplete or external data, before memory is allocated for them."""
     properties = dataset.id.get_create_plist()
     if properties.get_layout() == h5d.CHUNKED:
         sizes = zip(dataset.shape, properties.get_chunk(), strict=True)

@@ -8,8 +8,9 @@ Fields with ``compare=False`` are not stored.
 Every dataset has the attributes ``unit`` and ``axes``. Each axis has a dimension scale in the same
 group, as netCDF-4 requires. A table is a group with one dataset per column, not an HDF5 compound,
 because Octave skips compound types, and strings in them crash the netCDF library. Strings are
-UTF-8: of variable length in attributes; of fixed length, declared as ASCII, in datasets, because
-Octave reads only this type and HDF5 has no checksums for variable lengths.
+UTF-8. They have a variable length in attributes. In datasets they have a fixed length and are
+declared as ASCII, because Octave reads only this type, and HDF5 has no checksums for variable
+lengths.
 """
 
 from __future__ import annotations
@@ -32,8 +33,9 @@ from labpipe.records.result import Instrument
 _R = TypeVar("_R")
 
 SCHEMA: Final = 2
-"""Version of the layout. Files of other versions are refused."""
+"""Version of the layout. Files of other versions cannot be read."""
 SCHEMA_ATTRIBUTE: Final = "labpipe_schema"
+"""Name of the attribute of a file that states its version."""
 
 UNSTATED_UNIT: Final = "unknown"
 """Unit of channels for which neither the export nor the protocol states one."""
@@ -67,7 +69,7 @@ class DatasetSpec:
     Parameters
     ----------
     axes : names of the axes
-    unit : SI unit; None if each dataset states its own when it is written
+    unit : SI unit; None if the unit is stated when a dataset is written
     dtype : NumPy name of the number type; ``text`` for strings
     stated_in : name of the field of the record that states the unit; empty if no field does
     """
@@ -100,7 +102,7 @@ class ColumnSpec(NamedTuple):
     ----------
     name : name of the field of the record
     bound : bound of the interval in the field, ``lower`` or ``upper``; empty for any other field
-    dataset : definition of the dataset
+    dataset : definition of the dataset of the column
     """
 
     name: str
@@ -115,7 +117,7 @@ def _cached(function: Callable[[Any], _R]) -> Callable[[Any], _R]:
 
 @_cached
 def list_datasets(record_type: Any) -> Mapping[str, DatasetSpec]:
-    """List the datasets of a type of record, keyed by name."""
+    """List the definitions of the datasets of a type of record, keyed by name."""
     datasets: dict[str, DatasetSpec] = {}
     for name, (field_type, axes, unit) in _list_annotations(record_type):
         if get_origin(field_type) is np.ndarray:
@@ -144,7 +146,10 @@ def choose_scales(datasets: Mapping[str, DatasetSpec]) -> dict[str, str]:
 
 @_cached
 def list_attributes(record_type: Any) -> Mapping[str, AttributeSpec]:
-    """List the fields of a type of record that are numbers, strings, intervals or reasons."""
+    """List the fields of a type of record that are stored as attributes, keyed by name.
+
+    They are the numbers, strings, dates, intervals and reasons.
+    """
     stored_names = {field.name for field in fields(record_type) if field.compare}
     stored_names -= {spec.stated_in for spec in list_datasets(record_type).values()}
     attributes: dict[str, AttributeSpec] = {}
@@ -261,5 +266,5 @@ def make_link_name(name: str, used_names: Iterable[str]) -> str:
     valid_name = re.sub(r"[^\w.+-]", "_", name)
     valid_name = valid_name if valid_name.strip("._") else "unnamed"
     used_names = set(used_names)
-    numbered = (f"{valid_name}_{number}" for number in range(2, len(used_names) + 3))
-    return next(candidate for candidate in (valid_name, *numbered) if candidate not in used_names)
+    numbered_names = (f"{valid_name}_{number}" for number in range(2, len(used_names) + 3))
+    return next(name for name in (valid_name, *numbered_names) if name not in used_names)

@@ -1,4 +1,7 @@
-"""Write and read the parts of a result file, and records with the layout of their annotations."""
+"""Write and read the parts of a result file.
+
+The annotations of most records define how they are stored, see `layout`.
+"""
 
 from __future__ import annotations
 
@@ -56,7 +59,9 @@ from labpipe.store.layout import (
 _R = TypeVar("_R")
 _INTERVAL_FIELDS = ("lower", "upper", "level")
 _REASONS = Reason, tuple[Reason, ...]
+"""Types of fields that contain reasons."""
 _CODES, _MESSAGES = "reason_codes", "reason_messages"
+"""Names of the attributes that contain the codes and the messages of reasons."""
 
 
 def write_record(target: Target, record: object) -> None:
@@ -64,7 +69,7 @@ def write_record(target: Target, record: object) -> None:
 
     Parameters
     ----------
-    target : group of the part
+    target : group of the record
     record : record of a type whose annotations define the layout
     """
     write_arrays(target, record)
@@ -88,7 +93,7 @@ def write_arrays(target: Target, record: Any) -> None:
 
     Parameters
     ----------
-    target : group of the part
+    target : group of the record
     record : record of a type whose annotations define the layout
     """
     for name, spec in list_datasets(type(record)).items():
@@ -129,7 +134,7 @@ def write_attributes(target: Target, record: Any, *, skip: Container[str] = ()) 
 
     Parameters
     ----------
-    target : group of the part
+    target : group of the record
     record : record of a type whose annotations define the layout
     skip : names of fields that are stored elsewhere
     """
@@ -139,6 +144,7 @@ def write_attributes(target: Target, record: Any, *, skip: Container[str] = ()) 
 
 
 def _write_attribute(group: Any, name: str, attribute: AttributeSpec, value: Any) -> None:
+    """Write the value of one field of a record as attributes of a group."""
     kind, unit, _ = attribute
     if kind in _REASONS:
         reasons = value if isinstance(value, tuple) else (value,) if value else ()
@@ -170,12 +176,12 @@ def read_attributes(group: Any, kind: Any, *, skip: Container[str] = ()) -> dict
     -------
     Values, keyed by name of the field.
     """
-    names = {name: spec for name, spec in list_attributes(kind).items() if name not in skip}
-    return {name: _read_attribute(group, name, spec) for name, spec in names.items()}
+    attributes = {name: spec for name, spec in list_attributes(kind).items() if name not in skip}
+    return {name: _read_attribute(group, name, spec) for name, spec in attributes.items()}
 
 
 def _read_attribute(group: Any, name: str, attribute: AttributeSpec) -> Any:
-    """Read the value of one field of a record."""
+    """Read the value of one field of a record from attributes of a group."""
     kind, _, is_optional = attribute
     if kind in _REASONS:
         pairs = zip(read_texts(group, _CODES), read_texts(group, _MESSAGES), strict=True)
@@ -196,11 +202,11 @@ def _read_attribute(group: Any, name: str, attribute: AttributeSpec) -> Any:
 def write_table(
     target: Target, name: str, kind: type[_R], rows: Sequence[_R], unit: str = ""
 ) -> None:
-    """Write records as a group of columns.
+    """Write records as a table, which is a group of columns.
 
     Parameters
     ----------
-    target : group in which the table is made
+    target : group in which the table is created
     name : name of the table
     kind : type of the records, a key of `layout.ROW_AXES`
     rows : records, one for each row
@@ -219,7 +225,7 @@ def write_table(
 
 
 def _format_cell(value: Any) -> str:
-    """Format a value of a record as text, empty for None."""
+    """Format a value of a record as text; None gives an empty text."""
     return ", ".join(value) if isinstance(value, tuple) else "" if value is None else str(value)
 
 
@@ -231,11 +237,11 @@ def read_table(parent: Any, name: str, kind: type[_R], unit: str | None = None) 
     parent : group that contains the table
     name : name of the table
     kind : type of the records
-    unit : unit of the columns without a unit in the layout; None for any
+    unit : unit that columns without a unit in the layout must have; None for any unit
 
     Returns
     -------
-    The records. Their intervals have a level of 0.95.
+    The records. Their intervals have the level 0.95, which is not stored.
     """
     names = list_columns(kind)
     columns = read_columns(parent[name], kind, names, unit)
@@ -257,7 +263,11 @@ def read_columns(
     table : group of the columns
     kind : type of the records
     names : names of the columns to be read
-    unit : unit of the columns without a unit in the layout; None for any
+    unit : unit that columns without a unit in the layout must have; None for any unit
+
+    Returns
+    -------
+    The cells of each column, in the order of `names`.
     """
     columns: list[Sequence[Any]] = []
     for name in names:
@@ -280,14 +290,16 @@ def _parse_cell(row: Mapping[str, Any], name: str, attribute: AttributeSpec) -> 
 
 
 _SPECIMEN_TEXTS: Final = {"type": "specimen_type", "spool": "spool", "sample": "sample"}
-"""Names of attributes of the root, keyed by name of the field of the specimen."""
+"""Names of the attributes of the root for fields of the specimen, keyed by field."""
 _WIRE_TYPE: Final = DatasetSpec(("type",), layout.TEXT, layout.TEXT)
 _WIRE_NUMBER: Final = DatasetSpec(("type",), "1", "int64")
 _WIRE_DIAMETER: Final = DatasetSpec(("type",), "m")
 _WIRE_POSITION: Final = DatasetSpec(("wire", "xy"), "m")
 _SAMPLE_NUMBER: Final = DatasetSpec(("sample",), "1", "int64")
-"""Definition of the datasets of branch and cycle of each sample. They are written for other
-programs, since labpipe derives them from the branches."""
+"""Definition of the datasets with the branch and the cycle of each sample.
+
+They are written for other programs; labpipe derives them from the branches.
+"""
 _CHANNEL: Final = DatasetSpec(("sample",), None)
 _CHANNEL_TEXTS: Final = {
     "name": "name",
@@ -296,13 +308,15 @@ _CHANNEL_TEXTS: Final = {
     "unit_in_file": "unit_in_file",
     "calibration": "calibration",
 }
+"""Names of the attributes for texts of a channel, keyed by field."""
 _SPECIMEN_MAPS = {"labels": ("labels", "label_words"), "observed": ("observed", "observed_words")}
 """Names of the attributes for the keys and texts of each mapping of a specimen."""
 _MARKERS, _BODIES, _NOTES = "markers", "rigid_bodies", "notes"
+"""Names of groups of a recording."""
 
 
 def write_specimen(target: Target, specimen: Specimen) -> None:
-    """Write a specimen: type, spool and sample in the root, all other fields in a group.
+    """Write a specimen, with type, spool and sample in the root, and other fields in a group.
 
     Parameters
     ----------
@@ -361,7 +375,7 @@ def read_specimen(root: Any) -> Specimen:
 
 
 def _read_bundle(group: Any) -> Bundle:
-    """Read a bundle of wires, or raise ValueError if its arrangement or taping is unknown."""
+    """Read a bundle of wires; raise ValueError if its arrangement or taping is unknown."""
     wires = zip(
         read_array(group, "wire_types", _WIRE_TYPE),
         read_array(group, "wire_numbers", _WIRE_NUMBER),
@@ -385,10 +399,12 @@ def _read_bundle(group: Any) -> Bundle:
 
 
 def _none_to_nan(value: float | None) -> float:
+    """Convert None to NaN."""
     return nan if value is None else float(value)
 
 
 def _nan_to_none(value: float) -> float | None:
+    """Convert NaN to None."""
     return None if isnan(value) else float(value)
 
 
@@ -397,7 +413,7 @@ def write_recording(target: Target, recording: Recording) -> None:
 
     Parameters
     ----------
-    target : group of the recording, which so far contains only the fingerprints of the exports
+    target : group of the recording, which so far contains only the attributes of the exports
     recording : recording with markers, clocks, channels, notes and metadata
     """
     write_attributes(target, recording)
@@ -412,7 +428,7 @@ def write_recording(target: Target, recording: Recording) -> None:
 
 
 def _write_clocks(target: Target, clocks: tuple[Clock, ...]) -> dict[str, Any]:
-    """Write a single clock as ``time``, or several as ``time_<clock>``, and return the datasets."""
+    """Write one clock as ``time``, or several as ``time_<clock>``; return datasets by clock."""
     names: list[str] = []
     scales: dict[str, Any] = {}
     for clock in clocks:
@@ -430,6 +446,7 @@ def _write_clocks(target: Target, clocks: tuple[Clock, ...]) -> dict[str, Any]:
 def _write_channels(
     target: Target, channels: tuple[Channel, ...], scales: Mapping[str, Any]
 ) -> None:
+    """Write channels as datasets whose dimension scale is the dataset of their clock."""
     reserved = (layout.TIME, _MARKERS, _BODIES, _NOTES)
     names: list[str] = []
     for channel in channels:
@@ -485,7 +502,7 @@ def read_recording(group: Any) -> Recording:
 
 
 def _require_equal_lengths(recording: Recording) -> None:
-    """Raise ValueError if a channel or body has not as many samples as times."""
+    """Raise ValueError if the length of a channel or body differs from that of its times."""
     pairs = [
         (channel.name, channel.values, recording.get_clock(channel.clock).time)
         for channel in recording.channels
@@ -500,11 +517,13 @@ def _require_equal_lengths(recording: Recording) -> None:
 
 
 def _read_clock(group: Any, name: str) -> Clock:
+    """Read the clock in a dataset."""
     time = read_array(group, name, list_datasets(Clock)["time"])
     return Clock(read_text(group[name], "clock"), time, read_text(group[name], "unit"))
 
 
 def _read_channel(group: Any, name: str) -> Channel:
+    """Read the channel in a dataset."""
     fields = {key: read_text(group[name], attribute) for key, attribute in _CHANNEL_TEXTS.items()}
     unit = read_text(group[name], "unit")
     values = read_array(group, name, _CHANNEL)
@@ -512,6 +531,7 @@ def _read_channel(group: Any, name: str) -> Channel:
 
 
 def _read_markers(group: Any) -> MarkerTracks:
+    """Read the marker tracks and rigid bodies of a recording."""
     bodies = group[_BODIES]
     all_bodies = tuple(
         read_record(bodies[name], RigidBody) for name in read_texts(bodies, "bodies")
@@ -520,7 +540,7 @@ def _read_markers(group: Any) -> MarkerTracks:
 
 
 def write_raw(target: Target, result: TestResult) -> None:
-    """Write the recording of each role, with fingerprints and order of the exports.
+    """Write the recording of each role, with the names, SHA-256 and order of the exports.
 
     Parameters
     ----------
@@ -543,7 +563,7 @@ def write_raw(target: Target, result: TestResult) -> None:
 
 
 def read_inputs(raw: Any) -> tuple[InputFile, ...]:
-    """Read the fingerprints of the exports, in their order.
+    """Read the names and SHA-256 of the exports, in the order of the protocol.
 
     Parameters
     ----------
@@ -567,7 +587,7 @@ def write_aligned(target: Target, aligned: Aligned) -> None:
 
     Parameters
     ----------
-    target : group of the part
+    target : group of the record
     aligned : signals of the test on one clock
     """
     write_arrays(target, aligned)
@@ -586,7 +606,7 @@ def write_aligned(target: Target, aligned: Aligned) -> None:
 
 
 def read_aligned(root: Any) -> Aligned | None:
-    """Read the aligned signals, or None if there are none.
+    """Read the aligned signals; None without a group of them.
 
     Parameters
     ----------
@@ -613,8 +633,8 @@ def write_curve(target: Target, result: TestResult, curve: Curve) -> None:
 
     Parameters
     ----------
-    target : group of the part
-    result : processed test, of which slips and lines are written
+    target : group of the record
+    result : processed test, whose slips and lines are written
     curve : curve of the test
     """
     write_arrays(target, curve)
@@ -651,13 +671,13 @@ def read_curve(root: Any) -> dict[str, Any]:
 
 
 def write_optional_table(target: Target, name: str, kind: type[_R], rows: Sequence[_R]) -> None:
-    """Write a table like `write_table`, unless it is empty."""
+    """Write a table as `write_table` does, unless it is empty."""
     if rows:
         write_table(target, name, kind, rows)
 
 
 def read_optional_table(parent: Any, name: str, kind: type[_R]) -> tuple[_R, ...]:
-    """Read a table that `write_optional_table` wrote."""
+    """Read a table that `write_optional_table` wrote; empty if there is none."""
     return read_table(parent, name, kind) if name in parent else ()
 
 
@@ -666,7 +686,7 @@ def write_bending(target: Target, bending: Bending) -> None:
 
     Parameters
     ----------
-    target : group of the part
+    target : group of the record
     bending : measured moments and curvatures of the test
     """
     write_record(target, bending.cloud)
@@ -676,7 +696,7 @@ def write_bending(target: Target, bending: Bending) -> None:
 
 
 def read_bending(root: Any) -> Bending | None:
-    """Read measured moments and curvatures, or None if there are none.
+    """Read measured moments and curvatures; None without a group of them.
 
     Parameters
     ----------
@@ -699,7 +719,7 @@ def write_results(target: Target, results: Sequence[Result]) -> None:
     """
     group = target.open_group(layout.RESULTS)
     group.write_texts("order", tuple(result.name for result in results))
-    rows, budget = [], []
+    rows, budget_rows = [], []
     for result in results:
         result_group = group.open_group(result.name)
         set_number(result_group.group, "value", _none_to_nan(result.value))
@@ -710,14 +730,14 @@ def write_results(target: Target, results: Sequence[Result]) -> None:
         status = result.status, ", ".join(result.codes), result.reason_text
         rows.append(ResultRow(result.name, *numbers, result.unit, interval.level, *status))
         for row, share in zip(result.budget, result.shares, strict=True):
-            entry = (result.name, row.cause, row.change, result.unit, share, row.is_common)
-            budget.append(BudgetRow(*entry))
+            cells = (result.name, row.cause, row.change, result.unit, share, row.is_common)
+            budget_rows.append(BudgetRow(*cells))
     write_table(group, "table", ResultRow, rows)
-    write_optional_table(target, layout.BUDGETS, BudgetRow, budget)
+    write_optional_table(target, layout.BUDGETS, BudgetRow, budget_rows)
 
 
 def read_results(root: Any) -> tuple[Result, ...]:
-    """Read the results.
+    """Read the results of a test, with their budgets.
 
     Parameters
     ----------
@@ -737,11 +757,11 @@ def read_results(root: Any) -> tuple[Result, ...]:
             budgets.setdefault(result_name, []).append(contribution)
     results = []
     for name in read_texts(group, "order"):
-        entry = group[name]
-        fields = read_attributes(entry, Result, skip=("name", "value"))
-        value = None if fields["status"] is Status.FAILED else read_number(entry, "value")
+        result_group = group[name]
+        fields = read_attributes(result_group, Result, skip=("name", "value"))
+        value = None if fields["status"] is Status.FAILED else read_number(result_group, "value")
         result = Result(name=name, value=value, budget=tuple(budgets.get(name, ())), **fields)
-        if read_text(entry, "seal") != result.seal:
+        if read_text(result_group, "seal") != result.seal:
             message = f"results/{name}: its numbers were changed after they were written"
             raise ValueError(message)
         results.append(result)

@@ -1,4 +1,4 @@
-"""Replace files atomically, one or several together, and lock folders against other processes."""
+"""Replace one or several files atomically, and lock folders against other processes."""
 
 from __future__ import annotations
 
@@ -25,6 +25,7 @@ _ERROR_TEXTS = {
     errno.EISDIR: ("a file to replace", "a folder in its place", "Move the folder away."),
     errno.EEXIST: ("a folder to write in", "a file in its place", "Choose another folder."),
 }
+"""Expected content, problem and remedy for error numbers of the operating system."""
 
 
 @contextmanager
@@ -37,7 +38,8 @@ def replace_file(path: Path) -> Iterator[Path]:
 
     Yields
     ------
-    The path of the temporary file, beside `path`. It is flushed to the disk (fsync), then renamed.
+    The path of the temporary file, in the folder of `path`. After the block, the file is flushed to
+    the disk (fsync) and renamed.
 
     Raises
     ------
@@ -62,7 +64,7 @@ _NEW = ".labpipe.new"
 _COMMITTED = ".labpipe.commit"
 _OBSOLETE = ".labpipe.old"
 TEMPORARY_FOLDERS = (_NEW, _COMMITTED, _OBSOLETE)
-"""Names of temporary folders, in which a killed process may leave files that are not results."""
+"""Names of temporary folders, in which a killed process may leave incomplete results."""
 _FILES, _BACKUPS, _REMOVED_NAMES = "files", "aside", "gone"
 
 
@@ -73,9 +75,9 @@ def replace_files(folder: Path, *, owned: Iterable[str] = ()) -> Iterator[Path]:
     Parameters
     ----------
     folder : folder of files that belong together, such as a result and its figures; files with
-        other names are kept. No other process may write in it meanwhile (`locked`)
-    owned : relative paths, with slashes, of files that are removed unless a new file replaces them,
-        because they show earlier results
+        other names are kept. No other process may write in it meanwhile (`lock`)
+    owned : relative paths, with slashes, of files of earlier results, which are removed unless a
+        new file replaces them
 
     Yields
     ------
@@ -97,9 +99,9 @@ def replace_files(folder: Path, *, owned: Iterable[str] = ()) -> Iterator[Path]:
     new_folder = folder / _NEW
     with map_errors(folder):
         finish_moves(folder)
-        for leftover in (new_folder, folder / _OBSOLETE):
-            if leftover.exists():  # a killed process left it
-                shutil.rmtree(leftover)
+        for leftover_folder in (new_folder, folder / _OBSOLETE):
+            if leftover_folder.exists():  # a process was killed
+                shutil.rmtree(leftover_folder)
         new_folder.mkdir()
         (new_folder / _FILES).mkdir()
     try:
@@ -111,7 +113,7 @@ def replace_files(folder: Path, *, owned: Iterable[str] = ()) -> Iterator[Path]:
 
 
 def is_unfinished(folder: Path) -> bool:
-    """Return whether a replacement of files is in progress, or was ended by a kill."""
+    """Return whether files are being replaced, or were when a process was killed."""
     return (folder / _COMMITTED).is_dir() and not (folder / _COMMITTED).is_symlink()
 
 
@@ -174,7 +176,7 @@ def _commit(folder: Path, owned: Iterable[str]) -> None:
 
 
 class _Move(NamedTuple):
-    """Replacement of the file at `destination`, kept as `backup`, by `new_file`, if it exists."""
+    """Move of `new_file`, if it exists, to `destination`, whose earlier file becomes `backup`."""
 
     new_file: Path
     destination: Path
@@ -201,7 +203,7 @@ class _Move(NamedTuple):
 
 
 def _list_moves(folder: Path) -> list[_Move]:
-    """List the moves of removed files, then of new ones, those of result files last."""
+    """List the moves of removed files, then of new files, with result files last."""
     staged = folder / _COMMITTED
     removed = (staged / _REMOVED_NAMES).read_text(encoding="utf-8").splitlines()
     names = [*removed, *sorted(_list_files(staged / _FILES), key=lambda name: name.endswith(".h5"))]
@@ -255,11 +257,13 @@ def map_errors(path: Path) -> Iterator[None]:
 
 
 def _flush_file(path: Path) -> None:
+    """Flush a file to the disk."""
     with path.open("rb+") as file:
         os.fsync(file.fileno())
 
 
 def _flush_folder(folder: Path) -> None:
+    """Flush the entries of a folder to the disk."""
     if os.name == "nt":  # Windows cannot flush folders
         return
     handle = os.open(folder, os.O_RDONLY)
@@ -270,17 +274,18 @@ def _flush_folder(folder: Path) -> None:
 
 
 LOCK_FILE = ".labpipe.lock"
+"""Name of the file in a folder by which the folder is locked."""
 _NO_FOLLOW = getattr(os, "O_NOFOLLOW", 0)  # Windows does not define it
 
 
 @contextmanager
-def locked(folder: Path, *, timeout: float = 0.0) -> Iterator[None]:
+def lock(folder: Path, *, timeout: float = 0.0) -> Iterator[None]:
     """Lock a folder against other labpipe processes while the block runs.
 
     Parameters
     ----------
     folder : folder to be locked; created if it does not exist
-    timeout : s, time to wait for another labpipe process
+    timeout : s, longest time to wait for another labpipe process
 
     Raises
     ------
@@ -289,8 +294,8 @@ def locked(folder: Path, *, timeout: float = 0.0) -> Iterator[None]:
 
     Notes
     -----
-    The operating system locks an open file. The lock ends with its process, so that there are no
-    stale locks.
+    The operating system locks an open file. The lock ends with its process, so that no lock of a
+    killed process remains.
     """
     path = folder / LOCK_FILE
     with map_errors(folder):
@@ -303,7 +308,7 @@ def locked(folder: Path, *, timeout: float = 0.0) -> Iterator[None]:
 
 
 def _acquire_lock(path: Path, deadline: float) -> int:
-    """Open the lock file and lock it, again if its previous owner removed it meanwhile."""
+    """Open the lock file and lock it; repeat this if its previous owner removed it meanwhile."""
     while True:
         handle = os.open(path, os.O_RDWR | os.O_CREAT | _NO_FOLLOW, 0o666)
         if not _try_lock(handle):
@@ -322,6 +327,7 @@ if sys.platform == "win32":
     import msvcrt
 
     def _try_lock(handle: int) -> bool:
+        """Lock an open file; return whether it was free."""
         try:
             msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
         except OSError:
@@ -329,6 +335,7 @@ if sys.platform == "win32":
         return True
 
     def _release_lock(handle: int, path: Path) -> None:
+        """Remove a locked file and end its lock."""
         os.close(handle)  # an open file cannot be removed on Windows
         with suppress(OSError):
             path.unlink()
@@ -337,6 +344,7 @@ else:
     import fcntl
 
     def _try_lock(handle: int) -> bool:
+        """Lock an open file; return whether it was free."""
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -344,6 +352,7 @@ else:
         return True
 
     def _release_lock(handle: int, path: Path) -> None:
+        """Remove a locked file and end its lock."""
         with suppress(OSError):
             path.unlink()  # the file is removed before the lock ends, so that others notice it
         os.close(handle)

@@ -1,4 +1,4 @@
-"""Write result files, verified before they replace earlier ones, and read all or parts of them."""
+"""Write and verify result files, and read all or parts of them."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def write_result(result: TestResult, path: Path) -> None:
     Parameters
     ----------
     result : processed test
-    path : the file, usually ``result.h5``
+    path : path of the file, usually ``result.h5``
 
     Raises
     ------
@@ -77,8 +77,8 @@ def write_result(result: TestResult, path: Path) -> None:
     Notes
     -----
     The same result gives the same bytes, because the file contains no times and no host names. The
-    file is created in memory, where it is about as large as on the disk, because the HDF5 library
-    cannot close a file properly when the disk becomes full.
+    file is created in memory, because the HDF5 library cannot close a file properly when the disk
+    becomes full. It needs about as much memory as space on the disk.
     """
     image, arrays = _build_image(result)
     with replace_file(path) as temporary:
@@ -99,9 +99,9 @@ def _build_image(result: TestResult) -> tuple[bytes, dict[str, NDArray[Any]]]:
 
 
 def _verify(temporary: Path, path: Path, image: bytes, arrays: dict[str, NDArray[Any]]) -> None:
-    """Compare all bytes of the file on the disk, and chunks of every array through HDF5.
+    """Raise an error if bytes of a file, or chunks of an array read by HDF5, are not as written.
 
-    An array in several groups has the same chunks in each, so it is read once.
+    An array in several groups has the same chunks in each, so that it is read only once.
     """
     is_identical = temporary.read_bytes() == image
     if is_identical:
@@ -111,7 +111,7 @@ def _verify(temporary: Path, path: Path, image: bytes, arrays: dict[str, NDArray
                 is_identical = all(
                     has_same_content(open_dataset(root, name), arrays[name]) for name in unique
                 )
-        except OSError:  # the checksum is wrong
+        except OSError:  # a wrong checksum
             is_identical = False
     if not is_identical:
         raise StoreError.about("store.not_verified", path)
@@ -144,12 +144,12 @@ class RawTest:
     Parameters
     ----------
     test : name of the test
-    specimen : the tested specimen
+    specimen : specimen that was tested
     protocol : name of the protocol
     protocol_yaml : YAML text of the resolved protocol
     test_yaml : YAML text of the test sheet
     labpipe_version : version of labpipe that wrote the file
-    inputs : the exports, with their fingerprints
+    inputs : exports with their SHA-256
     recordings : recordings, keyed by role
     """
 
@@ -168,7 +168,7 @@ def read_result(path: Path) -> TestResult:
 
     Parameters
     ----------
-    path : a file that `write_result` made
+    path : path of a file that `write_result` wrote
 
     Returns
     -------
@@ -185,11 +185,11 @@ def read_result(path: Path) -> TestResult:
 
 
 def read_outcome(path: Path) -> TestResult:
-    """Read curve and results of a test, without recordings and shapes.
+    """Read the curve and the results of a test, without recordings and shapes.
 
     Parameters
     ----------
-    path : a file that `write_result` made
+    path : path of a file that `write_result` wrote
 
     Returns
     -------
@@ -203,6 +203,13 @@ def read_outcome(path: Path) -> TestResult:
     """
     with open_result(path) as root:
         return _read_test(root)
+
+
+FrameChoice = Callable[[TestResult, Floats], tuple[Ints, Floats]]
+"""Function that chooses frames, given the test and the times of all frames, s.
+
+It returns the indices of the chosen frames, in increasing order, and their deflections, m.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -221,16 +228,13 @@ class ReportedTest:
     law: DrawnLaw | None
 
 
-def read_reported(
-    path: Path, choose: Callable[[TestResult, Floats], tuple[Ints, Floats]]
-) -> ReportedTest:
-    """Read the parts of a result file for a report: outcome, few shapes and measured law.
+def read_reported(path: Path, choose_frames: FrameChoice) -> ReportedTest:
+    """Read the parts of a result file that a report shows.
 
     Parameters
     ----------
-    path : a file that `write_result` made
-    choose : function of the outcome and the times of all frames, s, that returns the indices of the
-        frames to be read, in increasing order, and their deflections, m
+    path : path of a file that `write_result` wrote
+    choose_frames : function that chooses the frames whose shapes are read
 
     Raises
     ------
@@ -239,22 +243,24 @@ def read_reported(
     """
     with open_result(path) as root:
         result = _read_test(root)
-        return ReportedTest(result, _read_drawn_shapes(root, result, choose), _read_drawn_law(root))
+        shapes = _read_drawn_shapes(root, result, choose_frames)
+        return ReportedTest(result, shapes, _read_drawn_law(root))
 
 
 def _read_drawn_shapes(
-    root: Any, result: TestResult, choose: Callable[[TestResult, Floats], tuple[Ints, Floats]]
+    root: Any, result: TestResult, choose_frames: FrameChoice
 ) -> DrawnShapes | None:
-    """Read the shapes at the frames that a function chooses, or None without shapes."""
+    """Read the shapes at the frames that a function chooses; None without shapes."""
     if layout.SHAPE not in root:
         return None
     group, fields = root[layout.SHAPE], list_datasets(Shape)
-    frames, deflection = choose(result, read_array(group, "time", fields["time"]))
+    frames, deflection = choose_frames(result, read_array(group, "time", fields["time"]))
     positions = read_array_rows(group, "positions", fields["positions"], frames)
     return DrawnShapes(deflection, positions[:, :, :2])
 
 
 def _read_drawn_law(root: Any) -> DrawnLaw | None:
+    """Read the measured law of the first loading; None without a measured law."""
     group = root.get(f"{layout.BENDING}/{layout.LAW}")
     if group is None:
         return None
@@ -267,7 +273,7 @@ def read_stages(path: Path) -> TestResult:
 
     Parameters
     ----------
-    path : a file that `write_result` made
+    path : path of a file that `write_result` wrote
 
     Returns
     -------
@@ -287,11 +293,11 @@ def read_raw(path: Path) -> RawTest:
 
     Parameters
     ----------
-    path : a file that `write_result` made
+    path : path of a file that `write_result` wrote
 
     Returns
     -------
-    The recordings with the protocol, the test sheet and the fingerprints of the exports.
+    The recordings with the protocol, the test sheet and the SHA-256 of the exports.
 
     Raises
     ------
@@ -303,11 +309,11 @@ def read_raw(path: Path) -> RawTest:
 
 
 def read_name(path: Path) -> str:
-    """Read only the name of the test.
+    """Read only the name of a test.
 
     Parameters
     ----------
-    path : a file that `write_result` made
+    path : path of a file that `write_result` wrote
 
     Raises
     ------
@@ -319,11 +325,11 @@ def read_name(path: Path) -> str:
 
 
 def read_run(path: Path) -> str:
-    """Read only the key of the run.
+    """Read only the key of the inputs of a test.
 
     Parameters
     ----------
-    path : a file that `write_result` made
+    path : path of a file that `write_result` wrote
 
     Raises
     ------
@@ -347,7 +353,7 @@ def _read_common_fields(root: Any, *, has_raw: bool = True) -> dict[str, Any]:
 
 
 def _read_test(root: Any, stages: Collection[str] = ()) -> TestResult:
-    """Read the outcome and the requested stages, and aligned signals if slips were repaired."""
+    """Read curve and results, the requested stages, and aligned signals if slips were repaired."""
     display = json.loads(read_text(root, "display"))
     curve = read_curve(root)
     is_repaired = any(slip.decision is SlipDecision.REPAIRED for slip in curve.get("slips", ()))

@@ -17,7 +17,7 @@ from labpipe import __version__
 from labpipe.errors import StoreError
 from labpipe.records.result import InputFile, Result, Specimen, TestResult, compute_seal
 from labpipe.statistics.lots import judge_results
-from labpipe.store.replace import locked, replace_file
+from labpipe.store.replace import lock, replace_file
 
 SUMMARY_FILE, FAILURE_FILE = "summary.json", "failure.json"
 """Names of the files with the summary and with the failure of a test."""
@@ -160,6 +160,7 @@ def build_result_entry(result: Result) -> dict[str, object]:
 
 
 def _build_inputs(inputs: Iterable[InputFile]) -> list[dict[str, str]]:
+    """Build the entries of the exports of a test."""
     return [
         {"role": export.role, "file": export.file, "sha256": export.sha256} for export in inputs
     ]
@@ -277,5 +278,5 @@ def write_failure(failure: FailedTest, folder: Path) -> None:
     head = {"schema": FAILURE_SCHEMA, "labpipe": __version__}
     content = head | asdict(failure) | {"inputs": _build_inputs(failure.inputs)}
     text = json.dumps(content, indent=2, ensure_ascii=False)
-    with locked(folder), replace_file(folder / FAILURE_FILE) as temporary:
+    with lock(folder), replace_file(folder / FAILURE_FILE) as temporary:
         temporary.write_bytes(f"{text}\n".encode("utf-8", "backslashreplace"))

@@ -18,6 +18,7 @@ NAME = re.compile(r"[a-z_]+(\.[a-z_]+)*\.[a-z0-9_]+")
 TAKES_A_TEMPLATE = {"about", "of", "build_refusal", "format_sentence", "format_error_parts"}
 """Functions whose first argument names a template, or chooses one of several."""
 FORWARDS = {"_make_stretch_notes": {"name", "span"}, "report": set[str]()}
+FORWARDS["_make_span_note"] = FORWARDS["_make_stretch_notes"]
 """Function that gives a template on -> the facts that it adds."""
 OTHER_ARGUMENTS = {"period", "clock", "blocks", "at", "missing", "channel", "segment"}
 
@@ -105,9 +106,8 @@ def test_templates_are_whole() -> None:
     shapes: dict[frozenset[str], list[str]] = defaultdict(list)
     for subpackage in list_subpackages():
         for name, template in read_templates(subpackage).items():
-            shapes[frozenset(template) - {"code", "origin", "doubts"}].append(
-                f"{subpackage}.{name}"
-            )
+            keys = frozenset(template) - {"code", "origin", "doubts"}
+            shapes[keys].append(f"{subpackage}.{name}")
     allowed = [{"expected", "found", "remedy"}, {"severity", "meaning", "says"}]
     allowed += [{"severity", "says"}, {"says"}]
     assert not [names for shape, names in shapes.items() if shape not in allowed]

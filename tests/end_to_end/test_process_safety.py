@@ -16,7 +16,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from labpipe.store.replace import finish_moves, is_unfinished, locked
+from labpipe.store.replace import finish_moves, is_unfinished, lock
 from tests.builders.bad_input import refused
 from tests.builders.reasons import runs
 from tests.builders.small_pulls import small_pulls
@@ -32,7 +32,7 @@ def lab(processed: Lab, tmp_path: Path) -> Lab:
 
 def test_second_process_on_the_same_test(lab: Lab, run: Run) -> None:
     earlier = state(lab.processed)
-    with locked(lab.processed):
+    with lock(lab.processed):
         ran = run("process", lab.raw, "--no-figures")
     assert ran.status == 2
     assert "found another labpipe process at work in it. Wait until it is done" in ran.err
@@ -229,7 +229,7 @@ def test_killed_at_random_moments(tmp_path: Path, tests: int, kills: int) -> Non
         kill(tmp_path, chance.uniform(0.1, 1.2) * whole, chance)
         for lab, keys in zip(labs, zip(first, second, strict=True), strict=True):
             if is_unfinished(lab.processed):
-                with locked(lab.processed):
+                with lock(lab.processed):
                     finish_moves(lab.processed)
             (key,) = runs(lab.processed)
             seen.add(keys.index(key))

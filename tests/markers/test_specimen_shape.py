@@ -247,7 +247,5 @@ def test_frames_that_miss_markers_give_what_they_would_alone() -> None:
 
 def test_without_a_clamp_arc_length_starts_at_the_first_marker() -> None:
     s, markers = sagging(0.0)
-    rest_curve = fit_rest_curve(
-        markers, grip_offset=None, pull_offset=0.0, centre_offset=0.0, free_tip=False
-    )
+    rest_curve = fit_rest_curve(markers, offsets=Offsets(), clamped=False, free_tip=False)
     np.testing.assert_allclose(rest_curve.arc_length, s - s[0], atol=1e-7)

@@ -31,7 +31,7 @@ from labpipe.protocol.schema import Protocol
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Curve
 from labpipe.records.result import InputFile, Specimen, TestResult
-from labpipe.store.replace import locked
+from labpipe.store.replace import lock
 from labpipe.store.result_files import read_result
 from tests.builders.load_frames import mts_suite
 from tests.builders.pulls import broken, pull
@@ -142,7 +142,7 @@ def test_codes(pull_lab: TensileLab, name: str) -> None:
 
 
 def test_another_process_in_the_folder_is_no_failure(pull_lab: TensileLab) -> None:
-    with locked(pull_lab.processed):
+    with lock(pull_lab.processed):
         refused = tried(pull_lab)
     assert isinstance(refused, RefusedTest)
     assert refused.code == "in_use"

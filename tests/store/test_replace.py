@@ -19,7 +19,7 @@ from labpipe.store.replace import (
     exists_or_is_staged,
     finish_moves,
     is_unfinished,
-    locked,
+    lock,
     map_errors,
     replace_files,
 )
@@ -233,8 +233,8 @@ def test_what_somebody_else_prepared_moves_nothing_elsewhere(elsewhere: Path, go
 _HOLD = """
 import sys
 from pathlib import Path
-from labpipe.store.replace import locked
-with locked(Path(sys.argv[1])):
+from labpipe.store.replace import lock
+with lock(Path(sys.argv[1])):
     sys.stdout.write("held\\n"); sys.stdout.flush(); sys.stdin.read()
 """
 
@@ -248,11 +248,11 @@ def test_second_process_is_kept_out_until_the_first_ends(tmp_path: Path) -> None
         assert holder.stdout.readline() == b"held\n"
         with (
             pytest.raises(StoreError, match=r"found another labpipe process at work in it\. Wait"),
-            locked(tmp_path),
+            lock(tmp_path),
         ):
             pass
         holder.kill()  # a killed process leaves its lock file behind, but not its lock
-    with locked(tmp_path):
+    with lock(tmp_path):
         assert (tmp_path / LOCK_FILE).exists()
     assert list(tmp_path.iterdir()) == []
 
@@ -269,7 +269,7 @@ def test_what_stands_in_the_way_of_a_lock(tmp_path: Path, place: str, message: s
     (tmp_path / "x").touch()
     (tmp_path / "linked").mkdir()
     (tmp_path / "linked" / LOCK_FILE).symlink_to(tmp_path / "elsewhere")
-    with pytest.raises(StoreError, match=f"{place}.*: .*{message}"), locked(tmp_path / place):
+    with pytest.raises(StoreError, match=f"{place}.*: .*{message}"), lock(tmp_path / place):
         pass
     assert {path.name for path in tmp_path.iterdir()} == {"x", "linked"}
 
@@ -278,7 +278,7 @@ def test_lock_file_removed_by_its_last_owner_is_made_anew(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder = tmp_path / "a" / "b"
-    with pytest.raises(ZeroDivisionError), locked(folder):
+    with pytest.raises(ZeroDivisionError), lock(folder):
         raise ZeroDivisionError
     try_lock, tries = replace._try_lock, []
 
@@ -289,7 +289,7 @@ def test_lock_file_removed_by_its_last_owner_is_made_anew(
         return try_lock(handle)
 
     monkeypatch.setattr(replace, "_try_lock", removed_in_between)
-    with locked(folder):
+    with lock(folder):
         assert len(tries) == 2
         assert (folder / LOCK_FILE).exists()
     assert list(folder.iterdir()) == []

@@ -12,7 +12,7 @@ from labpipe.errors import StoreError
 from labpipe.records.curve import Interval
 from labpipe.records.harness_bundle import Bundle, BundleWire
 from labpipe.records.result import InputFile, Result, Specimen
-from labpipe.store.replace import locked
+from labpipe.store.replace import lock
 from labpipe.store.summaries import (
     FAILURE_FILE,
     FailedTest,
@@ -62,7 +62,7 @@ def test_the_last_failure_counts_but_for_one_while_another_process_writes(tmp_pa
     folder = tmp_path / "p" / "T"
     write_failure(FailedTest("T", "in_time", ""), folder)
     write_failure(FAILED, folder)
-    with locked(folder), pytest.raises(StoreError, match="another labpipe process"):
+    with lock(folder), pytest.raises(StoreError, match="another labpipe process"):
         write_failure(FailedTest("T", "in_time", ""), folder)
     assert [file.name for file in folder.iterdir()] == [FAILURE_FILE]
     failure = json.loads((folder / FAILURE_FILE).read_text("utf-8"))

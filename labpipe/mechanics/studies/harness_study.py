@@ -47,7 +47,7 @@ from labpipe.report.harness_figures import (
     DrawnSweep,
     list_harness_figures,
 )
-from labpipe.store.replace import locked, replace_file
+from labpipe.store.replace import lock, replace_file
 from labpipe.store.summaries import (
     FAILURE_FILE,
     SUMMARY_FILE,
@@ -139,7 +139,7 @@ def _write_failure(solution: HarnessSolution) -> None:
         **select_json(solution, "reasons"),
         "reached": {"step": len(states) - 1, "positions": to_json(last_positions)},
     }
-    with locked(solution.folder), replace_file(solution.folder / FAILURE_FILE) as temporary:
+    with lock(solution.folder), replace_file(solution.folder / FAILURE_FILE) as temporary:
         temporary.write_text(_format_json(content), encoding="utf-8", newline="\n")
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from labpipe.report.figure_page import list_pngs, save_pages
 from labpipe.report.plot_records import Page
-from labpipe.store.replace import locked, map_errors, replace_files
+from labpipe.store.replace import lock, map_errors, replace_files
 
 FIGURES_FOLDER = "figures"
 """Name of the folder of the figures in the folder of the results."""
@@ -41,7 +41,7 @@ def write_study(
     Paths of the files: texts, other files, figures.
     """
     earlier_files = [*earlier_files, *list_pngs(pages, FIGURES_FOLDER)]
-    with locked(folder), replace_files(folder, owned=earlier_files) as temporary_folder:
+    with lock(folder), replace_files(folder, owned=earlier_files) as temporary_folder:
         with map_errors(folder):
             for name, text in texts.items():
                 (temporary_folder / name).write_text(text, encoding="utf-8", newline="\n")

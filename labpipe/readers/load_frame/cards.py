@@ -23,17 +23,11 @@ from pydantic import (
 )
 
 from labpipe.errors import ReadError
-from labpipe.readers.raw_files import map_read_errors
+from labpipe.readers.raw_files import map_read_errors, require
 
 LAB_FOLDER = "dialects"
 """Folder of a lab's own cards, in the working folder beside ``protocols``."""
 _CARD_NAME = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
-
-
-def _require(is_valid: bool, message: str) -> None:
-    """Raise ValueError if a value of a card is not valid."""
-    if not is_valid:
-        raise ValueError(message)
 
 
 def _compile_pattern(value: object, *, flags: re.RegexFlag) -> re.Pattern[str]:
@@ -45,7 +39,7 @@ def _compile_pattern(value: object, *, flags: re.RegexFlag) -> re.Pattern[str]:
 
 
 def _check_group(pattern: re.Pattern[str]) -> re.Pattern[str]:
-    _require(pattern.groups == 1, "a pattern needs one group in round brackets")
+    require(pattern.groups == 1, "a pattern needs one group in round brackets")
     return pattern
 
 
@@ -53,13 +47,13 @@ def _check_encoding(name: str) -> str:
     is_known = name == "detect"
     with suppress(LookupError):
         is_known = is_known or bool(codecs.lookup(name))
-    _require(is_known, "not the name of an encoding")
+    require(is_known, "not the name of an encoding")
     return name
 
 
 def _parse_separator(sign: str) -> str:
     is_sign = sign == "blanks" or (len(sign) == 1 and sign.isascii())
-    _require(is_sign, 'should be one sign, or "blanks"')
+    require(is_sign, 'should be one sign, or "blanks"')
     return " " if sign == "blanks" else sign
 
 
@@ -159,8 +153,8 @@ class Card(BaseModel):
             "with units": ("brackets", self.brackets),
         }
         keys, values = needs.get(self.names, ("", True))
-        _require(bool(values), f"names = '{self.names}' needs {keys}")
-        _require(bool(self.recognise or self.blank), "recognise needs at least one pattern")
+        require(bool(values), f"names = '{self.names}' needs {keys}")
+        require(bool(self.recognise or self.blank), "recognise needs at least one pattern")
         return self
 
     def fits(self, text: str) -> bool:
@@ -218,23 +212,13 @@ def load_shipped_cards() -> Mapping[str, Card]:
     }
 
 
-def list_lab_card_files(folder: Path | None = None) -> list[Path]:
-    """List the files of a lab's own cards.
-
-    Parameters
-    ----------
-    folder : folder of the cards; None for ``dialects`` in the working folder
-    """
-    cards_folder = Path(LAB_FOLDER) if folder is None else folder
-    return sorted(cards_folder.glob("*.toml")) if cards_folder.is_dir() else []
+def list_lab_card_files() -> list[Path]:
+    """List the files of a lab's own cards, in `LAB_FOLDER`."""
+    return sorted(Path(LAB_FOLDER).glob("*.toml"))
 
 
-def load_lab_cards(folder: Path | None = None) -> Mapping[str, Card]:
+def load_lab_cards() -> Mapping[str, Card]:
     """Load a lab's own cards, keyed by name.
-
-    Parameters
-    ----------
-    folder : folder of the cards; None for ``dialects`` in the working folder
 
     Raises
     ------
@@ -242,7 +226,7 @@ def load_lab_cards(folder: Path | None = None) -> Mapping[str, Card]:
         If a card is wrong, or has the name of a card of labpipe.
     """
     cards = {}
-    for file in list_lab_card_files(folder):
+    for file in list_lab_card_files():
         if file.stem in load_shipped_cards():
             raise ReadError.about("readers.taken_name_of_card", file, name=file.stem)
         with map_read_errors(file, "a card in UTF-8", remedy="Save it as UTF-8."):

@@ -103,16 +103,20 @@ def find_header(
     if card.names == "listed":
         return _read_listed_titles(head, card)
     separators = ("\t",) if sheet else card.separators
-    rows_of_head = (
-        _split_at_words(head, separators, card.header_words)
-        if card.names == "alone"
-        else split_head(head, separators)
-    )
+    if card.names == "alone":
+        words = card.header_words
+        rows_of_head = split_head(
+            head, separators, lambda row: tuple(map(str.strip, row[: len(words)])) == words
+        )
+    else:
+        rows_of_head = split_head(head, separators)
     if rows_of_head is None:
         last_line = first_line + len(head) - 1
         place = f"sheet '{sheet}', row 1" if sheet else f"lines {first_line} to {last_line}"
         raise ContentError.of("readers.no_table", place)
     separator, rows = rows_of_head
+    if card.names == "alone":
+        rows.append([])  # the first row of samples is not among the rows of the head
     first_row = len(rows) - 1
     filled_rows = [i for i, row in enumerate(rows[:first_row]) if any(cell.strip() for cell in row)]
     cells = [tuple(map(str.strip, rows[i])) for i in filled_rows]
@@ -136,19 +140,6 @@ def find_header(
     specimens = above.pop() if above and has_specimens else ()
     sheet_name = f"sheet '{sheet}'" if sheet else ""
     return Header(names, units, first_row, above, separator, specimens, first_line, sheet_name)
-
-
-def _split_at_words(
-    lines: Sequence[str], separators: Sequence[str], words: _Cells
-) -> tuple[str, list[list[str]]] | None:
-    """Split lines like `split_head`, up to the row that begins with `words`, and a blank row."""
-    for separator in separators:
-        rows: list[list[str]] = []
-        for line in lines:
-            rows.append(split_line(line, separator))
-            if tuple(map(str.strip, rows[-1][: len(words)])) == words:
-                return separator, [*rows, []]
-    return None
 
 
 def _read_listed_titles(lines: Sequence[str], card: Card) -> Header:

@@ -59,7 +59,7 @@ def test_the_keys_and_the_example_of_the_documentation(
     (tmp_path / "dialects" / "acme.toml").write_bytes("about = 'Prüfung'".encode("cp1252"))
     expected = r"expected a card in UTF-8, found a damaged one .*Save it as"
     with pytest.raises(ReadError, match=expected):
-        load_lab_cards(tmp_path / "dialects")
+        load_lab_cards()
 
 
 GOOD = """
