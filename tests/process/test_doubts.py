@@ -78,7 +78,7 @@ def with_dwells(lasts: float, rate: float) -> PlainRecord:
 def through(*corners: tuple[float, float]) -> PlainRecord:
     """A motion through corners (s, mm) along 100 N/m, with noise of 1 mN."""
     time: Floats = np.arange(0.0, 100.0, 0.05)
-    path = 1e-3 * np.interp(time, *zip(*corners, strict=True))
+    path = 1e-3 * np.interp(time, *np.transpose(corners))
     noise = np.random.default_rng(20261128).normal(0.0, 1e-3, len(time))
     return PlainRecord(time, path, 100.0 * path + noise)
 
