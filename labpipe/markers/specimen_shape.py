@@ -358,9 +358,10 @@ def _fit_group(
 
 def _group_by_visible_markers(visible: Flags) -> list[tuple[Flags, Ints]]:
     """Group frames by their visible markers; return the flags of each group, and its frames."""
-    codes = visible @ (1 << np.arange(visible.shape[1]))  # sorting rows is far slower
-    first, group = np.unique(codes, return_index=True, return_inverse=True)[1:]
-    return [(visible[row], np.flatnonzero(group == index)) for index, row in enumerate(first)]
+    codes = np.packbits(visible, axis=1)  # sorting rows of flags is far slower
+    first, group = np.unique(codes, axis=0, return_index=True, return_inverse=True)[1:]
+    patterns = enumerate(visible[first])
+    return [(pattern, np.flatnonzero(group.ravel() == index)) for index, pattern in patterns]
 
 
 CLAMPED_END = "clamped end"

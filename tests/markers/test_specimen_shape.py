@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from labpipe.markers import specimen_shape
 from labpipe.markers.specimen_shape import (
     EXACT,
     EndConditions,
@@ -249,3 +250,10 @@ def test_without_a_clamp_arc_length_starts_at_the_first_marker() -> None:
     s, markers = sagging(0.0)
     rest_curve = fit_rest_curve(markers, offsets=Offsets(), clamped=False, free_tip=False)
     np.testing.assert_allclose(rest_curve.arc_length, s - s[0], atol=1e-7)
+
+
+def test_frames_are_grouped_by_many_visible_markers() -> None:
+    visible = np.ones((3, 70), dtype=np.bool_)
+    visible[1, 65] = False
+    groups = specimen_shape._group_by_visible_markers(visible)
+    assert sorted(frames.tolist() for _, frames in groups) == [[0, 2], [1]]
