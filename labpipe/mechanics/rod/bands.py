@@ -26,6 +26,7 @@ from labpipe.mechanics.rod.path import RodPath
 from labpipe.messages import format_sentence
 from labpipe.records.arrays import Flags, Floats
 from labpipe.records.quality import QualityNote
+from labpipe.records.result import Status
 
 Fields = Mapping[str, Floats]
 """Fields of a line, arrays of any shape, keyed by name."""
@@ -282,7 +283,7 @@ def predict_line_bands(
 
     def solve_fields(index: int, inputs: Mapping[str, float]) -> Fields | None:
         path = solvers[index](inputs)
-        if path.status == "failed":
+        if path.status is Status.FAILED:
             return None
         paths_by_distribution[index].append(path)
         return {**_collect_step_fields(path, steps), **collect(path)}
