@@ -126,7 +126,11 @@ def table(folder: Paths, *, by: str | Sequence[str] = ()) -> pd.DataFrame:
     by = parse_fields(by)
     rows, left_out = _read_summaries(_find_summaries(parse_paths(folder)))
     fields = dict.fromkeys(name for test, _ in rows for name in test if name not in _TEST_COLUMNS)
-    _require_fields(by, [name for name in fields if name != "test"])
+    sheet_fields = [name for name in fields if name != "test"]
+    for name in by:
+        if name not in sheet_fields:
+            valid = ", ".join(sort_by_likeness(name, sheet_fields))
+            raise UsageError.about("api.no_field", "by", fields=valid, found=name)
     order = dict.fromkeys(("test", *by, *fields, *_TEST_COLUMNS))
     columns = {name: [test.get(name) for test, _ in rows] for name in order}
     counts = [len(results) for _, results in rows]
@@ -224,14 +228,6 @@ def _make_column(name: str, values: Sequence[Any]) -> pd.Series:
     present = [value for value in values if value is not None]
     is_number = bool(present) and all(isinstance(value, int | float) for value in present)
     return pd.Series(values, dtype="float64" if is_number else "str")
-
-
-def _require_fields(by: Sequence[str], fields: list[str]) -> None:
-    """Refuse to group by a field that no test sheet has."""
-    for name in by:
-        if name not in fields:
-            valid = ", ".join(sort_by_likeness(name, fields))
-            raise UsageError.about("api.no_field", "by", fields=valid, found=name)
 
 
 def groups(

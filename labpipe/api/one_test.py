@@ -28,7 +28,7 @@ from labpipe.store.summaries import build_summary
 if TYPE_CHECKING:
     import datetime
 
-    from labpipe.records.result import Instrument, Result, Specimen
+    from labpipe.records.result import Instrument, Specimen
     from labpipe.report.figures import Figure
 
 
@@ -133,13 +133,10 @@ class Test:
         UsageError
             If the test has no such result.
         """
-        return data_frames.make_budget_frame(self._get_result(name), self._units)
-
-    def _get_result(self, name: str) -> Result:
         results = {result.name: result for result in self._outcome.results}
         if name not in results:
             raise self._build_name_error("result", name, list(results))
-        return results[name]
+        return data_frames.make_budget_frame(results[name], self._units)
 
     @property
     def curve(self) -> pd.DataFrame:

@@ -28,7 +28,7 @@ from labpipe.process.output_paths import FIGURES_FOLDER, RESULT_FILE
 from labpipe.process.reading import fingerprint_dialect_cards, list_named_exports
 from labpipe.process.run import PROCESSING_VERSION, make_input_key
 from labpipe.protocol.load import dump_protocol, find_protocol, load_test_sheet, resolve_protocol
-from labpipe.protocol.sheet_grammar import SHEET_NAME, TestSheet
+from labpipe.protocol.sheet_grammar import SHEET_NAME
 from labpipe.store.replace import TEMPORARY_FOLDERS, finish_moves, is_unfinished, lock, map_errors
 from labpipe.store.summaries import FAILURE_FILE, SUMMARY_FILE
 
@@ -417,7 +417,14 @@ class InputReader:
         try:
             sheet = load_test_sheet(sheet_path)
             sheet_text = sheet_path.read_text(encoding="utf-8")
-            facts, protocol_name = _collect_sheet_facts(sheet), sheet.protocol
+            protocol_name = sheet.protocol
+            facts = {
+                "test": sheet.test,
+                "protocol": protocol_name,
+                **{name: getattr(sheet.specimen, name) for name in ("type", "spool", "sample")},
+                "date": str(sheet.date or ""),
+                "operator": sheet.operator,
+            }
             for name in itertools.chain(*sheet.files.values()):
                 stamps[name] = take_stamp(folder / name, previous_stamps.get(name))
             protocol = resolve_protocol(sheet, sheet_path, follow_links=True)
@@ -441,17 +448,16 @@ class InputReader:
         )
 
     def _hash_dependencies(self, sheet_folder: Path, protocol_name: str = "") -> tuple[str, ...]:
-        """Collect `HashedInputs.dependencies` of a test with this protocol."""
-        protocol_hash = self._hash_protocol(protocol_name, sheet_folder)
-        versions = __version__, str(PROCESSING_VERSION)
-        return protocol_name, protocol_hash, self._cards_hash, *versions
+        """Collect `HashedInputs.dependencies` of a test with this protocol.
 
-    def _hash_protocol(self, protocol_name: str, sheet_folder: Path) -> str:
-        """Compute the hash of the file of a protocol; it is empty if the file does not exist."""
+        The hash of the file of the protocol is empty if the file does not exist.
+        """
         is_path = any(character in protocol_name for character in "/\\.")
         search_folder = sheet_folder if is_path else Path()
-        protocol_path = self._find_protocol(protocol_name, sheet_folder=search_folder)
-        return "" if isinstance(protocol_path, Fault) else self._hash_file(protocol_path)
+        path = self._find_protocol(protocol_name, sheet_folder=search_folder)
+        protocol_hash = "" if isinstance(path, Fault) else self._hash_file(path)
+        versions = __version__, str(PROCESSING_VERSION)
+        return protocol_name, protocol_hash, self._cards_hash, *versions
 
     @cached_property
     def _cards_hash(self) -> str:
@@ -460,18 +466,6 @@ class InputReader:
 
         card_hashes = [[path.name, self._hash_file(path)] for path in list_lab_card_files()]
         return hash_text(json.dumps(card_hashes)) if card_hashes else ""
-
-
-def _collect_sheet_facts(sheet: TestSheet) -> dict[str, str]:
-    """Collect the values of a test sheet that the catalog lists."""
-    specimen = sheet.specimen.record
-    return {
-        "test": sheet.test,
-        "protocol": sheet.protocol,
-        **{name: getattr(specimen, name) for name in ("type", "spool", "sample")},
-        "date": str(sheet.date or ""),
-        "operator": sheet.operator or "",
-    }
 
 
 def describe_changes(before: MadeOf, now: MadeOf) -> str:

@@ -33,7 +33,7 @@ from labpipe.process.run import (
     RefusedTest,
     Task,
     attempt,
-    find_results_folder,
+    choose_results_folder,
     read_test_name,
     record_refusal,
 )
@@ -184,7 +184,7 @@ def process_tests(
     tasks: list[Task] = []
     for test in tests:
         try:
-            folder = find_results_folder(test, out, partial(read_test_name, test))
+            folder = choose_results_folder(test, out, partial(read_test_name, test))
             tasks.append(Task(test, folder, figures, png, follow_links))
         except LabpipeError as error:
             outcomes[test] = RefusedTest(test, error.code, str(error))

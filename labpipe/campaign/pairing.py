@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import chain
@@ -291,7 +291,12 @@ def pair_test(candidate: Candidate, plan: CampaignPlan, stable_time: float = 0.0
     protocol_counts = count_protocols(tests, candidate.folder)
     missing = _find_missing_roles(inferred, plan, protocol_counts, stable_time)
     if inferred.read_errors or missing:
-        _remove_copies(copies, candidate.folder)
+        # The originals may still be written, so that the copies may be incomplete.
+        for copy in copies:
+            copy.unlink(missing_ok=True)
+        with suppress(OSError):  # the folder is not empty
+            if copies:
+                candidate.folder.rmdir()
         return PairingOutcome(None, missing=missing, unreadable=inferred.read_errors)
     # These facts of the plan have no column in a campaign sheet.
     specimen = {key: value for key, value in plan.specimen.items() if key not in _SPECIMEN_COLUMNS}
@@ -407,15 +412,3 @@ def _copy_exports(candidate: Candidate) -> list[Path]:
                 shutil.copy2(path, temporary)
         copies.append(copy)
     return copies
-
-
-def _remove_copies(copies: Sequence[Path], folder: Path) -> None:
-    """Remove new copies of exports, and their folder if it is then empty.
-
-    The originals may still be written, so that the copies may be incomplete.
-    """
-    for path in copies:
-        path.unlink(missing_ok=True)
-    with suppress(OSError):  # the folder is not empty
-        if copies:
-            folder.rmdir()

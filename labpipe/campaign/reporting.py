@@ -606,6 +606,13 @@ def make_campaign(tests: ReadTests, title: str, options: ReportOptions) -> Campa
     differences, n_excluded = find_differences(
         groups, group_settings, tests.settings, grouping_fields, only_field=options.alone
     )
+    bounded_stiffnesses: list[BoundedStiffness] = []
+    if options.wires is not None:
+        # imported here, because the import takes a tenth of a second
+        from labpipe.mechanics.studies.bundle_bounds import bound_stiffnesses
+        from labpipe.mechanics.studies.wire_sheets import read_wire_sheet
+
+        bounded_stiffnesses += bound_stiffnesses(groups, read_wire_sheet(options.wires).specs)
     return Campaign(
         title=title,
         groups=tuple(groups),
@@ -616,22 +623,13 @@ def make_campaign(tests: ReadTests, title: str, options: ReportOptions) -> Campa
         by=grouping_fields,
         compared=options.alone,
         pairs_not_shown=n_excluded,
-        bounded_stiffnesses=() if options.wires is None else _bound_bundles(groups, options.wires),
+        bounded_stiffnesses=tuple(bounded_stiffnesses),
         wire_sheet="" if options.wires is None else options.wires.name,
         rejected_samples=tuple(tests.rejected_samples),
         name=find_campaign_name(tests.folder),
         decisions=tuple(asdict(decision) for decision in tests.decisions),
         made_on=datetime.now(tz=UTC).date(),
     )
-
-
-def _bound_bundles(groups: Sequence[Group], wire_sheet: Path) -> tuple[BoundedStiffness, ...]:
-    """Compute the bounds of the bending stiffness of bundles with the model of their wires."""
-    # imported here, because the import takes a tenth of a second
-    from labpipe.mechanics.studies.bundle_bounds import bound_stiffnesses
-    from labpipe.mechanics.studies.wire_sheets import read_wire_sheet
-
-    return tuple(bound_stiffnesses(groups, read_wire_sheet(wire_sheet).specs))
 
 
 @dataclass(slots=True)

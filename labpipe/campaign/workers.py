@@ -272,7 +272,12 @@ def run_worker() -> NoReturn:
     threading.Thread(target=_read_calls, args=(requests, call_queue), daemon=True).start()
     try:
         while True:
-            _send(_run_call(call_queue.get()), replies)
+            call = call_queue.get()
+            try:
+                reply = pickle.dumps((pickle.loads(call)(), None))
+            except Exception as error:  # noqa: BLE001  the parent raises it again
+                reply = pickle.dumps((None, error))
+            _send(reply, replies)
     except SystemExit as error:
         os._exit(error.code if isinstance(error.code, int) else 1)
 
@@ -286,11 +291,3 @@ def _read_calls(requests: IO[bytes], call_queue: queue.SimpleQueue[bytes]) -> No
         while True:
             call_queue.put(pickle.load(requests))
     os._exit(1)
-
-
-def _run_call(call: bytes) -> bytes:
-    """Run a pickled function, and return its result and its error, one of which is None."""
-    try:
-        return pickle.dumps((pickle.loads(call)(), None))
-    except Exception as error:  # noqa: BLE001  the parent raises it again
-        return pickle.dumps((None, error))

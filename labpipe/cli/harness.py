@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from labpipe.cli.terminal import format_result, format_statuses, shorten_path, show_progress_bar
 from labpipe.mechanics.studies.harness_solution import HarnessSolution
 from labpipe.mechanics.studies.harness_study import Progress, build_json, follow_harness
-from labpipe.records.result import Result, Status
+from labpipe.records.result import Status
 from labpipe.report.wording import write_count
 
 _DISPLAY = {"displacement": "mm", "moment": "N*mm", "energy": "mJ"}
@@ -84,21 +84,15 @@ def format_harness(solution: HarnessSolution) -> str:
         if last_step < 0:
             progress = "initial shape not found"
         return f"{headline}\n  {progress}; earlier results are unchanged"
-    lines = [headline, *map(_format_line, solution.results)]
-    lines += [_format_limit(solution), *_format_sweep(solution)]
-    reasons = dict.fromkeys(solution.reasons)
+    lines, reasons, name_width = [headline], dict.fromkeys(solution.reasons), 32
     for result in solution.results:
+        remark = result.reason_text if result.value is None else result.remark
+        lines.append(f"{format_result(result, _DISPLAY, name_width)}  {remark}".rstrip())
         reasons |= dict.fromkeys(result.reasons if result.value is not None else ())
+    lines += [_format_limit(solution), *_format_sweep(solution)]
     lines += [f"  doubtful: {reason.code}: {reason.message}" for reason in reasons]
     lines += [f"  {note.severity}: {note.message}" for note in solution.material.notes]
     return "\n".join([*lines, f"results: {shorten_path(solution.folder)}"])
-
-
-def _format_line(result: Result) -> str:
-    """Format a result with its remark, or with the reason why it has no value."""
-    name_width = 32
-    remark = result.reason_text if result.value is None else result.remark
-    return f"{format_result(result, _DISPLAY, name_width)}  {remark}".rstrip()
 
 
 def _format_limit(solution: HarnessSolution) -> str:

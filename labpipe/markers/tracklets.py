@@ -150,13 +150,11 @@ class Links:
 
     Parameters
     ----------
-    chain : shape (tracklets,), number of the chain of each tracklet
     successor : shape (tracklets,), number of the next tracklet of the chain, -1 at its end
     ambiguous : pairs of tracklets that compete with a link of similar distance; their labels are
         not changed
     """
 
-    chain: Ints
     successor: Ints
     ambiguous: tuple[tuple[int, int], ...]
 
@@ -217,7 +215,7 @@ def link_tracklets(
         (int(pairs.end[index]), int(pairs.start[index if changes_label[index] else rival]))
         for index, rival in rivals_of_pairs.items()
     )
-    return Links(_number_chains(successor), successor, ambiguous)
+    return Links(successor, ambiguous)
 
 
 def _find_candidates(
@@ -312,19 +310,6 @@ def _group_by_value(keys: Ints) -> dict[int, list[int]]:
     for index, key in enumerate(keys.tolist()):
         indices_by_value.setdefault(key, []).append(index)
     return indices_by_value
-
-
-def _number_chains(successor: Ints) -> Ints:
-    """Number the chains, and return the number of the chain of each tracklet."""
-    chain = np.full(len(successor), -1, dtype=np.int64)
-    next_chain = 0
-    for tracklet, following in enumerate(successor.tolist()):
-        if chain[tracklet] < 0:
-            chain[tracklet] = next_chain
-            next_chain += 1
-        if following >= 0:
-            chain[following] = chain[tracklet]
-    return chain
 
 
 _UNLABELLED = re.compile(r"unlabell?ed", re.IGNORECASE)
@@ -439,7 +424,11 @@ def _collect_chains(
     column, length = tracklets.column, tracklets.stop - tracklets.start
     is_long = time[tracklets.stop - 1] - time[tracklets.start] >= min_label_time
     chains = []
-    for indices in _group_by_value(links.chain).values():
+    successor = links.successor.tolist()
+    for first in sorted({*range(len(successor))} - {*successor}):
+        indices = [first]
+        while (following := successor[indices[-1]]) >= 0:
+            indices.append(following)
         named_tracklets = [index for index in indices if is_named[column[index]]]
         candidates = [index for index in named_tracklets if is_long[index]]
         candidates = candidates or sorted(named_tracklets, key=lambda index: -length[index])

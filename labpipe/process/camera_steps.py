@@ -104,7 +104,7 @@ def repair_marker_tracks(
     min_rings = 3  # along the specimen, which the shape needs
     take = prepared.take
     tracks = _require(take.tracks)
-    clamp_path, findings = _find_clamp(tracks, settings, step, take.role)
+    clamp_path, findings = _read_clamp_path(tracks, settings, step, take.role)
     tracks_along, body_findings = _select_specimen_tracks(tracks, settings, take.role)
     limits = {"max_gap": step.max_gap, "max_jump": step.max_jump, "frozen": step.frozen}
     repaired = repair_tracks(tracks, along=tracks_along, reference=clamp_path, **limits)
@@ -226,7 +226,7 @@ def _make_shape_findings(notes: Iterable[QualityNote], role: str) -> Iterator[Fi
             yield Finding(note)
 
 
-def _find_clamp(
+def _read_clamp_path(
     tracks: MarkerTracks, settings: Markers, step: declarations.RepairMarkers, role: str
 ) -> tuple[Floats | None, list[Finding]]:
     """Return the repaired path of the clamp, m; None if the protocol names no clamp."""

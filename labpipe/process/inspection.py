@@ -272,6 +272,7 @@ def _format_times(times: dict[str, Any], unit: str) -> str:
 
 
 def _format_number(value: float | None) -> str:
+    """Format a number with six digits; None becomes a dash."""
     return "-" if value is None else f"{value:.6g}"
 
 

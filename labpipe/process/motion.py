@@ -320,7 +320,7 @@ def _measure_speeds(signal: Signal, turn: Turn) -> tuple[float, float]:
     samples = np.stack([signal.time, signal.values])[:, ~np.isnan(signal.values)]
 
     def measure_speed(*middle_times: float) -> float:
-        stretches = [samples[:, np.abs(samples[0] - x) <= half_width] for x in middle_times]
+        stretches = [samples[:, np.abs(samples[0] - time) <= half_width] for time in middle_times]
         if not all(stretch.size for stretch in stretches):
             return float("nan")
         duration, travel = (stretches[1].mean(axis=1) - stretches[0].mean(axis=1)).tolist()
@@ -409,7 +409,7 @@ def find_turn_events(
     """
     turns = {turn.stroke_index: turn for turn in motion.turns}
     corners_by_turn = (
-        _find_corners(force, turns[index], rough_time, window)
+        _fit_corners(force, turns[index], rough_time, window)
         for index, rough_time in pairs
         if index in turns
     )
@@ -417,7 +417,7 @@ def find_turn_events(
     return np.array(events, dtype=np.float64).reshape(-1, 4).T
 
 
-def _find_corners(force: Signal, turn: Turn, rough_time: float, window: float) -> Floats:
+def _fit_corners(force: Signal, turn: Turn, rough_time: float, window: float) -> Floats:
     """Fit the corners of a force at a turn of the motion, shape (corners, 5), s.
 
     The columns are the times on the clocks of motion and force, their standard errors, and the
@@ -608,7 +608,7 @@ def _has_relaxation(force: Signal, motion: Motion, fit: ClockFit) -> bool:
     compared_stretches = np.array([[0.1, 0.35], [0.65, 0.9]])  # fractions of the dwell
     losses = [0.0]
     for turn in motion.turns:
-        start, stop = (fit.to_force_time(x.time) for x in (turn.arrival, turn.departure))
+        start, stop = map(fit.to_force_time, (turn.arrival.time, turn.departure.time))
         ends = np.searchsorted(force.time, start + compared_stretches * (stop - start))
         early_force, late_force = (force.values[slice(*pair)] for pair in ends)
         if np.isfinite(early_force).any() and np.isfinite(late_force).any():

@@ -62,7 +62,7 @@ from labpipe.store.summaries import (
 
 _DAY_KEYS = ("date", "start_time", "Capture Start Time")
 """Metadata keys of the date or time of a recording, in ISO 8601."""
-_FIGURE_FILES = [f"{FIGURES_FOLDER}/{x}{end}" for x in FIGURES for end in (".svg", ".png")]
+_FIGURE_FILES = [f"{FIGURES_FOLDER}/{name}.{kind}" for name in FIGURES for kind in ("svg", "png")]
 """Paths of all figures that a test may have, relative to its results folder."""
 PROCESSING_VERSION = 3
 """Incremented whenever the same exports, sheet and protocol give different numbers."""
@@ -100,7 +100,7 @@ class Task:
     Parameters
     ----------
     sheet : test.yaml of the test, or a result.h5 whose recordings are processed again
-    results_folder : results folder of the test; None for that of `find_results_folder`
+    results_folder : results folder of the test; None for that of `choose_results_folder`
     figures : whether to draw figures as SVG
     png : whether to draw figures as PNG as well
     follow_links : whether exports may be links to files outside of the folder of the test
@@ -141,7 +141,7 @@ def process(task: Task, say: Say = lambda _: None) -> ProcessedTest:
     raw, protocol = read_source(source, follow_links=task.follow_links)
     say("process")
     result = reduce_test(raw, protocol)
-    folder = task.results_folder or find_results_folder(source, None, lambda: result.test)
+    folder = task.results_folder or choose_results_folder(source, None, lambda: result.test)
     outdated_figures = _FIGURE_FILES
     with suppress(StoreError):
         if not task.figures and read_run(folder / RESULT_FILE) == result.run:
@@ -358,7 +358,7 @@ def _read_stored(result_path: Path) -> tuple[RawTest, Protocol]:
     return raw, protocol
 
 
-def find_results_folder(source: Path, out: Path | None, name: Callable[[], str]) -> Path:
+def choose_results_folder(source: Path, out: Path | None, name: Callable[[], str]) -> Path:
     """Choose the results folder of a test.
 
     Parameters
@@ -458,7 +458,7 @@ def record_refusal(task: Task, code: str, reason: str, *, reads_inputs: bool = T
     """
     folder = task.results_folder
     with suppress(LabpipeError, OSError, MemoryError):
-        folder = folder or find_results_folder(
+        folder = folder or choose_results_folder(
             task.sheet, None, partial(read_test_name, task.sheet)
         )
     failure = FailedTest("", code, reason, task.run)

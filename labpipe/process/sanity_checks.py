@@ -494,7 +494,7 @@ def find_cut_ends(
     if moves_at_end(time, values):
         is_single, stroke = len(motion.branches) == 1, protocol.rig.stroke
         is_complete = is_full_stroke(travel, stroke) if is_single else _has_arrived(motion, limits)
-        if not is_complete or any(x.code in _CUT_FILE_CODES for x in findings.entries):
+        if not is_complete or any(note.code in _CUT_FILE_CODES for note in findings.notes):
             ends = dict.fromkeys(("force", "displacement"), float(time[-1]))
     force = signals.raw[signals.force]
     last_sample = int(np.flatnonzero(~np.isnan(force.values))[-1])

@@ -286,7 +286,7 @@ def _list_faults(
     if "protocol" in values:
         protocol = find_protocol(values["protocol"], sheet_folder=test_folder or file.parent)
         faults += [protocol] if isinstance(protocol, Fault) else []
-    paths = {x: _choose_path(x) for x in (*_KEY_PATHS, *values) if "." in x or x in _KEY_PATHS}
+    paths = _KEY_PATHS | {column: _choose_path(column) for column in values if "." in column}
     for fault in faults:
         path = (*map(str, fault.path), *([fault.missing] if fault.missing else []))
         column = next((x for x in paths if path[: len(paths[x])] == paths[x]), path[-1])

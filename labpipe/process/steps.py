@@ -285,7 +285,7 @@ def check_channels(signals: Signals, protocol: Protocol) -> Iterator[Finding]:
                 # The clocks are aligned at peaks whose times are wrong.
                 yield doubt_stretches("clock", replace(note, stretches=()), signal.clock)
         for run in (run for run in runs if not run.is_clipped):
-            times = _find_adjacent_times(signal, run)
+            times = _get_adjacent_times(signal, run)
             note = QualityNote.of(
                 "process.frozen_channel",
                 name,
@@ -307,14 +307,14 @@ def _make_saturation_note(name: str, signal: Signal, runs: list[StuckRun]) -> Qu
     return QualityNote.of(
         "process.saturation",
         name,
-        *(_find_adjacent_times(signal, run) for run in runs),
+        *(_get_adjacent_times(signal, run) for run in runs),
         count=sum(run.stop - run.start for run in runs),
         runs=len(runs),
         levels=" and ".join(f"{level:.6g} {signal.unit}" for level in levels),
     )
 
 
-def _find_adjacent_times(signal: Signal, run: StuckRun) -> tuple[float, float]:
+def _get_adjacent_times(signal: Signal, run: StuckRun) -> tuple[float, float]:
     """Return the times of the last sample before a run and of the first one after it."""
     first, last = max(run.start - 1, 0), min(run.stop, len(signal.time) - 1)
     return float(signal.time[first]), float(signal.time[last])

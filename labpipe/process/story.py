@@ -216,7 +216,7 @@ def _build_reduced_test(
         compliance_stated=protocol.curve is not None and protocol.curve.compliance is not None,
         limits=protocol.limits,
         labels=labels,
-        free_tip=any(isinstance(x, FitShape) and x.tip == "free" for x in protocol.steps),
+        free_tip=any(isinstance(step, FitShape) and step.tip == "free" for step in protocol.steps),
     )
     return ReducedTest(
         signals=prepared.signals,

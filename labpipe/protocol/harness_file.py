@@ -407,15 +407,10 @@ def _find_late_steps(harness: HarnessFile) -> Iterator[Fault]:
             yield Fault.of("protocol.late_step", path, last=harness.steps, found=step)
 
 
-def _list_holders(harness: HarnessFile) -> dict[int, Holder]:
-    """List the boundaries that hold the position of a place of the line, by number."""
-    boundaries = enumerate(harness.boundaries)
-    return {number: boundary for number, boundary in boundaries if isinstance(boundary, Holder)}
-
-
 def _find_release_faults(harness: HarnessFile) -> Iterator[Fault]:
     """Find holders released before they arrive, and a heavy line that nothing supports."""
-    holders, section = _list_holders(harness), harness.line.section
+    boundaries, section = enumerate(harness.boundaries), harness.line.section
+    holders = {number: holder for number, holder in boundaries if isinstance(holder, Holder)}
     for number, holder in holders.items():
         arrival = _find_arrival(harness, holder)
         if arrival and holder.release and holder.release <= arrival:

@@ -11,7 +11,8 @@ import errno
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache, partial
+from functools import lru_cache, partial, reduce
+from operator import getitem
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
@@ -163,14 +164,14 @@ def convert_errors(error: ValidationError, data: object, keys: Iterable[str] = (
     return faults
 
 
-def _prefix_path(fault: Fault, path: KeyPath, data: object) -> Fault:
+def _prefix_path(fault: Fault, path: KeyPath, data: Any) -> Fault:
     """Prefix the path of a fault with a path in the data.
 
     A short form of a block, such as a number or a text, has no keys: the path then ends at it.
     """
     full_path = (*path, *fault.path)
     existing_path = _follow_path(data, full_path)
-    is_short_form = not isinstance(_get_value(data, existing_path), Mapping | list)
+    is_short_form = not isinstance(reduce(getitem, existing_path, data), Mapping | list)
     return replace(fault, path=existing_path if is_short_form else full_path)
 
 
@@ -226,13 +227,6 @@ def _follow_path(data: Any, path: Iterable[int | str], *, skip_absent: bool = Fa
     return tuple(existing_path)
 
 
-def _get_value(data: Any, path: KeyPath) -> Any:
-    """Return the value at a path that exists."""
-    for key in path:
-        data = data[key]
-    return data
-
-
 class Location(NamedTuple):
     """Location of a value in a YAML file.
 
@@ -280,7 +274,7 @@ class Document:
 
     def get_value(self, path: KeyPath) -> Any:
         """Return the value at a path that exists."""
-        return _get_value(self.data, path)
+        return reduce(getitem, path, self.data)
 
     def find_location(self, path: KeyPath) -> tuple[Location, KeyPath]:
         """Find the location at a path, or that of the innermost block around it.

@@ -100,10 +100,21 @@ def load_export(
     clock_names = make_names_unique([raster or "time" for raster, _ in export.axes])
     axes = range(len(clock_names)) if channels is None else {t.axis_index for t in traces}
     clocks = {i: Clock(clock_names[i], _convert_samples(export.axes[i][1]())) for i in sorted(axes)}
-    channels_and_notes = [_load_channel(trace, clocks[trace.axis_index], path) for trace in traces]
-    loaded_channels = [channel for channel, _ in channels_and_notes]
     notes = [note for clock in clocks.values() for note in make_clock_notes(clock)]
-    notes += [note for _, channel_notes in channels_and_notes for note in channel_notes]
+    loaded_channels = []
+    for trace in traces:
+        values, clock = _convert_samples(trace.load()), clocks[trace.axis_index]
+        if (total := len(values)) != (n_times := len(clock.time)):
+            place, name = f"channel '{trace.path}'", clock.name
+            raise ReadError.about(
+                "readers.channel_length", path, place, wanted=n_times, axis=name, total=total
+            )
+        if count := len(invalid_samples := np.flatnonzero(~np.isfinite(values))):
+            values = np.where(np.isinf(values), np.nan, values)
+            facts = {"count": count, "total": total, "first": invalid_samples[0] + 1}
+            notes.append(QualityNote.of("readers.not_finite", trace.path, **facts))
+        unit = trace.unit_in_file
+        loaded_channels.append(Channel(trace.name, trace.path, values, clock.name, None, unit))
     version = _PROGRAM_VERSION.search(export.origin)
     return Recording(
         reader=reader,
@@ -119,25 +130,6 @@ def load_export(
 def _convert_samples(values: object) -> Floats:
     """Convert samples of any shape and number type to a one-dimensional array."""
     return np.asarray(values, dtype=np.float64).ravel()
-
-
-def _load_channel(trace: Trace, clock: Clock, path: Path) -> tuple[Channel, list[QualityNote]]:
-    """Load a channel, replace infinities by NaN, and note the number of samples not finite."""
-    values = _convert_samples(trace.load())
-    total, notes = len(values), []
-    if total != len(clock.time):
-        place, n_samples = f"channel '{trace.path}'", len(clock.time)
-        raise ReadError.about(
-            "readers.channel_length", path, place, wanted=n_samples, axis=clock.name, total=total
-        )
-    if len(invalid_samples := np.flatnonzero(~np.isfinite(values))):
-        values = np.where(np.isinf(values), np.nan, values)
-        count, first = len(invalid_samples), invalid_samples[0] + 1
-        notes.append(
-            QualityNote.of("readers.not_finite", trace.path, count=count, total=total, first=first)
-        )
-    unit = trace.unit_in_file
-    return Channel(trace.name, trace.path, values, clock=clock.name, unit_in_file=unit), notes
 
 
 def to_json(value: object) -> object:

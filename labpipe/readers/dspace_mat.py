@@ -312,10 +312,6 @@ class _Cursor:
         array: np.ndarray = np.frombuffer(data, dtype=self.order + _DTYPE_BY_MI_TYPE[kind])
         return array
 
-    def make_inner_cursor(self, data: memoryview) -> _Cursor:
-        """Make a cursor at the beginning of the data of an element that contains elements."""
-        return _Cursor(data, self.order)
-
 
 def parse_mat5(content: bytes | memoryview) -> dict[str, MatValue]:
     """Parse the variables of a MAT file of version 5 (MathWorks, *MAT-File Format*, level 5).
@@ -345,9 +341,9 @@ def parse_mat5(content: bytes | memoryview) -> dict[str, MatValue]:
     while cursor.position < len(content):
         kind, data = cursor.read_element()
         if kind == _MI_COMPRESSED:
-            kind, data = cursor.make_inner_cursor(memoryview(zlib.decompress(data))).read_element()
+            kind, data = _Cursor(memoryview(zlib.decompress(data)), order).read_element()
         if kind == _MI_MATRIX:
-            name, value = _parse_matrix(cursor.make_inner_cursor(data))
+            name, value = _parse_matrix(_Cursor(data, cursor.order))
             variables[name] = value
     return variables
 
@@ -380,7 +376,7 @@ def _parse_matrix(cursor: _Cursor) -> tuple[str, MatValue]:
 def _parse_item(cursor: _Cursor) -> MatValue:
     kind, data = cursor.read_element()
     require(kind == _MI_MATRIX, f"type {kind} instead of an array")
-    return _parse_matrix(cursor.make_inner_cursor(data))[1]
+    return _parse_matrix(_Cursor(data, cursor.order))[1]
 
 
 def _parse_struct_array(cursor: _Cursor, count: int) -> list[dict[str, MatValue]]:

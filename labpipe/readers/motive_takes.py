@@ -73,11 +73,8 @@ Cells = Sequence[str]
 def recognise(path: Path) -> bool:
     """Return whether a file is a Motive export of either style, or a workbook of table style."""
     if not is_workbook(path):
-        return (
-            read_head(path, 64)
-            .removeprefix(BOM_UTF8)
-            .startswith(_TABLE_STYLE_STARTS + _ROW_STYLE_STARTS)
-        )
+        head = read_head(path, 64).removeprefix(BOM_UTF8)
+        return head.startswith(_TABLE_STYLE_STARTS + _ROW_STYLE_STARTS)
     try:
         return _find_sheet(path) is not None
     except ReadError:
@@ -130,6 +127,7 @@ def _read_table_style(content: bytes, path: Path, sheet: str = "") -> Recording:
     text = b"\n".join(lines).decode("utf-8", errors="replace")
     rows = [next(csv.reader([line], delimiter=separator), []) for line in text.split("\n")]
     header = parse_header(rows)
+    stated_rows = header.properties.get("Total Exported Frames", "")
     body = Body(
         data=content[sum(len(line) + 1 for line in lines[: header.rows]) :],
         names=header.names,
@@ -137,9 +135,7 @@ def _read_table_style(content: bytes, path: Path, sheet: str = "") -> Recording:
         first_line=header.rows + 1,
         separator=separator,
         decimal=".",
-        stated_rows=parse_count(
-            header.properties.get("Total Exported Frames", "").removesuffix(".0")
-        ),
+        stated_rows=parse_count(stated_rows.removesuffix(".0")),
         as_exported=not sheet,
         sheet=sheet,
     )
@@ -532,17 +528,16 @@ class _RowStyleBody:
     Parameters
     ----------
     name, id : name and id of the body
-    n_markers : number of its markers
-    poses : position (m) and quaternion, keyed by index of the frame line
-    states : whether the body is tracked, its mean error (mm), and its measured markers (m), keyed
-        by index of the frame line
+    markers : positions (m) of each of its measured markers, keyed by index of the frame line
+    poses : position (m) and quaternion, keyed by index of the frame line, while it is tracked
+    errors : mean error (mm), keyed by index of the frame line, while it is tracked
     """
 
     name: str
     id: str
-    n_markers: int
+    markers: list[dict[int, list[float]]]
     poses: dict[int, list[float]] = field(default_factory=dict)
-    states: dict[int, tuple[bool, float, list[list[float]]]] = field(default_factory=dict)
+    errors: dict[int, float] = field(default_factory=dict)
 
 
 @dataclass(slots=True)
@@ -606,7 +601,7 @@ def parse_rows(text: str) -> Recording:
     if not take.frames:
         raise ContentError.of("readers.no_frames", f"lines 1 to {len(lines)}")
     n_bodies, n_points = np.array(take.frames)[:, 2:].astype(int).T
-    bodies = {x.name: {"id": x.id, "markers": x.n_markers} for x in take.bodies.values()}
+    bodies = {x.name: {"id": x.id, "markers": len(x.markers)} for x in take.bodies.values()}
     properties: dict[str, object] = {
         "title": take.title,
         "handedness": take.handedness,
@@ -636,7 +631,8 @@ def _read_line(take: _Take, cells: list[str]) -> None:
             if parse_count(cells[1]) is not None and cells[3] in take.bodies:
                 _read_body(take, cells)
             else:
-                take.bodies[cells[1]] = _RowStyleBody(cells[1], cells[2], int(cells[3]))
+                markers = [dict[int, list[float]]() for _ in range(int(cells[3]))]
+                take.bodies[cells[1]] = _RowStyleBody(cells[1], cells[2], markers)
         case _:
             require(False, "unknown row type")
 
@@ -674,11 +670,17 @@ def _read_body(take: _Take, cells: list[str]) -> None:
     n_cells = 7 + (model_cells + 5) * count + 1
     require(len(cells) == n_cells, f"{len(cells)} instead of {n_cells} cells")
     start = 7 + model_cells * count
-    markers = [_parse_floats(cells[i : i + 3]) for i in range(start, start + 3 * count, 3)]
-    error = float(cells[-1])
+    positions = [_parse_floats(cells[i : i + 3]) for i in range(start, start + 3 * count, 3)]
+    error, is_tracked = float(cells[-1]), int(cells[5]) == 0
     follows_frame = bool(take.frames) and float(cells[1]) == take.frames[-1][0]
     require(follows_frame, f"frame {cells[1]} has no frame line before it")
-    take.bodies[cells[3]].states[len(take.frames) - 1] = (int(cells[5]) == 0, error, markers)
+    body, row = take.bodies[cells[3]], len(take.frames) - 1
+    for marker, position in zip(body.markers, positions, strict=False):
+        marker[row] = position
+    if is_tracked:
+        body.errors[row] = error
+    else:
+        body.poses.pop(row, None)  # it is the last known pose
 
 
 def _parse_floats(cells: Sequence[str]) -> list[float]:
@@ -689,11 +691,9 @@ def _build_row_style_tracks(take: _Take) -> MarkerTracks:
     """Build tracks of the measured markers of bodies and, in version 1.1, other labelled points."""
     frame_numbers, time = np.array(take.frames)[:, :2].T
     columns = {
-        (f"{body.name}-Marker {i + 1}", body.id): {
-            row: points[i] for row, (_, _, points) in body.states.items() if i < len(points)
-        }
+        (f"{body.name}-Marker {number}", body.id): marker
         for body in take.bodies.values()
-        for i in range(body.n_markers)
+        for number, marker in enumerate(body.markers, start=1)
     }
     body_markers = {name for name, _ in columns}
     columns |= {
@@ -714,14 +714,11 @@ def _build_row_style_tracks(take: _Take) -> MarkerTracks:
 
 def _build_row_style_body(body: _RowStyleBody, n_frames: int) -> RigidBody:
     """Build a rigid body, with NaN in frames in which it is lost."""
-    # The mean error is in mm per marker, positions are in metres.
-    millimetre = 1e-3
     pose, error = np.full((n_frames, 7), np.nan), np.full(n_frames, np.nan)
-    lost_rows = {row for row, (is_tracked, _, _) in body.states.items() if not is_tracked}
-    for row in body.poses.keys() - lost_rows:
-        pose[row] = body.poses[row]
-    for row in body.states.keys() - lost_rows:
-        error[row] = body.states[row][1] * millimetre
+    for row, values in body.poses.items():
+        pose[row] = values
+    for row, value in body.errors.items():
+        error[row] = 1e-3 * value  # in mm per marker, while positions are in metres
     return RigidBody(body.name, pose[:, :3], pose[:, 3:], error)
 
 
@@ -737,9 +734,9 @@ def _make_row_style_notes(take: _Take, n_bodies: Ints, n_points: Ints) -> Iterat
     min_points, max_points = int(n_points.min()), int(n_points.max())
     yield QualityNote.of("readers.visible_markers", "markers", least=min_points, most=max_points)
     points_without_body = n_points.copy()
-    for body in take.bodies.values():
-        for row, (_, _, points) in body.states.items():
-            points_without_body[row] -= sum(not np.isnan(point[0]) for point in points)
+    for marker in (marker for body in take.bodies.values() for marker in body.markers):
+        for row, position in marker.items():
+            points_without_body[row] -= not np.isnan(position[0])
     count = points_without_body[points_without_body > 0].sum()
     if count and not take.points:  # version 1.0 does not label points
         yield QualityNote.of("readers.anonymous_markers", "markers", count=count)

@@ -475,9 +475,21 @@ def count_filled_rows(columns: Mapping[int, Floats]) -> int:
 def _find_first_error(body: Body) -> ContentError:
     """Build the error on the first cell that is not a number, or first row of a wrong length."""
     for i, row in enumerate(body.split_rows()):
+        # Between blanks, any cell of a line with fewer cells may be the missing one.
         is_short = body.separator == " " and 0 < len(row) < len(body.names)
         if is_short or any(cell.strip() for cell in row[len(body.names) :]):
-            return _build_cell_count_error(row, body, body.describe_place(i))
+            has_commas = body.separator == "," and all(c.strip("+-").isdigit() for c in row if c)
+            return ContentError.of(
+                "readers.cells_of_decimal_commas"
+                if has_commas
+                else "readers.extra_cells"
+                if len(row) > len(body.names)
+                else "readers.blank_between_blanks",
+                body.describe_place(i),
+                names=len(body.names),
+                cells=len(row),
+                row=",".join(row)[:40],
+            )
         for column in body.columns:
             cell = row[column].strip() if column < len(row) else ""
             if NUMERAL[body.decimal].fullmatch(cell):
@@ -488,23 +500,3 @@ def _find_first_error(body: Body) -> ContentError:
             if not is_valid:
                 return build_cell_error(cell, body.decimal, body.describe_place(i, column))
     return ContentError.of("readers.no_rows_of_numbers", f"from {body.describe_place(0)} on")
-
-
-def _build_cell_count_error(row: Sequence[str], body: Body, place: str) -> ContentError:
-    """Build the error on a line with more cells than names, perhaps because of decimal commas.
-
-    If blanks separate the cells, a line with fewer cells is an error as well, because any of its
-    cells may be missing.
-    """
-    has_commas = body.separator == "," and all(c.strip("+-").isdigit() for c in row if c)
-    return ContentError.of(
-        "readers.cells_of_decimal_commas"
-        if has_commas
-        else "readers.extra_cells"
-        if len(row) > len(body.names)
-        else "readers.blank_between_blanks",
-        place,
-        names=len(body.names),
-        cells=len(row),
-        row=",".join(row)[:40],
-    )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
@@ -299,6 +299,9 @@ def make_tables(report: CalibrationReport) -> list[tables.Table]:
     external_records = (
         record for comparison in report.comparisons for record in _list_match_records(comparison)
     )
+    titles = (f"{group.wire}, {write_length(group.length)}" for group in report.groups)
+    force_charts = zip(titles, map(_make_force_blocks, report.groups), strict=True)
+    axis_heads = DEFLECTION.label("deflection"), FORCE.label("force")
     return [
         tables.tabulate("summary", map(_make_parameter_record, calibration.parameters)),
         tables.tabulate("solutions", _list_solution_records(calibration)),
@@ -306,7 +309,7 @@ def make_tables(report: CalibrationReport) -> list[tables.Table]:
         tables.tabulate("agreement", map(_make_agreement_record, report.groups)),
         *([tables.tabulate("external curves", external_records)] if report.comparisons else []),
         tables.tabulate("curves", map(_make_curve_record, calibration.curves)),
-        _tabulate_forces(report.groups),
+        tables.tabulate_curves("forces", force_charts, *axis_heads),
         tables.tabulate("notes", _list_note_records(report)),
     ]
 
@@ -457,19 +460,10 @@ def _list_note_records(report: CalibrationReport) -> list[tables.Record]:
         for source, source_notes in sources
         for note in source_notes
     }
-    records = tables.make_note_records("of", notes.values())
     separability = report.calibration.separability
     names, text = ", ".join(separability.names), typeset(separability.explanation)
-    note = QualityNote("told_apart", Severity.INFO, names, text)
-    return records + tables.make_note_records("of", [("calibration", note)])
-
-
-def _tabulate_forces(groups: Sequence[ValidationGroup]) -> tables.Table:
-    """Make the sheet of the forces of mean, model and samples of all groups."""
-    titles = (f"{group.wire}, {write_length(group.length)}" for group in groups)
-    charts = zip(titles, map(_make_force_blocks, groups), strict=True)
-    heads = DEFLECTION.label("deflection"), FORCE.label("force")
-    return tables.tabulate_curves("forces", charts, *heads)
+    last_note = "calibration", QualityNote("told_apart", Severity.INFO, names, text)
+    return tables.make_note_records("of", [*notes.values(), last_note])
 
 
 def _make_force_blocks(group: ValidationGroup) -> dict[str, list[tables.Record]]:

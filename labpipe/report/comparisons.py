@@ -19,7 +19,7 @@ from labpipe.report.figure_page import N_COLOURS, split_pages
 from labpipe.report.issues import join_sentences
 from labpipe.report.page_tables import make_stems
 from labpipe.report.plot_records import Axis, LegendEntry, Line, Page, Plot
-from labpipe.report.table_records import Cell, Record, Table, Value, tabulate
+from labpipe.report.table_records import Cell, Record, Table, tabulate
 from labpipe.statistics.group_samples import (
     BORE,
     SECTION_SIZES,
@@ -84,11 +84,6 @@ def list_single_field_pairs(campaign: Campaign) -> list[Pair]:
     return [Pair(groups[first], groups[second], tuple(items)) for (first, second), items in pairs]
 
 
-def list_multi_field_differences(campaign: Campaign) -> list[Difference]:
-    """List the differences of groups that differ in several fields at once, or in none."""
-    return [difference for difference in campaign.differences if not difference.family]
-
-
 def find_families(campaign: Campaign) -> list[Family]:
     """Collect groups that all differ from each other in one single field.
 
@@ -133,21 +128,6 @@ def _find_cliques(names: Sequence[str], linked_pairs: set[frozenset[str]]) -> It
 def name_field(field: str) -> str:
     """Write the name of a field as a heading, such as ``Taping``."""
     return field.replace("_", " ").capitalize()
-
-
-def describe_pair(pair: Pair) -> str:
-    """Describe the comparison of a pair.
-
-    Parameters
-    ----------
-    pair : groups that differ in one field
-
-    Returns
-    -------
-    Text such as ``Taping: half-lap against none, all else equal (19 B2, corrugated-tube)``.
-    """
-    equal_fields = describe_equal_fields((pair.first, pair.second), pair.field)
-    return f"{name_comparison(pair)}, {equal_fields}"
 
 
 def name_comparison(pair: Pair) -> str:
@@ -214,7 +194,8 @@ def make_pair_table(pair: Pair) -> Table:
 
     Returns
     -------
-    Table with a row per number. Its title describes the pair, and its notes are the caveats of the
+    Table with a row per number. Its title describes the pair, such as ``Taping: half-lap against
+    none, all else equal (19 B2, corrugated-tube)``, and its notes are the caveats of the
     comparison.
     """
     display, rows = wording.find_display(pair.first), list[Record]()
@@ -229,7 +210,8 @@ def make_pair_table(pair: Pair) -> Table:
         })  # fmt: skip
     caveats = (caveat for difference in pair.differences for caveat in difference.caveats)
     notes = tuple(dict.fromkeys(f"{caveat}." for caveat in caveats))
-    return tabulate(describe_pair(pair), rows, notes=notes)
+    equal_fields = describe_equal_fields((pair.first, pair.second), pair.field)
+    return tabulate(f"{name_comparison(pair)}, {equal_fields}", rows, notes=notes)
 
 
 def make_answer(pair: Pair) -> tuple[Cell, Cell, str, str]:
@@ -248,11 +230,6 @@ def make_answer(pair: Pair) -> tuple[Cell, Cell, str, str]:
         f"{wording.write_label(difference.name)} {difference_text}",
         f"{second} v {first}",
     )
-
-
-def make_answer_table(title: str, answers: Sequence[Sequence[Value]]) -> Table:
-    """Make the table of the answers of pairs, from `make_answer`."""
-    return Table(title, ("Comparison", "Verdict", "Difference (95 %, corrected)", "n"), answers)
 
 
 def count_values(pair: Pair) -> list[int]:
@@ -290,14 +267,6 @@ def _add_plus_sign(number: str) -> str:
     return number if is_zero or number.startswith(("-", "\u2013")) else f"+{number}"
 
 
-def describe_fields(difference: Difference) -> str:
-    """List the fields in which two groups differ, such as ``taping: half-lap against none``."""
-    return "; ".join(
-        f"{name.replace('_', ' ')}: {second_value} against {first_value}"
-        for name, (first_value, second_value) in difference.fields.items()
-    )
-
-
 def list_pair_remarks(campaign: Campaign) -> list[str]:
     """List remarks on pairs of groups that the page does not show, or that have no verdict."""
     remarks = []
@@ -308,9 +277,10 @@ def list_pair_remarks(campaign: Campaign) -> list[str]:
         option, pairs = campaign.compared, _count_pairs(campaign.pairs_not_shown)
         text = format_sentence("report.pairs_left_out", field=name, option=option, pairs=pairs)
         remarks.append(text)
-    multi_field = list_multi_field_differences(campaign)
-    if multi_field:
-        pairs = _count_pairs(len({(pair.first, pair.second) for pair in multi_field}))
+    # only pairs that differ in one single field belong to a family
+    unjudged = {(pair.first, pair.second) for pair in campaign.differences if not pair.family}
+    if unjudged:
+        pairs = _count_pairs(len(unjudged))
         remarks.append(format_sentence("report.pairs_without_verdict", pairs=pairs))
     return remarks
 

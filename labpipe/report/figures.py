@@ -38,7 +38,10 @@ _LINE_STYLES: dict[Direction, Any] = {Direction.LOADING: "-", Direction.UNLOADIN
 
 def make_force_displacement_page(result: TestResult) -> Page:
     """Make the page of force against displacement: the curve, and the recorded samples in grey."""
-    lines = [*_plot_recorded(result), *_plot_curve(result)]
+    lines, aligned = list(_plot_curve(result)), result.aligned
+    if aligned is not None and {"force", "displacement"} <= set(aligned.series):
+        x, y = (aligned.series[name].values for name in ("displacement", "force"))
+        lines.insert(0, make_thinned_line("recorded", x, y, n_bins=4000))
     reason = "" if lines else wording.explain_missing(result, "curve")
     limit = find_result(result.results, FORCE_LIMIT)
     if limit is not None and limit.value is not None:
@@ -54,14 +57,6 @@ def _make_axes(result: TestResult, *quantities: str) -> tuple[Axis, Axis]:
     names = [quantity.lower().replace(" ", "_") for quantity in (x, y)]
     x_scale, y_scale = wording.find_units(result.display, *names)
     return Axis(x, x_scale), Axis(y, y_scale)
-
-
-def _plot_recorded(result: TestResult) -> Iterator[Line]:
-    """Yield the aligned force against the aligned displacement."""
-    aligned = result.aligned
-    if aligned is not None and {"force", "displacement"} <= set(aligned.series):
-        x, y = aligned.series["displacement"].values, aligned.series["force"].values
-        yield make_thinned_line("recorded", x, y, n_bins=4000)
 
 
 def _plot_curve(result: TestResult) -> Iterator[Line]:

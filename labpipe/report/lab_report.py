@@ -24,7 +24,7 @@ from labpipe.report.issues import Cause, Kind, find_causes
 from labpipe.report.page_tables import PageTest, PageTests, compute_report_id, list_samples
 from labpipe.report.plot_records import clip_range, make_mean_strip, simplify_line, write_sparkline
 from labpipe.report.report_workbook import save_workbook
-from labpipe.report.table_records import DASH, Cell
+from labpipe.report.table_records import DASH, Cell, Table
 from labpipe.statistics.group_samples import make_field_sort_key
 
 PAGE_FILE, TABLES_FILE, FIGURES_FOLDER = "report.html", "tables.xlsx", "figures"
@@ -183,6 +183,7 @@ def _list_questions(campaign: Campaign, groups: Mapping[str, Group]) -> Iterator
     """
     families = comparisons.find_families(campaign)
     stems = {group.name: stem for stem, group in groups.items()}
+    answer_heads = ("Comparison", "Verdict", "Difference (95 %, corrected)", "n")
     for field, pairs_of_field in groupby(
         list_single_field_pairs(campaign), key=lambda pair: pair.field
     ):
@@ -206,7 +207,7 @@ def _list_questions(campaign: Campaign, groups: Mapping[str, Group]) -> Iterator
             "verdict": verdict.text,
             "difference": difference,
             "counts": counts,
-            "answers": comparisons.make_answer_table(f"Verdicts: {name}", answers),
+            "answers": Table(f"Verdicts: {name}", answer_heads, answers),
             "plots": [
                 (
                     comparisons.describe_context(family.groups, field),
@@ -367,10 +368,10 @@ def find_open_decisions(causes: Iterable[Cause], tests: PageTests) -> list[OpenD
     -------
     The causes in the same order, each with at least one test that has no decision.
     """
-    decisions = []
+    decisions, tests_by_name = [], {test.sample.test: test for test in tests.all_tests}
     for cause in causes:
         names = dict.fromkeys(name for issue in cause.issues for name in issue.tests)
-        affected_tests = filter(None, map(tests.tests_by_name.get, names))
+        affected_tests = filter(None, map(tests_by_name.get, names))
         open_tests = tuple(test for test in affected_tests if not test.sample.decision)
         if open_tests and cause.kind in (Kind.FAILED, Kind.DOUBTFUL, Kind.OUTLIER):
             decisions.append(OpenDecision(cause, open_tests))

@@ -75,11 +75,6 @@ class PageTests:
         """Positions of the tests in the table of tests, by the keys of `make_key`."""
         return {make_key(test.sample): test.number for test in self.all_tests}
 
-    @cached_property
-    def tests_by_name(self) -> Mapping[str, PageTest]:
-        """Tests by name."""
-        return {test.sample.test: test for test in self.all_tests}
-
     def list_rejected(self, stem: str) -> list[PageTest]:
         """List the rejected tests of the group with this stem."""
         return [test for test in self.all_tests if test.state == "rejected" and test.stem == stem]
@@ -209,18 +204,17 @@ def list_instruments(samples: Sequence[Sample]) -> list[InstrumentLine]:
     for sample in samples:
         for instrument in sample.instruments:
             tests_by_instrument.setdefault(instrument, []).append(sample)
-    return [_describe_instrument(*entry) for entry in tests_by_instrument.items()]
-
-
-def _describe_instrument(instrument: Instrument, tests: Sequence[Sample]) -> InstrumentLine:
-    due = instrument.due
-    dates = [test.date for test in tests if test.date is not None]
-    n_overdue = sum(due is not None and date > due for date in dates)
-    text = "no due date stated" if due is None else f"calibration due {due}"
-    if n_overdue:
-        text = f"calibration OVERDUE since {due} in {wording.write_count(n_overdue, 'test')}"
-    name = f"{instrument.channel} {instrument.certificate}"
-    return InstrumentLine(name, text, n_overdue > 0)
+    lines = []
+    for instrument, tests in tests_by_instrument.items():
+        due = instrument.due
+        dates = [test.date for test in tests if test.date is not None]
+        n_overdue = sum(due is not None and date > due for date in dates)
+        text = "no due date stated" if due is None else f"calibration due {due}"
+        if n_overdue:
+            text = f"calibration OVERDUE since {due} in {wording.write_count(n_overdue, 'test')}"
+        name = f"{instrument.channel} {instrument.certificate}"
+        lines.append(InstrumentLine(name, text, n_overdue > 0))
+    return lines
 
 
 def name_roles(samples: Iterable[Sample]) -> str:

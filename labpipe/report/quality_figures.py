@@ -8,7 +8,6 @@ from math import floor, log10
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from labpipe.errors import ProtocolError
 from labpipe.messages import format_sentence
@@ -280,27 +279,16 @@ def make_flag_plot(result: TestResult, time: Axis) -> Plot:
     names = tuple(name for name, drawn in zip(shape.names, is_marker, strict=True) if drawn)
     flags = plots.thin_flags(shape.flags[:, is_marker], _FLAGS_BY_RANK, n_bins=_TIME_BINS)
     edges = np.linspace(shape.time[0], shape.time[-1], len(flags) + 1)
-    bars = [
-        _make_flag_bars(flags == flag, edges, label=flag.name.lower(), color=colour)
-        for flag, colour in FLAG_COLOURS.items()
-        if (flags == flag).any()
-    ]
+    bars = []
+    for flag, colour in FLAG_COLOURS.items():
+        is_flagged = (flags == flag).T.astype(np.int8)
+        # along a row, each run of flagged bins has one change where it begins and one where it ends
+        rows, bins = np.nonzero(np.diff(is_flagged, axis=1, prepend=0, append=0))
+        if len(rows):
+            ends = edges[bins[::2]], edges[bins[1::2]]
+            look: dict[str, Any] = {"height": 0.72, "label": flag.name.lower(), "color": colour}
+            bars.append(plots.make_bars("flag", *ends, rows[::2], **look))
     return Plot(time, Axis(low=0.5 - len(names), high=0.5, row_names=names), bars)
-
-
-def _make_flag_bars(is_flagged: NDArray[np.bool_], edges: Floats, **settings: Any) -> Line:
-    """Make a bar for each run of flagged bins of a row.
-
-    Parameters
-    ----------
-    is_flagged : shape (n_bins, n_rows), whether each bin of each row has the flag
-    edges : shape (n_bins + 1,), edges of the bins in time, s
-    settings : see `make_line`
-    """
-    # along a row, each run has one change where it begins and one where it ends
-    rows, bins = np.nonzero(np.diff(is_flagged.T.astype(np.int8), axis=1, prepend=0, append=0))
-    left, right = edges[bins[::2]], edges[bins[1::2]]
-    return plots.make_bars("flag", left, right, rows[::2], height=0.72, **settings)
 
 
 def _make_tracking_plot(result: TestResult, time: Axis) -> Plot:

@@ -326,6 +326,10 @@ def _make_difference_record(difference: Difference, display: Mapping[str, str]) 
     scale = wording.find_scale(difference.name, difference.unit, display)
     interval_in_unit, relative_ends = (ends, None) if difference.change is None else (None, ends)
     corrected = make_interval_cells(mean_difference.mean, interval_in_unit, scale.factor)
+    differing_fields = (
+        f"{name.replace('_', ' ')}: {second} against {first}"
+        for name, (first, second) in difference.fields.items()
+    )
     return {
         "first": difference.first,
         "second": difference.second,
@@ -341,7 +345,7 @@ def _make_difference_record(difference: Difference, display: Mapping[str, str]) 
         "corrected upper": corrected["upper"],
         "verdict": str(difference.verdict),
         "question": difference.single_field,
-        "differ in": comparisons.describe_fields(difference),
+        "differ in": "; ".join(differing_fields),
         "level (%)": make_percent_cell(ends, "level"),
         "irrelevant below": make_number_cell(difference.margin, None, scale.factor),
         "different, p": make_number_cell(difference.p),

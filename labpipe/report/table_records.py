@@ -13,7 +13,6 @@ import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
-from functools import cache
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
@@ -276,7 +275,6 @@ def choose_number_format(value: float, last_place: int) -> str:
     return _format_decimals(-last_place)
 
 
-@cache
 def _format_decimals(count: int) -> str:
     """Return the number format with a given number of decimals."""
     return f"0.{'0' * min(count, 15)}" if count > 0 else "0"
@@ -323,12 +321,6 @@ _CHART_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E
 _CHART_DASHES = ("solid", "dash", "square_dot", "dash_dot")
 
 
-@cache
-def _read_descriptions() -> dict[str, Any]:
-    text = (files("labpipe.report") / "workbooks.toml").read_text(encoding="utf-8")
-    return tomllib.loads(text)
-
-
 def save_tables(
     tables: Iterable[Table],
     path: Path,
@@ -359,7 +351,8 @@ def save_tables(
     A text such as ``=1+1`` does not become a formula. Numbers that are not finite give empty cells.
     Unprintable characters are replaced by U+FFFD. Equal tables give equal bytes.
     """
-    description, all_tables, memory = _read_descriptions()[book], list(tables), io.BytesIO()
+    text = (files("labpipe.report") / "workbooks.toml").read_text(encoding="utf-8")
+    description, all_tables, memory = tomllib.loads(text)[book], list(tables), io.BytesIO()
     layouts = {table.title: description["sheets"].get(table.title, {}) for table in all_tables}
     writer = _WorkbookWriter(memory, title, footer or title)
     writer.add_read_me([title, *facts, *description["about"]], layouts)

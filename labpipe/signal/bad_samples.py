@@ -149,7 +149,7 @@ class _Channel:
     @cached_property
     def resolution(self) -> float:
         """Quantisation step of the channel."""
-        return _find_resolution(self.values, self.steps[0], self.rounding)
+        return _estimate_resolution(self.values, self.steps[0], self.rounding)
 
     @cached_property
     def speed(self) -> float:
@@ -294,8 +294,8 @@ class _Channel:
         return bool(min_speed_ratio <= speed_after / speed_before <= max_speed_ratio)
 
 
-def _find_resolution(values: Floats, steps: Floats, rounding: float) -> float:
-    """Find the quantisation step of a channel.
+def _estimate_resolution(values: Floats, steps: Floats, rounding: float) -> float:
+    """Estimate the quantisation step of a channel.
 
     For a short record it is the step of the grid on which all values are, or the rounding error
     without such a grid. For a long record it is the smallest step between neighbours.

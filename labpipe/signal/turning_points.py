@@ -150,7 +150,7 @@ def find_strokes(time: Floats, motion: Floats, *, min_stroke: float) -> tuple[St
     tolerance = 5.0 * estimate_noise_level(motion)
     dwells = []
     for turn, *neighbours in zip(extremes, [None, *extremes], [*extremes[1:], None], strict=False):
-        sides = [_measure_extreme(time, motion, (turn, x), tolerance) for x in neighbours]
+        sides = [_measure_extreme(time, motion, (turn, other), tolerance) for other in neighbours]
         dwells.append(_compute_dwell_times(*sides))
     return tuple(
         _trim_dwells(time, motion, pair, (leaving[1], arriving[0]))
@@ -245,9 +245,9 @@ def _measure_extreme(
         return None
     samples = np.arange(turn, neighbour, 1 if neighbour > turn else -1)
     samples = np.append(samples, neighbour)
-    duration, travel = (np.abs(x[samples] - x[turn]) for x in (time, motion))
+    duration, travel = (np.abs(values[samples] - values[turn]) for values in (time, motion))
     tolerance = max(tolerance, min_tolerance_fraction * float(travel[-1]))
-    near_time, wide_time = (float(duration[travel <= x * tolerance][-1]) for x in (1.0, 4.0))
+    near_time, wide_time = (float(duration[travel <= k * tolerance][-1]) for k in (1.0, 4.0))
     dwell_fraction = max(min_dwell_fraction, min_dwell_samples / abs(neighbour - turn))
     return _ExtremeSide(near_time, wide_time, float(duration[-1]) * dwell_fraction)
 
@@ -261,7 +261,7 @@ def _compute_dwell_times(
     rest is a dwell.
     """
     sides = [side for side in (side_before, side_after) if side is not None]
-    near_time, wide_time = sum(x.near_time for x in sides), sum(x.wide_time for x in sides)
+    near_time, wide_time = sum(s.near_time for s in sides), sum(s.wide_time for s in sides)
     shortest_dwell = min(side.shortest_dwell for side in sides) if len(sides) > 1 else 0.0
     is_dwell = 2.0 * near_time - wide_time > shortest_dwell
     if not is_dwell or (len(sides) > 1 and not wide_time < 1.5 * near_time):

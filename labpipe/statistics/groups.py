@@ -143,7 +143,7 @@ def average_scaled_loading(
     severity info and codes that end in ``_scaled``. A note on missing peak forces replaces the note
     on missing curves.
     """
-    peaks = dict(zip(name_samples(samples), map(_find_peak, samples), strict=True))
+    peaks = dict(zip(name_samples(samples), map(_get_peak_force, samples), strict=True))
     divisors = {name: peak for name, peak in peaks.items() if peak > 0}
     band, notes = average_loading(samples, limits, divisors=divisors)
     names_without_peak = [name for name in peaks if name not in divisors]
@@ -160,7 +160,7 @@ def average_scaled_loading(
     return band, scaled_notes
 
 
-def _find_peak(sample: Sample) -> float:
+def _get_peak_force(sample: Sample) -> float:
     """Return the peak force of the first cycle or, without this result, the largest force, N.
 
     Without a finite force it is NaN.
@@ -232,7 +232,7 @@ def interpolate_curves(
         return CommonCurves(*empty, Reason.of("statistics.no_curves"))
     labels = list(names) or [f"curve {index}" for index in range(1, len(curves) + 1)]
     sorted_curves = [_sort_by_displacement(*curve) for curve in curves]
-    spans = [_find_span(*curve) for curve in sorted_curves]
+    spans = [_get_span(*curve) for curve in sorted_curves]
     names_without_data = [
         name for name, span in zip(labels, spans, strict=True) if np.isnan(span[0])
     ]
@@ -259,7 +259,7 @@ def _sort_by_displacement(displacement: Floats, force: Floats) -> tuple[Floats, 
     return filled_displacement[order], np.where(is_finite, force, np.nan)[order]
 
 
-def _find_span(displacement: Floats, force: Floats) -> tuple[float, float]:
+def _get_span(displacement: Floats, force: Floats) -> tuple[float, float]:
     """Return the first and the last displacement with a force, m; NaN if there is no force."""
     finite_rows = np.flatnonzero(~np.isnan(force))
     if not len(finite_rows):

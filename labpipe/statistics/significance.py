@@ -534,12 +534,12 @@ def mark_outliers(groups: Sequence[Group], level: float = 0.05) -> list[Group]:
     p_values = [len(test.steps) * test.smallest_p_value for test in chain(*outlier_tests)]
     corrected = iter(correct_p_values(p_values, level))
 
-    def mark(number: GroupNumber, test: OutlierTest) -> GroupNumber:
+    def mark_result(number: GroupNumber, test: OutlierTest) -> GroupNumber:
         max_p_value = level / next(corrected).divisor / max(1, len(test.steps))
         return replace(number, outliers=test.select_outliers(max_p_value))
 
     return [
-        replace(group, numbers=tuple(map(mark, group.numbers, group_tests)))
+        replace(group, numbers=tuple(map(mark_result, group.numbers, group_tests)))
         for group, group_tests in zip(groups, outlier_tests, strict=True)
     ]
 

@@ -399,10 +399,12 @@ def _read_bundle(group: Any) -> Bundle:
 
 
 def _none_to_nan(value: float | None) -> float:
+    """Convert None to NaN."""
     return nan if value is None else float(value)
 
 
 def _nan_to_none(value: float) -> float | None:
+    """Convert NaN to None."""
     return None if isnan(value) else float(value)
 
 

@@ -327,6 +327,7 @@ if sys.platform == "win32":
     import msvcrt
 
     def _try_lock(handle: int) -> bool:
+        """Lock an open file; return whether it was free."""
         try:
             msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
         except OSError:
@@ -334,6 +335,7 @@ if sys.platform == "win32":
         return True
 
     def _release_lock(handle: int, path: Path) -> None:
+        """Remove a locked file and end its lock."""
         os.close(handle)  # an open file cannot be removed on Windows
         with suppress(OSError):
             path.unlink()
@@ -342,6 +344,7 @@ else:
     import fcntl
 
     def _try_lock(handle: int) -> bool:
+        """Lock an open file; return whether it was free."""
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -349,6 +352,7 @@ else:
         return True
 
     def _release_lock(handle: int, path: Path) -> None:
+        """Remove a locked file and end its lock."""
         with suppress(OSError):
             path.unlink()  # the file is removed before the lock ends, so that others notice it
         os.close(handle)

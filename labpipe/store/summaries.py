@@ -160,6 +160,7 @@ def build_result_entry(result: Result) -> dict[str, object]:
 
 
 def _build_inputs(inputs: Iterable[InputFile]) -> list[dict[str, str]]:
+    """Build the entries of the exports of a test."""
     return [
         {"role": export.role, "file": export.file, "sha256": export.sha256} for export in inputs
     ]

@@ -111,7 +111,7 @@ def fast_point(frames: int = 60, step: float = 0.003) -> Floats:
 def test_a_moving_point_is_found_where_it_was_heading() -> None:
     positions = fast_point()
     positions[28:, 1], positions[20:, 0] = positions[28:, 0], np.nan
-    assert links(positions).chain.tolist() == [0, 0]
+    assert links(positions).successor.tolist() == [1, -1]
 
 
 def test_how_far_a_start_is_from_where_an_end_was_heading() -> None:
@@ -128,7 +128,7 @@ def test_how_far_a_start_is_from_where_an_end_was_heading() -> None:
 def test_the_longest_gap_that_is_bridged(blank: int, joined: bool) -> None:
     positions = fast_point()
     positions[20 : 20 + blank] = np.nan
-    assert (links(positions).chain.tolist() == [0, 0]) is joined
+    assert (links(positions).successor[0] == 1) == joined
 
 
 def test_least_total_distance_decides_between_competitors() -> None:
@@ -174,9 +174,9 @@ def name(pieces: list[tuple[int, int, int, int]], names: tuple[str, ...]) -> Nam
     chain, column, start, stop = np.array(pieces).T
     relative = np.zeros((100, len(names), 3))
     relative[..., 0] = 0.1 * np.arange(len(names))
-    tracks = Tracklets(column, start, stop)
-    links = Links(chain, np.full(len(chain), -1), ())
-    time = np.arange(100) / 50
+    later = [np.flatnonzero(chain[i + 1 :] == number) for i, number in enumerate(chain)]
+    successor = np.array([i + 1 + x[0] if len(x) else -1 for i, x in enumerate(later)])
+    tracks, links, time = Tracklets(column, start, stop), Links(successor, ()), np.arange(100) / 50
     return name_chains(
         names, tracks, links, relative=relative, time=time, min_label_time=0.2, min_distance=0.004
     )

@@ -51,7 +51,6 @@ def test_tests_are_numbered_group_by_group_and_rejected_ones_last() -> None:
         (5, "a", "rejected"),
     ]  # fmt: skip
     assert [test.rejection for test in tests.list_rejected("a")] == ["bent"]
-    assert tests.tests_by_name[samples[4].test].number == 3
 
 
 def test_a_rejected_test_goes_where_it_fits_best() -> None:

@@ -22,6 +22,7 @@ from labpipe.mechanics.rod.statics import follow
 from labpipe.mechanics.studies.harness_line import LAW_FACTOR
 from labpipe.mechanics.wire.calibration.calibrate_wire import Settings, calibrate
 from labpipe.mechanics.wire.calibration.variances import compute_quantiles
+from labpipe.records.result import Status
 from labpipe.records.wire import Calibration
 from tests.builders.loading_tests import measured, wire_of
 from tests.builders.rods import straight_line
@@ -93,8 +94,8 @@ def test_several_solutions_are_joined_each_with_its_own_solver() -> None:
 
 
 def test_sides_without_equilibrium_and_jumps_at_other_steps_are_noted() -> None:
-    def torn(inputs: Mapping[str, float]) -> RodPath:
-        return replace(pushed(inputs), status="failed" if inputs["law_factor"] > 0.0 else "ok")
+    def torn(drawn: Mapping[str, float]) -> RodPath:
+        return replace(pushed(drawn), status=Status("failed" if drawn["law_factor"] > 0 else "ok"))
 
     def jumping(inputs: Mapping[str, float]) -> RodPath:
         return replace(pushed(inputs), snapped=(0,) if inputs["law_factor"] < 0.0 else (0, 3))
@@ -111,9 +112,8 @@ def test_sides_without_equilibrium_and_jumps_at_other_steps_are_noted() -> None:
 
 
 def test_a_line_beyond_what_was_tested_is_doubtful() -> None:
-    bands = predict_line_bands(
-        [pushed], [build_stated_distribution("law_factor", 0.05)], tested_curvature=2.0
-    )
+    distribution = build_stated_distribution("law_factor", 0.05)
+    bands = predict_line_bands([pushed], [distribution], tested_curvature=2.0)
     assert bands is not None
     assert [note.code for note in bands.notes] == ["beyond_tested"]
     assert bands.notes[0].where == "step 4, node 0"

@@ -21,6 +21,7 @@ from labpipe.mechanics.studies.harness_numbers import (
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Interval
 from labpipe.records.quality import Reason
+from labpipe.records.result import Status
 from tests.builders.rods import LENGTH, clamp, linear_section, sliding_section, straight_line
 
 CORNERS = LENGTH * np.array(
@@ -46,9 +47,8 @@ def arched(elements: int) -> PreparedLine:
     line = straight_line(LENGTH, elements, linear_section(mass=0.02))
     share = np.linspace(0.2, 1.0, 9)[:, None]
     path = line.positions[-1] + share * LENGTH * np.array([-0.35, 0.1, 0.2])
-    start = replace(clamp(line), name="near")
     end = Held(-1, path, line.frames[-1:], name="far")
-    return PreparedLine(line, (start, end, Gravity(name="weight")))
+    return PreparedLine(line, (replace(clamp(line), name="near"), end, Gravity(name="weight")))
 
 
 def walk(prepared: PreparedLine, steps: int) -> tuple[RodPath, dict[str, float]]:
@@ -96,7 +96,7 @@ def test_it_says_where_and_how_many_steps_should_do() -> None:
     assert doubt_of(prepared, 10, **wide) is None
     path, numbers = walk(prepared, 10)
     other, other_path = solve_in_other_steps(prepared, 10)
-    torn = replace(other_path, status="failed", reasons=(Reason("torn", "it is torn"),))
+    torn = replace(other_path, status=Status.FAILED, reasons=(Reason("torn", "it is torn"),))
     doubt = find_change_doubt(path, torn, {}, changed="steps", n_other=other)
     assert doubt is not None
     assert set(doubt.names) == set(numbers)

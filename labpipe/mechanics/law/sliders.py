@@ -718,7 +718,6 @@ def turn_directions(law: SliderLaw, node_law: DirectionalLaw) -> DirectionalLaw:
     return _set_errors(law, mean)
 
 
-@lru_cache(maxsize=16)
 def _space_curvatures(law: SliderLaw) -> Floats:
     """Return curvatures over the range of a law, 1/m; four decades if the range starts at 0."""
     n_curvatures = 80

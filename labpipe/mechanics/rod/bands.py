@@ -26,6 +26,7 @@ from labpipe.mechanics.rod.path import RodPath
 from labpipe.messages import format_sentence
 from labpipe.records.arrays import Flags, Floats
 from labpipe.records.quality import QualityNote
+from labpipe.records.result import Status
 
 Fields = Mapping[str, Floats]
 """Fields of a line, arrays of any shape, keyed by name."""
@@ -282,7 +283,7 @@ def predict_line_bands(
 
     def solve_fields(index: int, inputs: Mapping[str, float]) -> Fields | None:
         path = solvers[index](inputs)
-        if path.status == "failed":
+        if path.status is Status.FAILED:
             return None
         paths_by_distribution[index].append(path)
         return {**_collect_step_fields(path, steps), **collect(path)}
@@ -333,14 +334,14 @@ def _compute_smallest_radius(curvature_vectors: Floats) -> Floats:
 
 def _compute_step_bands(responses: Sequence[Response], step: int) -> StateBands:
     """Compute the bands of the quantities of a line at one step, from 0."""
-    positions, forces, moments, vectors = (f"{name} {step}" for name in _STEP_FIELDS)
-    fields = {"positions": positions, "reaction_forces": forces, "smallest_bend_radius": vectors}
+    positions, forces, moments, curvatures = (f"{name} {step}" for name in _STEP_FIELDS)
+    fields = {"positions": positions, "reaction_forces": forces, "smallest_bend_radius": curvatures}
     compute_fractions = responses[0].compute_variance_fractions
     return StateBands(
         step=step,
         positions=compute_band(responses, positions),
-        curvature=compute_band(responses, vectors, compute_node_curvature),
-        smallest_bend_radius=compute_band(responses, vectors, _compute_smallest_radius),
+        curvature=compute_band(responses, curvatures, compute_node_curvature),
+        smallest_bend_radius=compute_band(responses, curvatures, _compute_smallest_radius),
         reaction_forces=compute_band(responses, forces),
         reaction_moments=compute_band(responses, moments),
         shares={name: compute_fractions(field) for name, field in fields.items()},
@@ -381,5 +382,5 @@ def _find_jump_notes(groups: Sequence[Sequence[RodPath]]) -> Iterator[QualityNot
     jumps = [[[step for step in path.snapped if step > 0] for path in paths] for paths in groups]
     pairs = [(paths[0], steps) for paths in jumps for steps in paths if steps != paths[0]]
     if pairs:
-        best, other = (", ".join(map(str, steps)) or "none" for steps in pairs[0])
-        yield QualityNote.of("mechanics.rod.jumps", "", steps=best, other=other)
+        best_steps, changed_steps = (", ".join(map(str, steps)) or "none" for steps in pairs[0])
+        yield QualityNote.of("mechanics.rod.jumps", "", steps=best_steps, other=changed_steps)

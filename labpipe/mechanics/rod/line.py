@@ -113,21 +113,15 @@ class Line(ArrayRecord):
         ----------
         node : node from 0, or negative from the end of the line
         """
-        n = len(self.lengths)
-        index = node % (n + 1)
-        if index == 0:
-            backward_rotation = -0.5 * self.lengths[0] * self.rest_curvature_at_nodes[0]
-            return multiply(self.frames[0], from_rotation_vectors(backward_rotation))
-        half_length = 0.5 * self.lengths[index - 1]
-        if index == n:
-            rotation = half_length * self.rest_curvature_at_nodes[n]
-        else:
-            centre_distance = half_length + 0.5 * self.lengths[index]
-            frame_rotation = to_rotation_vectors(
-                multiply(conjugate(self.frames[index - 1]), self.frames[index])
-            )
-            rotation = half_length / centre_distance * frame_rotation
-        return multiply(self.frames[index - 1], from_rotation_vectors(rotation))
+        index = node % len(self.positions)
+        curvature = self.rest_curvature_at_nodes[index]
+        if 0 < index < len(self.lengths):
+            before, after = self.frames[index - 1 : index + 1]
+            centre_distance = 0.5 * float(np.sum(self.lengths[index - 1 : index + 1]))
+            curvature = to_rotation_vectors(multiply(conjugate(before), after)) / centre_distance
+        element = max(index - 1, 0)
+        distance = (0.5 if index else -0.5) * self.lengths[element]  # from its middle to the node
+        return multiply(self.frames[element], from_rotation_vectors(distance * curvature))
 
     @property
     def stations(self) -> Floats:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Literal, TypeAlias
+from typing import Annotated
 
 import numpy as np
 
@@ -12,8 +12,7 @@ from labpipe.mechanics.rod.line import Line
 from labpipe.messages import format_sentence
 from labpipe.records.arrays import ArrayRecord, Floats
 from labpipe.records.quality import Reason
-
-Status: TypeAlias = Literal["ok", "doubtful", "failed"]
+from labpipe.records.result import Status
 
 
 @dataclass(frozen=True, slots=True, eq=False)

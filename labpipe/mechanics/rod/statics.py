@@ -32,7 +32,7 @@ from labpipe.mechanics.rod.banded import join_unknowns, split_unknowns
 from labpipe.mechanics.rod.boundaries import Boundary
 from labpipe.mechanics.rod.equilibrium import Equilibrium, StabilityCheck, find_equilibrium
 from labpipe.mechanics.rod.line import Line
-from labpipe.mechanics.rod.path import RodPath, RodState, Status
+from labpipe.mechanics.rod.path import RodPath, RodState
 from labpipe.mechanics.rod.rotations import conjugate, multiply, to_rotation_vectors
 from labpipe.mechanics.rod.schedule import Schedule
 from labpipe.mechanics.rod.states import (
@@ -49,6 +49,7 @@ from labpipe.mechanics.rod.states import (
 )
 from labpipe.mechanics.rod.supports import split_cells_at_clamps
 from labpipe.records.quality import Reason
+from labpipe.records.result import Status
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +76,7 @@ def follow(
     boundaries: Sequence[Boundary],
     *,
     steps: int,
-    settings: RodSettings | None = None,
+    settings: RodSettings = RodSettings(),
     on_step: Callable[[], object] = lambda: None,
 ) -> RodPath:
     """Solve the equilibria of a line at the steps of its boundaries.
@@ -85,7 +86,7 @@ def follow(
     line : line in its initial shape, without history
     boundaries : grips, loads and supports of the line
     steps : number of steps of the paths of the boundaries
-    settings : settings of the solver; None for the defaults
+    settings : settings of the solver
     on_step : function that is called after each step
 
     Returns
@@ -99,7 +100,7 @@ def follow(
         If a node is not on the line, a path has a wrong number of rows, two boundaries hold a node
         at the same time, or a line with a ring has a single element.
     """
-    solver = _PathSolver(line, tuple(boundaries), steps, settings or RodSettings())
+    solver = _PathSolver(line, tuple(boundaries), steps, settings)
     for step in range(steps + 1):
         if not solver.solve_step(step):
             break
@@ -409,12 +410,12 @@ class _PathSolver:
     def build_path(self) -> RodPath:
         """Build the path of the states so far."""
         losses = np.array(self.losses).reshape(-1, 2).T
-        status: Status = "doubtful" if self.reasons else "ok"
+        status = Status.DOUBTFUL if self.reasons else Status.OK
         return RodPath(
             self.line,
             self.boundaries,
             tuple(self.states),
-            "failed" if self.has_failed else status,
+            Status.FAILED if self.has_failed else status,
             tuple(self.reasons),
             tuple(self.snapped),
             *losses,

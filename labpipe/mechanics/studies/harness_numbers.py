@@ -630,7 +630,7 @@ def find_convergence_doubts(
     n_steps, has_history = len(path.states) - 1, depends_on_history(path)
     if has_history:
         _, coarse_path = solve_in_other_steps(coarse_line, n_steps)
-        is_solved = coarse_path.status != "failed"
+        is_solved = coarse_path.status is not Status.FAILED
         if is_solved and not _find_excess_changes(path, coarse_path, intervals):
             return
     coarse_path, n_other = follow(*coarse_line, steps=n_steps), len(coarse_line.line.lengths)
@@ -754,7 +754,7 @@ def find_change_doubt(
     count = len(path.states) - 1 if has_other_steps else len(path.line.lengths)
     order, error_ratio = (1, 1.0) if has_other_steps else (2, 1.0 / 3.0)
     all_names = tuple(compute_numbers(path))
-    if other_path.status == "failed":
+    if other_path.status is Status.FAILED:
         reason = Reason.of(
             "mechanics.studies.unsolved_steps"
             if has_other_steps

@@ -157,7 +157,7 @@ def solve_harness(
     solution = HarnessSolution(
         *(file, harness, material, path, Status.FAILED, reasons, (), limit, folder), bands=bands
     )
-    if path.status == "failed":
+    if path.status is Status.FAILED:
         return solution
     status = Status.DOUBTFUL if reasons else Status.OK
     return replace(solution, status=status, results=_build_results(solution))
@@ -362,7 +362,7 @@ def _find_draw_doubt(
         for row in choose_draws(distribution):
             n_draws += 1
             path = solve(index, distribution.to_inputs(distribution.amounts[row]))
-            if path.status == "failed":
+            if path.status is Status.FAILED:
                 n_unsolved += 1
                 continue
             for name, value in _evaluate(collect_fields(path).__getitem__, path).items():

@@ -245,7 +245,12 @@ def _convert_table(table: Table, card: Card, *, is_alone: bool) -> Recording:
     name, prefix = ("time", "") if is_alone else (table.part, f"{table.part}/")
     column = find_time_column(table.names, table.units, card)
     if column is not None and np.isnan(table.columns[column]).any():
-        table = _drop_blank_rows(table)
+        # Rows without any value are omitted, since the times of other rows show lost samples.
+        is_blank = np.isnan([*table.columns.values()]).all(axis=0)
+        if is_blank.any():
+            columns = {i: values[~is_blank] for i, values in table.columns.items()}
+            note = QualityNote.of("readers.blank_rows", "file", count=is_blank.sum())
+            table = replace(table, columns=columns, notes=(*table.notes, note))
     paths = make_names_unique(table.names)
     channels = [
         Channel(table.names[i] or paths[i], prefix + paths[i], values, name, None, table.units[i])
@@ -267,16 +272,6 @@ def _convert_table(table: Table, card: Card, *, is_alone: bool) -> Recording:
     if part := table.part or table.other_name:
         metadata["part"] = part
     return Recording("", "", "", (clock,), tuple(channels), metadata=metadata, notes=tuple(notes))
-
-
-def _drop_blank_rows(table: Table) -> Table:
-    """Omit rows without any value, since the times of other rows show lost samples."""
-    is_blank = np.isnan([*table.columns.values()]).all(axis=0)
-    if not is_blank.any():
-        return table
-    columns = {i: values[~is_blank] for i, values in table.columns.items()}
-    note = QualityNote.of("readers.blank_rows", "file", count=is_blank.sum())
-    return replace(table, columns=columns, notes=(*table.notes, note))
 
 
 def _compute_time_factor(unit: str, name: str) -> float:
