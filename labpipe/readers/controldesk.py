@@ -101,7 +101,7 @@ def load_export(
     axes = range(len(clock_names)) if channels is None else {t.axis_index for t in traces}
     clocks = {i: Clock(clock_names[i], _convert_samples(export.axes[i][1]())) for i in sorted(axes)}
     notes = [note for clock in clocks.values() for note in make_clock_notes(clock)]
-    loaded_channels = []
+    loaded = []
     for trace in traces:
         values, clock = _convert_samples(trace.load()), clocks[trace.axis_index]
         if (total := len(values)) != (n_times := len(clock.time)):
@@ -113,17 +113,16 @@ def load_export(
             values = np.where(np.isinf(values), np.nan, values)
             facts = {"count": count, "total": total, "first": invalid_samples[0] + 1}
             notes.append(QualityNote.of("readers.not_finite", trace.path, **facts))
-        unit = trace.unit_in_file
-        loaded_channels.append(Channel(trace.name, trace.path, values, clock.name, None, unit))
+        loaded.append(Channel(trace.name, trace.path, values, clock.name, None, trace.unit_in_file))
     version = _PROGRAM_VERSION.search(export.origin)
     return Recording(
         reader=reader,
         program="ControlDesk",
         program_version=version[1].rstrip(".") if version else "",
         clocks=tuple(clocks.values()),
-        channels=tuple(loaded_channels),
+        channels=tuple(loaded),
         metadata={**export.metadata, "channels": {t.path: dict(t.properties) for t in traces}},
-        notes=(*export.notes, *notes, *make_channel_notes(loaded_channels)),
+        notes=(*export.notes, *notes, *make_channel_notes(loaded)),
     )
 
 
