@@ -55,7 +55,7 @@ frame = [] = frame
 
 
 class DimensionError(ValueError):
-    """A unit has another dimension than expected."""
+    """The dimension of a unit differs from the expected dimension."""
 
 
 class NotFiniteError(ValueError):
@@ -113,7 +113,10 @@ _SI_EQUIVALENTS = {
     for (unit, coherent), factor in _COMMON_FACTORS.items()
     if coherent in _SI_UNITS and unit not in _SI_UNITS
 }
-"""Factor and coherent unit, keyed by common unit. Other dimensions are refused without pint."""
+"""Factor and coherent unit, keyed by common unit.
+
+A conversion of these units to a coherent unit of another dimension is refused without pint.
+"""
 
 _STACKED_POWER = re.compile(r"(\*\*|\^)[-+\s(]*\d[\d.)\s]*(\*\*|\^)|(\*\*|\^)[-+\s(]*\d{3,}")
 """A power of a power, or an exponent of three digits or more; neither occurs in a unit."""
@@ -135,59 +138,58 @@ def _make_registry() -> pint.UnitRegistry[float]:
 
 
 @cache
-def get_si_factor(unit: str, si_unit: str) -> float:
-    """Return the factor that converts a value from `unit` to `si_unit`.
+def get_conversion_factor(unit: str, target_unit: str) -> float:
+    """Return the factor that converts a value from `unit` to `target_unit`.
 
     Parameters
     ----------
     unit : unit as a person or a program writes it, such as ``mm`` or ``N/V``
-    si_unit : target unit, usually coherent SI; ``1`` for a pure number
+    target_unit : unit of the converted value, usually coherent SI; ``1`` for a pure number
 
     Returns
     -------
-    The factor.
+    Value in `target_unit` of one `unit`.
 
     Raises
     ------
     ValueError
-        If the unit is unknown; a `DimensionError` if its dimension is not that of `si_unit`.
+        If a unit is unknown; a `DimensionError` if the two units differ in dimension.
 
     Examples
     --------
-    >>> get_si_factor("mm", "m")
+    >>> get_conversion_factor("mm", "m")
     0.001
     """
-    if unit == si_unit and unit in _SI_UNITS:
+    if unit == target_unit and unit in _SI_UNITS:
         return 1.0
-    if (unit, si_unit) in _COMMON_FACTORS:
-        return _COMMON_FACTORS[unit, si_unit]
-    if si_unit in _SI_UNITS and (unit in _SI_UNITS or unit in _SI_EQUIVALENTS):
+    if (unit, target_unit) in _COMMON_FACTORS:
+        return _COMMON_FACTORS[unit, target_unit]
+    if target_unit in _SI_UNITS and (unit in _SI_UNITS or unit in _SI_EQUIVALENTS):
         factor, coherent = _SI_EQUIVALENTS.get(unit, (1.0, unit))
-        if coherent != unit and (coherent == si_unit or (coherent, si_unit) in _COMMON_FACTORS):
-            return factor * get_si_factor(coherent, si_unit)
-        raise DimensionError(_describe_dimension_error(unit, si_unit))
-    message = f"expected a unit such as {si_unit}, found {unit!r}"
+        if coherent == target_unit or (coherent, target_unit) in _COMMON_FACTORS:
+            return factor * get_conversion_factor(coherent, target_unit)
+        raise DimensionError(_describe_dimension_error(unit, target_unit))
+    message = f"expected a unit such as {target_unit}, found {unit!r}"
     if _NOT_A_UNIT.match(unit) or _STACKED_POWER.search(unit):  # 9**9**9 has 369 693 100 digits
         raise ValueError(message)
     import pint
 
     registry = _make_registry()
     try:
-        quantity = registry.Quantity(1.0, registry.parse_units(_convert_unit(unit)))
-        si_quantity = quantity.to(registry.parse_units(_convert_unit(si_unit)))
-        return float(si_quantity.magnitude)
+        quantity = registry.Quantity(1.0, registry.parse_units(_format_for_pint(unit)))
+        return float(quantity.to(registry.parse_units(_format_for_pint(target_unit))).magnitude)
     except pint.DimensionalityError as error:
-        raise DimensionError(_describe_dimension_error(unit, si_unit)) from error
+        raise DimensionError(_describe_dimension_error(unit, target_unit)) from error
     except Exception as error:  # pint raises a dozen kinds of error for a text that is no unit
         raise ValueError(message) from error
 
 
-def _describe_dimension_error(unit: str, si_unit: str) -> str:
-    return f"expected a unit of the dimension of {si_unit}, found {unit!r}"
+def _describe_dimension_error(unit: str, expected_unit: str) -> str:
+    return f"expected a unit of the dimension of {expected_unit}, found {unit!r}"
 
 
-def _convert_unit(unit: str) -> str:
-    """Convert the signs of powers, products and micro in a unit to those of pint."""
+def _format_for_pint(unit: str) -> str:
+    """Format a unit with the signs of pint for powers, products and micro."""
     text = unit.replace("²", "^2").replace("³", "^3").replace("μ", "µ")  # Greek mu to micro
     return "" if text in {"", "1"} else text.replace("·", "*").replace("^", "**")
 
@@ -245,8 +247,8 @@ def parse_quantity(text: object, si_unit: str) -> float:
     if not unit and si_unit != "1":
         message = f"expected a unit of the dimension of {si_unit}, found none in {text!r}"
         raise ValueError(message)
-    # 53 mm is 0.053 m, not 0.053000000000000005.
-    value = float(f"{float(number) * get_si_factor(unit or '1', si_unit):.12g}")
+    # 9 mm is 0.009 m, not 0.009000000000000001.
+    value = float(f"{float(number) * get_conversion_factor(unit or '1', si_unit):.12g}")
     if not isfinite(value):
         message = f"expected a number that is finite, found {text!r}"
         raise NotFiniteError(message)

@@ -30,7 +30,7 @@ from labpipe.cli import main as labpipe
 from labpipe.cli.demo import CALIBRATION_PLAN, CAMPAIGNS
 from labpipe.records.curve import Interval
 from labpipe.report.wording import write_number
-from labpipe.units import get_si_factor
+from labpipe.units import get_conversion_factor
 from labpipe.virtual_lab import Campaign, simulate_campaigns, simulate_test, write_wire_sheet
 from labpipe.virtual_lab.tensile import build_crimp_pull
 
@@ -300,7 +300,7 @@ def _check_examples(path: Path, *, update: bool) -> list[str]:
 
     def fresh(example: re.Match[str]) -> str:
         example_text, unit = example[0], example[2].strip().replace("N mm", "N*mm") or "1"
-        factor = get_si_factor(unit, SI[unit]) if unit in SI else 1.0
+        factor = get_conversion_factor(unit, SI[unit]) if unit in SI else 1.0
         number = factor * float(example[1])
         matches = [
             entry

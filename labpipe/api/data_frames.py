@@ -17,7 +17,7 @@ import pandas as pd
 from labpipe.errors import UsageError, sort_by_likeness
 from labpipe.report.wording import Scale, find_display_unit
 from labpipe.store.layout import UNSTATED_UNIT
-from labpipe.units import get_si_factor
+from labpipe.units import get_conversion_factor
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -50,7 +50,7 @@ class Units:
     def scale_quantity(self, quantity: str, unit: str) -> Scale:
         """Choose factor and unit of a quantity, such as ``force``."""
         target = unit if self.display is None else self.display.get(quantity, unit)
-        return Scale(1.0 / get_si_factor(target, unit), target)
+        return Scale(1.0 / get_conversion_factor(target, unit), target)
 
 
 def _make_frame(columns: Mapping[str, str], rows: Iterable[Sequence[object]]) -> pd.DataFrame:

@@ -38,7 +38,8 @@ class Decision:
     Parameters
     ----------
     test : folder of the test relative to the campaign, with slashes
-    run : key of the results; the decision applies to this key only
+    run : key of the results that were judged; later results have another key and need a new
+        decision, and until then a rejection remains in force
     decision : ``accept`` or ``reject``
     because, by : reason of the decision, and person who made it
     when : time of the decision, ISO 8601; empty if unknown
@@ -106,10 +107,15 @@ def _read_decision_file(path: Path, campaign: str) -> DecisionFile:
     try:
         size = path.stat().st_size
         if size > _MAX_FILE_BYTES:
-            return _make_unreadable_file(path, "", f"{size} bytes")
+            return DecisionFile(faults=(str(_make_size_error(path, size)),), is_readable=False)
         return parse_decisions(path.read_bytes(), path, campaign)
     except OSError as error:
         return _make_unreadable_file(path, "", error.strerror or str(error))
+
+
+def _make_size_error(path: Path, size: int) -> UsageError:
+    """Make the error of a file of decisions that has or would have too many bytes."""
+    return UsageError.about("campaign.too_many_decisions", path, limit=_MAX_FILE_BYTES, size=size)
 
 
 def parse_decisions(content: bytes, path: Path, campaign: str = "") -> DecisionFile:
@@ -153,7 +159,7 @@ def parse_decisions(content: bytes, path: Path, campaign: str = "") -> DecisionF
 
 
 def _make_unreadable_file(path: Path, place: str, found: str) -> DecisionFile:
-    """Make the content of a file that cannot be read: no decisions, and one fault."""
+    """Return the content of a file that cannot be read: no decisions, and one fault."""
     fault = _format_fault(path, place, "decisions in JSON", found)
     return DecisionFile(faults=(fault,), is_readable=False)
 
@@ -176,8 +182,8 @@ def _find_entry_fault(entry: Any) -> tuple[str, str] | None:
     return None
 
 
-def find_applicable_decision(decisions: Sequence[Decision], *, run: str) -> Decision | None:
-    """Find the decision that applies to a test: the last decision with the key of its results.
+def find_decision_in_force(decisions: Sequence[Decision], *, run: str) -> Decision | None:
+    """Return the decision in force: the last one on the present results, or a kept rejection.
 
     Parameters
     ----------
@@ -186,21 +192,21 @@ def find_applicable_decision(decisions: Sequence[Decision], *, run: str) -> Deci
 
     Returns
     -------
-    The decision; None if there is none. If no decision has this key and the last decision rejected
-    results with another key, the test remains rejected until a person decides again, and the reason
-    says so.
+    The last decision with the key `run`. If no decision has this key and the last decision of all
+    is a rejection, it remains in force until a person decides again, and its reason says so. None
+    if no decision is in force.
     """
-    applicable = next((decision for decision in reversed(decisions) if decision.run == run), None)
-    if applicable is None and decisions and decisions[-1].decision == REJECT:
+    latest = next((decision for decision in reversed(decisions) if decision.run == run), None)
+    if latest is None and decisions and decisions[-1].decision == REJECT:
         because = f"{decisions[-1].because} ({format_sentence('campaign.needs_new_decision')})"
         return replace(decisions[-1], because=because)
-    return applicable
+    return latest
 
 
-def find_unapplied_decisions(
+def find_outdated_decisions(
     decisions: Mapping[str, Sequence[Decision]], runs: Mapping[str, str]
 ) -> Iterator[tuple[Decision, str]]:
-    """Find decisions that are not applied.
+    """Find the last decisions on tests that have no decision for their present results.
 
     Parameters
     ----------
@@ -209,7 +215,8 @@ def find_unapplied_decisions(
 
     Yields
     ------
-    The last decision on each test that has no applicable decision, and why it is not applied.
+    The last decision on each test that has no decision for its present results, and why it is not
+    for them: no such test, or results with another key.
     """
     for test, test_decisions in decisions.items():
         if test not in runs:
@@ -251,9 +258,7 @@ def add_decisions(folder: Path, campaign: str, decisions: Iterable[Decision]) ->
         content = text.encode("utf-8", "surrogatepass")
         path = folder / DECISIONS_FILE
         if len(content) > _MAX_FILE_BYTES:
-            raise UsageError.about(
-                "campaign.too_many_decisions", path, limit=_MAX_FILE_BYTES, size=len(content)
-            )
+            raise _make_size_error(path, len(content))
         with replace_file(path) as temporary:
             temporary.write_bytes(content)
 
@@ -291,13 +296,13 @@ def read_decisions_by_file(files: Iterable[Path]) -> dict[Path, Sequence[Decisio
 
     Returns
     -------
-    Decisions on each test for all keys of results, in the order of their file, keyed by result
-    file. Result files of campaigns without decisions are left out.
+    Decisions on each test for its present and earlier results, in the order of their file, keyed by
+    result file. A result file without a file of decisions in a folder above it has no entry.
 
     Raises
     ------
     StoreError
-        If decisions cannot be read, because a rejected test might then be included.
+        If a file of decisions cannot be read; without it, a rejected test might be included.
     """
     decisions: dict[Path, Sequence[Decision]] = {}
     read_once = cache(read_decisions)
@@ -330,7 +335,7 @@ def exclude_rejected_tests(files: Sequence[Path]) -> tuple[list[Path], dict[Path
     """
     rejected = {}
     for file, decisions in read_decisions_by_file(files).items():
-        decision = find_applicable_decision(decisions, run=read_run(file)) if decisions else None
+        decision = find_decision_in_force(decisions, run=read_run(file)) if decisions else None
         if decision is not None and decision.decision == REJECT:
             rejected[file] = decision.describe()
     included = [file for file in files if file not in rejected]
@@ -368,10 +373,15 @@ def import_decision_file(folder: Path, campaign: str, file: Path) -> ImportedDec
     campaign : name of the campaign
     file : file with the format of ``decisions.json`` and any name
 
+    Returns
+    -------
+    Decisions that were added, stored before or not imported, and the faults of `file`.
+
     Raises
     ------
     LabpipeError
-        If the file cannot be read, is that of the campaign itself, or decisions cannot be written.
+        If the file does not exist, cannot be read or is that of the campaign itself, or if stored
+        decisions cannot be read or written.
     """
     if not file.is_file():
         raise UsageError.about("campaign.no_saved_file", file)
@@ -394,6 +404,10 @@ def import_decisions(
     campaign : name of the campaign
     decisions : decisions to add, in the order in which they were made
 
+    Returns
+    -------
+    Decisions that were added, stored before or not imported, without faults of a file.
+
     Raises
     ------
     LabpipeError
@@ -401,9 +415,10 @@ def import_decisions(
 
     Notes
     -----
-    Labels are compared with those of existing tests; no path is made from them. Each decision is
-    stored where a report reads it: in the nearest ``decisions.json`` above its test. Each result
-    file and each file of decisions is read once, for any number of decisions.
+    The label of a decision is compared with those of existing tests and is never used as a path.
+    Each decision is added to the nearest ``decisions.json`` above its test, where a report reads
+    it. If there is none, it is added to that of the campaign. The key of each result file and each
+    file of decisions are read at most once.
     """
     files = list_files_below(folder, RESULT_FILE)
     decision_folders = {file: find_decision_folder(file, folder) for file in files}
@@ -437,12 +452,19 @@ def import_decisions(
 def _find_result(
     decision: Decision, files: Iterable[Path], read_key: Callable[[Path], tuple[str, str]]
 ) -> tuple[Path | None, str]:
-    """Find the result file with the key of a decision.
+    """Find the result file that a decision with a valid time judges.
+
+    Parameters
+    ----------
+    decision : decision to import
+    files : result files of the tests with the label of the decision
+    read_key : function that returns the key of a result file, or an empty key and a fault
 
     Returns
     -------
-    result_file : the file; None if there is none
-    reason : why there is none; empty if there is a file
+    result_file : first file with the key of the decision; None if there is none, or if the time of
+        the decision is not valid
+    reason : reason for the lack of a file; empty if there is one
     """
     try:
         datetime.fromisoformat(decision.when or format_current_time())

@@ -19,8 +19,8 @@ from labpipe.campaign.campaign_files import find_campaign_name
 from labpipe.campaign.decisions import (
     REJECT,
     Decision,
-    find_applicable_decision,
     find_decision_folder,
+    find_decision_in_force,
     read_decisions_by_file,
 )
 from labpipe.errors import LabpipeError, UsageError, sort_by_likeness
@@ -691,7 +691,7 @@ def read_tests(files: Sequence[Path], say: Callable[[str], object]) -> ReadTests
         sample = make_sample(completed_test, source=str(file), label=label)
         decisions = decisions_by_file.get(file, ())
         tests.decisions.extend(decisions)
-        if decision := find_applicable_decision(decisions, run=result.run):
+        if decision := find_decision_in_force(decisions, run=result.run):
             sample = replace(sample, decision=decision.describe())
             if decision.decision == REJECT:
                 tests.rejected[str(file)] = sample.decision

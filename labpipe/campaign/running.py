@@ -43,8 +43,8 @@ from labpipe.campaign.decisions import (
     Decision,
     DecisionFile,
     add_decisions,
-    find_applicable_decision,
-    find_unapplied_decisions,
+    find_decision_in_force,
+    find_outdated_decisions,
     format_current_time,
     read_decisions,
 )
@@ -99,7 +99,7 @@ class Overview:
     def unapplied_decisions(self) -> list[tuple[Decision, str]]:
         """Decisions that are not applied, with the reason."""
         runs = {folder: row.attempt_key for folder, row in self.rows.items()}
-        return list(find_unapplied_decisions(self.decisions, runs))
+        return list(find_outdated_decisions(self.decisions, runs))
 
     @property
     def counts(self) -> Counter[str]:
@@ -250,7 +250,7 @@ class CatalogSync:
         if state is not None and state.fingerprint == fingerprint and inputs == stored_inputs:
             return None
         entry = read_outcome(folder, files)
-        decision = find_applicable_decision(decisions, run=_get_last_key(entry.row))
+        decision = find_decision_in_force(decisions, run=_get_last_key(entry.row))
         row = _complete_row(entry, inputs if key else None, decision)
         content = inputs.to_json() if inputs is not None else ""
         return entry._replace(row=row, file_state=FileState(content, fingerprint))

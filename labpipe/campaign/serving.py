@@ -1,7 +1,8 @@
 """Serve a report by HTTP for ``labpipe serve``, and save decisions on its tests.
 
-The server answers only browsers of the same machine that know the secret address. It is based on
-the server of the standard library, which suffices for one person and a few requests a minute.
+The server accepts only requests from the same machine whose URL contains a secret token. It is
+based on the server of the standard library, which suffices for one person and a few requests a
+minute.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from itertools import chain
 from pathlib import Path
 from typing import Any, Final
 from urllib.parse import unquote, urlsplit
@@ -51,7 +53,7 @@ _INLINE_CONTENT_TYPES: Final = {
 _COMMON_HEADERS: Final = {
     "Cache-Control": "no-store",
     "Cross-Origin-Resource-Policy": "same-origin",
-    "Referrer-Policy": "no-referrer",  # the address contains the token
+    "Referrer-Policy": "no-referrer",  # the URL contains the token
     "X-Content-Type-Options": "nosniff",
     "X-Frame-Options": "DENY",
     # The files of a campaign must not run scripts.
@@ -78,7 +80,7 @@ class Site:
     campaign : name of the campaign
     report_folder : folder that contains report.html
     make_report : function that makes the report again
-    token : secret first part of the path of every address; a request without it is refused
+    token : secret first segment of the path of every URL; a request without it is refused
     lock : lock that is held while a page is made or decisions are saved
     """
 
@@ -90,8 +92,8 @@ class Site:
     lock: threading.Lock = field(default_factory=threading.Lock)
 
 
-class _RefusedRequest(Exception):  # noqa: N818  it is answered by a reply and is not a fault
-    """A request that is refused with an HTTP status and a message."""
+class _HttpError(Exception):
+    """A request that is answered with the status of an HTTP error and a message."""
 
     def __init__(self, status: HTTPStatus, message: str) -> None:
         super().__init__(message)
@@ -120,8 +122,8 @@ class ReportServer(ThreadingHTTPServer):
         try:
             super().__init__((LOOPBACK_ADDRESS, port), _RequestHandler)
         except (OSError, OverflowError) as error:
-            found = (getattr(error, "strerror", None) or "an impossible number").lower()
-            raise UsageError.about("campaign.port", f"--port {port}", found=found) from error
+            reason = (getattr(error, "strerror", None) or "an impossible number").lower()
+            raise UsageError.about("campaign.port", f"--port {port}", found=reason) from error
 
     def server_bind(self) -> None:
         """Bind the socket without resolving the host name, which may need a network."""
@@ -135,8 +137,8 @@ class ReportServer(ThreadingHTTPServer):
             super().handle_error(request, client_address)
 
     @property
-    def address(self) -> str:
-        """Address of the report."""
+    def report_url(self) -> str:
+        """URL of the report, with the token."""
         return f"http://{LOOPBACK_ADDRESS}:{self.server_port}/{self.site.token}/"
 
 
@@ -163,11 +165,11 @@ class _RequestHandler(BaseHTTPRequestHandler):
 
         Parameters
         ----------
-        send_reply : function that is called with the parts of the path of the request
+        send_reply : function that is called with the segments of the path after the token
         """
         try:
             send_reply(self._read_authorised_path())
-        except _RefusedRequest as error:
+        except _HttpError as error:
             self._send_json({"error": str(error)}, error.status)
         except LabpipeError as error:
             self._send_json({"error": str(error)}, HTTPStatus.CONFLICT)
@@ -192,18 +194,15 @@ class _RequestHandler(BaseHTTPRequestHandler):
         self._send(json.dumps(content).encode(), {"Content-Type": "application/json"}, status)
 
     def _read_authorised_path(self) -> list[str]:
-        """Check the origin and the token of a request, and return the path after the token.
-
-        The path is a list of its parts.
-        """
+        """Check origin and token of a request; return the segments of the path after the token."""
         _require_same_origin(self.headers, self.server.server_port)
         try:
             token, *path = unquote(urlsplit(self.path).path, errors="strict").split("/")[1:]
         except ValueError:
-            raise _make_not_found() from None
+            raise _make_not_found_error() from None
         expected_token = self.server.site.token
         if not secrets.compare_digest(token.encode("utf-8", "replace"), expected_token.encode()):
-            raise _RefusedRequest(HTTPStatus.FORBIDDEN, format_sentence("campaign.wrong_address"))
+            raise _HttpError(HTTPStatus.FORBIDDEN, format_sentence("campaign.wrong_address"))
         return path
 
     def _answer_get(self, path: list[str]) -> None:
@@ -229,7 +228,7 @@ class _RequestHandler(BaseHTTPRequestHandler):
     def _answer_post(self, path: list[str]) -> None:
         """Save decisions or make the report again, and send a message."""
         if self.headers.get("Origin") is None:
-            raise _RefusedRequest(HTTPStatus.FORBIDDEN, format_sentence("campaign.no_origin"))
+            raise _HttpError(HTTPStatus.FORBIDDEN, format_sentence("campaign.no_origin"))
         body = self._read_body()
         site = self.server.site
         with site.lock:
@@ -239,7 +238,7 @@ class _RequestHandler(BaseHTTPRequestHandler):
                 site.make_report()
                 reply = {"message": format_sentence("campaign.report_rebuilt")}
             else:
-                raise _make_not_found()
+                raise _make_not_found_error()
         self._send_json(reply)
 
     def _read_body(self) -> bytes:
@@ -249,9 +248,9 @@ class _RequestHandler(BaseHTTPRequestHandler):
         length = parse_count(header)
         if length is None or length > max_bytes:
             self.close_connection = True
-            found = header[:20] or "no length"
-            message = format_sentence("campaign.large_request", limit=max_bytes, found=found)
-            raise _RefusedRequest(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, message)
+            length_text = header[:20] or "no length"
+            message = format_sentence("campaign.large_request", limit=max_bytes, found=length_text)
+            raise _HttpError(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, message)
         return self.rfile.read(length)
 
 
@@ -266,24 +265,23 @@ def _require_same_origin(headers: Any, port: int) -> None:
     elif headers.get("Sec-Fetch-Site", "none") not in {"none", "same-origin"}:
         reason = "The request came from another site."
     if reason:
-        message = format_sentence("campaign.other_site", why=reason)
-        raise _RefusedRequest(HTTPStatus.FORBIDDEN, message)
+        raise _HttpError(HTTPStatus.FORBIDDEN, format_sentence("campaign.other_site", why=reason))
 
 
-def _make_not_found() -> _RefusedRequest:
-    """Make the refusal of a request for a file that does not exist."""
-    return _RefusedRequest(HTTPStatus.NOT_FOUND, format_sentence("campaign.no_such_file"))
+def _make_not_found_error() -> _HttpError:
+    """Make the error of a request for a page or a file that does not exist."""
+    return _HttpError(HTTPStatus.NOT_FOUND, format_sentence("campaign.no_such_file"))
 
 
 def _find_file(path: list[str], site: Site) -> Path:
     """Find a file of the report or of the campaign; refuse hidden files and files outside both."""
-    if any(not part or part.startswith(".") or set(part) & set('\\:\0"') for part in path):
-        raise _make_not_found()
+    if any(not name or name.startswith(".") or set(name) & set('\\:\0"') for name in path):
+        raise _make_not_found_error()
     is_report_file = path[0] == REPORT_FOLDER
     top = (site.report_folder if is_report_file else site.results_folder).resolve()
     file = top.joinpath(*path[1:] if is_report_file else path).resolve()
     if not file.is_relative_to(top) or not file.is_file():
-        raise _make_not_found()
+        raise _make_not_found_error()
     return file
 
 
@@ -292,26 +290,25 @@ def _find_result(page: str, site: Site) -> Path:
     for file in list_files_below(site.results_folder, RESULT_FILE):
         if name_page_file(find_decision_folder(file, site.results_folder)[1]) == page:
             return file
-    raise _make_not_found()
+    raise _make_not_found_error()
 
 
 def _save_decisions(body: bytes, site: Site) -> dict[str, Any]:
     """Import the decisions of a request; return a message and all decisions of the campaign."""
     received = parse_decisions(body, Path("decisions"))
     if received.faults:
-        message = "\n".join(received.faults[:_MAX_LISTED_ERRORS])
-        raise _RefusedRequest(HTTPStatus.BAD_REQUEST, message)
+        raise _HttpError(HTTPStatus.BAD_REQUEST, "\n".join(received.faults[:_MAX_LISTED_ERRORS]))
     imported = import_decisions(site.results_folder, site.campaign, received.decisions)
-    stored = read_decisions_by_file(list_files_below(site.results_folder, RESULT_FILE))
-    entries = [asdict(decision) for decisions in stored.values() for decision in decisions]
+    decisions_by_file = read_decisions_by_file(list_files_below(site.results_folder, RESULT_FILE))
+    entries = [asdict(decision) for decision in chain(*decisions_by_file.values())]
     n_saved = len(imported.added) + imported.n_stored_before
     sentences = [f"{write_count(n_saved, 'decision')} saved."]
-    refused = [
+    not_saved_messages = [
         f"{decision.test}: not saved: {reason}." for decision, reason in imported.not_imported
     ]
-    sentences += refused[:_MAX_LISTED_ERRORS]
-    if len(refused) > _MAX_LISTED_ERRORS:
-        sentences.append(f"{len(refused) - _MAX_LISTED_ERRORS} more not saved.")
+    sentences += not_saved_messages[:_MAX_LISTED_ERRORS]
+    if (n_unlisted := len(not_saved_messages) - _MAX_LISTED_ERRORS) > 0:
+        sentences.append(f"{n_unlisted} more not saved.")
     if imported.added:
         sentences.append(format_sentence("campaign.decisions_take_effect"))
     return {"message": " ".join(sentences), "decisions": entries}

@@ -24,10 +24,10 @@ def run(options: argparse.Namespace) -> int:
     with ReportServer(site, options.port) as server:
         if not (report_folder / PAGE_FILE).is_file():
             _make_report(options, report_folder)
-        print(f"{options.title or site.campaign or folder.name}: {server.address}")
+        print(f"{options.title or site.campaign or folder.name}: {server.report_url}")
         print("Reachable from this machine only. Press Ctrl+C to stop.", flush=True)
         if not options.no_browser:
-            webbrowser.open(server.address)
+            webbrowser.open(server.report_url)
         try:
             server.serve_forever()
         except KeyboardInterrupt:

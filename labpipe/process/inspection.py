@@ -21,7 +21,7 @@ from labpipe.readers.recording_checks import (
 )
 from labpipe.records.arrays import Floats, drop_missing, find_runs, median
 from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording, RigidBody
-from labpipe.units import get_si_factor
+from labpipe.units import get_conversion_factor
 
 _DISPLAYED_UNITS = ("s", "m", "N", "Pa", "V", "1", "N m", "m/s", "Hz", "K", "kg")
 """Units to which channels are converted; a channel has the first unit with its dimension."""
@@ -144,7 +144,7 @@ def _choose_unit(channel: Channel) -> tuple[str | None, float]:
         return channel.unit, 1.0
     for unit in ("rad",) if channel.unit_in_file in _ANGLE_UNITS else _DISPLAYED_UNITS:
         with suppress(ValueError):
-            return unit, get_si_factor(channel.unit_in_file, unit)
+            return unit, get_conversion_factor(channel.unit_in_file, unit)
     return None, 1.0
 
 

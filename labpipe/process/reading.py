@@ -27,7 +27,7 @@ from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote
 from labpipe.records.recording import Channel, Clock, Recording
 from labpipe.records.result import InputFile
-from labpipe.units import get_si_factor
+from labpipe.units import get_conversion_factor
 
 _UNKNOWN_UNITS = frozenset({"", "-", "1", "count"})
 """Units in exports that mean that the unit is unknown."""
@@ -102,10 +102,10 @@ def _choose_si_unit(source: ChannelSource, unit: str) -> str:
 def _are_equal_units(unit: str, other_unit: str, si_unit: str) -> bool:
     """Return whether two units are equal, and have the dimension of an SI unit."""
     try:
-        factor, other_factor = get_si_factor(unit, si_unit), get_si_factor(other_unit, si_unit)
+        factors = [get_conversion_factor(name, si_unit) for name in (unit, other_unit)]
     except ValueError:
         return False
-    return isclose(factor, other_factor, rel_tol=1e-9)
+    return isclose(*factors, rel_tol=1e-9)
 
 
 def read_inputs(
@@ -382,7 +382,7 @@ def _make_naming_notes(channel: Channel, name: str, spec: ChannelSource) -> Iter
 def _convert_to_si(channel: Channel, name: str, source: ChannelSource) -> Channel:
     """Rename a channel, and convert its values to SI units."""
     unit = _choose_si_unit(source, source.unit or channel.unit_in_file)
-    factor = get_si_factor(source.unit or channel.unit_in_file, unit)
+    factor = get_conversion_factor(source.unit or channel.unit_in_file, unit)
     calibration = source.calibration.gain if source.calibration is not None else ""
     values = channel.values if factor == 1.0 else factor * channel.values
     return replace(channel, name=name, values=values, unit=unit, calibration=calibration)

@@ -72,7 +72,7 @@ from labpipe.records.declarations import (
     TaggedChoice,
     WholeNumber,
 )
-from labpipe.units import DimensionError, NotFiniteError, get_si_factor, parse_quantity
+from labpipe.units import DimensionError, NotFiniteError, get_conversion_factor, parse_quantity
 
 SI_UNITS: Final = MappingProxyType(
     {
@@ -152,7 +152,7 @@ def explain_unit(unit: str, si_unit: str) -> str:
     that fits, for no unit, and for a dimension without a name in `SI_UNITS`.
     """
     try:
-        get_si_factor(unit or si_unit, si_unit)
+        get_conversion_factor(unit or si_unit, si_unit)
     except DimensionError:
         base_unit = find_si_unit(unit)
         if (base_unit, si_unit) == ("kg", "N"):
@@ -237,7 +237,7 @@ class QuantityText:
     def format(self, value: float) -> str:
         """Format an SI value in the display unit, to 12 digits; in SI where it would overflow."""
         unit = self.quantity.display_unit
-        number = value / get_si_factor(unit, self.quantity.unit)
+        number = value / get_conversion_factor(unit, self.quantity.unit)
         if not math.isfinite(number):
             number, unit = value, self.quantity.unit
         return f"{number:.12g} {unit}".removesuffix(" 1")

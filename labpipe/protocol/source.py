@@ -36,7 +36,7 @@ from labpipe.protocol.grammar import (
 from labpipe.protocol.yaml_text import FaultsError, build_choice_fault, list_nearest, raise_faults
 from labpipe.records.declarations import Area, Distance, Length, Quantity, Snake, Uncertainty
 from labpipe.records.recording import EXPORT_FORMATS
-from labpipe.units import get_si_factor, parse_quantity
+from labpipe.units import get_conversion_factor, parse_quantity
 
 Role = Literal["force", "markers", "frame"]
 ROLES: Final[tuple[str, ...]] = get_args(Role)
@@ -238,7 +238,7 @@ def find_implausible_sizes(
             continue
         end_key, limit = ("from", ends.start) if abs(size) < minimum else ("to", ends.stop)
         unit = limit.lstrip("+-.0123456789e ")
-        text = f"{size / get_si_factor(unit, si_unit):.12g} {unit}"
+        text = f"{size / get_conversion_factor(unit, si_unit):.12g} {unit}"
         override = format_overrides(f"plausible.{kind}.{end_key}", text)
         yield Fault.of(
             "protocol.implausible",

@@ -15,7 +15,7 @@ from labpipe.errors import ReadError, sort_by_likeness
 from labpipe.records.arrays import Floats, drop_missing
 from labpipe.records.quality import QualityNote
 from labpipe.records.recording import Channel, Recording
-from labpipe.units import get_si_factor
+from labpipe.units import get_conversion_factor
 
 ChannelChoice: TypeAlias = str | tuple[str, ...]
 """Name or path of a channel, or alternatives, of which the first one in the export is used."""
@@ -186,7 +186,7 @@ def compare_alternatives(
                 continue
             units = other.unit_in_file, chosen.unit_in_file
             try:
-                factor = 1.0 if units[0] == units[1] else get_si_factor(*units)
+                factor = 1.0 if units[0] == units[1] else get_conversion_factor(*units)
             except ValueError:
                 continue
             difference = drop_missing(factor * other.values - chosen.values)

@@ -1,11 +1,11 @@
-"""Make recordings of dSPACE ControlDesk exports, for the readers of csv, mat and mf4."""
+"""Make recordings from dSPACE ControlDesk exports, for the readers of csv, mat and mf4 files."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from datetime import date
+from datetime import date, timedelta
 from email.utils import parsedate
 from itertools import permutations
 from pathlib import Path
@@ -33,16 +33,16 @@ class Trace:
 
     Parameters
     ----------
-    name, path, unit_in_file : as in `Channel`
-    clock : index of its time axis
-    load : function that returns the samples
+    name, path, unit_in_file : name, path and unit of the channel, as in `Channel`
+    axis_index : index of the time axis of the channel in `Export.axes`
+    load : function that returns the samples in the unit of the file
     properties : further properties of the channel in the export
     """
 
     name: str
     path: str
     unit_in_file: str
-    clock: int
+    axis_index: int
     load: Callable[[], object]
     properties: Mapping[str, object]
 
@@ -53,10 +53,10 @@ class Export:
 
     Parameters
     ----------
-    axes : name of each time axis, which is its raster and may be empty, and function that loads its
-        samples
+    axes : raster of each time axis, which may be empty and names the axis, with a function that
+        loads the times of its samples
     traces : channels in the order of the file
-    origin : text of the export on model and program
+    origin : text in the export that names the model and the program
     metadata : properties of the export
     notes : quality notes on the header of the export
     """
@@ -82,7 +82,8 @@ def load_export(
 
     Returns
     -------
-    The recording, with values as in the file, NaN for infinities, and no units.
+    The recording. Its values are those of the file, with NaN instead of infinities; they are not
+    converted to SI, and the channels have no SI units.
 
     Raises
     ------
@@ -96,17 +97,17 @@ def load_export(
         pairs = [(trace.name, trace.path) for trace in traces]
         indices = sorted({find_channel(choice, pairs, path) for choice in channels})
         traces = [traces[i] for i in indices]
-    names = make_names_unique([raster or "time" for raster, _ in export.axes])
-    used_axes = range(len(names)) if channels is None else sorted({t.clock for t in traces})
-    clocks = {i: Clock(names[i], _convert_samples(export.axes[i][1]())) for i in used_axes}
+    clock_names = make_names_unique([raster or "time" for raster, _ in export.axes])
+    axes = range(len(clock_names)) if channels is None else {t.axis_index for t in traces}
+    clocks = {i: Clock(clock_names[i], _convert_samples(export.axes[i][1]())) for i in sorted(axes)}
     notes = [note for clock in clocks.values() for note in make_clock_notes(clock)]
     loaded = []
     for trace in traces:
-        values, clock = _convert_samples(trace.load()), clocks[trace.clock]
-        if (total := len(values)) != (wanted := len(clock.time)):
+        values, clock = _convert_samples(trace.load()), clocks[trace.axis_index]
+        if (total := len(values)) != (n_times := len(clock.time)):
             place, name = f"channel '{trace.path}'", clock.name
             raise ReadError.about(
-                "readers.channel_length", path, place, wanted=wanted, axis=name, total=total
+                "readers.channel_length", path, place, wanted=n_times, axis=name, total=total
             )
         if count := len(invalid_samples := np.flatnonzero(~np.isfinite(values))):
             values = np.where(np.isinf(values), np.nan, values)
@@ -131,10 +132,10 @@ def _convert_samples(values: object) -> Floats:
 
 
 def to_json(value: object) -> object:
-    """Convert a value for JSON.
+    """Convert a property of an export to a value that JSON can represent.
 
-    Infinities, NaN and values of other types become text. Arrays become flat lists of at most 16
-    items, and lists of one item become that item.
+    Infinities, NaN and values of types that JSON does not have become text. Arrays become flat
+    lists of at most 16 items, and lists of one item become that item.
     """
     if isinstance(value, Mapping):
         return {str(key): to_json(item) for key, item in value.items()}
@@ -148,8 +149,8 @@ def to_json(value: object) -> object:
     return value if isinstance(value, str | int | float | bool | None) else str(value)
 
 
-def parse_saving_day(header: str) -> date | None:
-    """Parse the day in the header text of a MAT file, which is always in English.
+def parse_save_date(header: str) -> date | None:
+    """Parse the date on which a MAT file was saved, from its header text in English.
 
     Parameters
     ----------
@@ -158,42 +159,42 @@ def parse_saving_day(header: str) -> date | None:
 
     Returns
     -------
-    The day; None if the text states none.
+    The date; None if the text does not contain one.
     """
     parsed = parsedate(header.partition("Created on: ")[2])
-    return _make_day(*parsed[:3]) if parsed else None
+    return _make_date(*parsed[:3]) if parsed else None
 
 
-def resolve_date(text: str, saving_day: date | None) -> str:
-    """Resolve the order of day and month in a date by a known nearby day.
+def resolve_date(text: str, save_date: date | None) -> str:
+    """Resolve the order of day and month in a date by comparison with the date of saving.
 
     Parameters
     ----------
     text : date as ControlDesk wrote it
-    saving_day : day on which the file was saved, at most a few days later; None if unknown
+    save_date : date on which the file was saved, at most a few days later; None if unknown
 
     Returns
     -------
-    ISO date nearest to `saving_day`; empty without `saving_day`, or if no order gives a date within
-    a week before or after it.
+    ISO date nearest to `save_date`; empty if `save_date` is unknown, or if no order gives a date
+    within a week before or after it.
 
     Examples
     --------
     >>> resolve_date("4-5-2023 17:30:33", date(2023, 5, 4))
     '2023-05-04'
     """
-    max_days_to_saving = 7
-    if saving_day is None:
+    max_time_to_saving = timedelta(days=7)
+    if save_date is None:
         return ""
     orders = permutations(re.findall(r"\d+", text)[:3])
-    days = [day for order in orders if (day := _make_day(*order)) is not None]
-    day = min(days, key=lambda day: abs((day - saving_day).days), default=date.max)
-    return day.isoformat() if abs((day - saving_day).days) <= max_days_to_saving else ""
+    dates = [day for order in orders if (day := _make_date(*order)) is not None]
+    nearest = min(dates, key=lambda day: abs(day - save_date), default=date.max)
+    return nearest.isoformat() if abs(nearest - save_date) <= max_time_to_saving else ""
 
 
-def _make_day(*parts: str | int) -> date | None:
-    """Make a date of year, month and day; None if they are none."""
+def _make_date(*numbers: str | int) -> date | None:
+    """Make a date from year, month and day; return None if there is no such date."""
     try:
-        return date(*map(int, parts))
+        return date(*map(int, numbers))
     except (TypeError, ValueError, OverflowError):
         return None

@@ -58,7 +58,7 @@ from labpipe.readers.raw_files import (
 )
 from labpipe.readers.workbooks import format_rows, is_workbook, open_sheets, read_workbook_cells
 from labpipe.records.arrays import Floats
-from labpipe.units import get_si_factor, parse_count
+from labpipe.units import get_conversion_factor, parse_count
 
 __all__ = ["CurveColumn", "read_curve"]
 
@@ -285,8 +285,8 @@ def _compute_unit_factor(table: _Table, index: int, column: CurveColumn) -> floa
             raise ContentError.of(
                 "readers.unit_of_column", place, quantity=quantity, example=example, unit=text
             )
-    factor = get_si_factor(unit, column.si_unit)
-    if stated_unit and not math.isclose(get_si_factor(stated_unit, column.si_unit), factor):
+    factor = get_conversion_factor(unit, column.si_unit)
+    if stated_unit and not math.isclose(get_conversion_factor(stated_unit, column.si_unit), factor):
         raise ContentError.of("readers.other_unit", place, unit=unit, stated=stated_unit)
     return factor
 

@@ -99,12 +99,12 @@ def read(path: Path, *, channels: Sequence[ChannelChoice] | None = None) -> Reco
         if len(row) >= 4 and row[1] and row[0] in {"descriptions", ""}:
             descriptions.setdefault(row[1], {})[row[2]] = row[3]
     general, measurement = (descriptions.get(group, {}) for group in ("General", "Measurement"))
-    saving_day = _parse_reference_day(measurement.get("ReferenceTime", ""))
+    save_date = _parse_reference_date(measurement.get("ReferenceTime", ""))
     export = Export(
         axes=[(traces[0].get("raster", ""), lambda: samples[1])],
         traces=[_make_trace(trace, samples[i]) for i, trace in enumerate(traces[1:], start=2)],
         origin=general.get("Origin", ""),
-        metadata={"date": resolve_date(general.get("DateTime", ""), saving_day), **descriptions},
+        metadata={"date": resolve_date(general.get("DateTime", ""), save_date), **descriptions},
         notes=notes,
     )
     return load_export(export, reader="dspace-csv", path=path, channels=channels)
@@ -116,14 +116,14 @@ def _make_trace(properties: Mapping[str, str], values: Floats) -> Trace:
         name=name,
         path=f"{folder}/{name}" if folder else name,
         unit_in_file=properties.get("trace_units", ""),
-        clock=0,
+        axis_index=0,
         load=lambda: values,
         properties={key: properties[key] for key in _TRACE_PROPERTIES if key in properties},
     )
 
 
-def _parse_reference_day(nanoseconds: str) -> date | None:
-    """Parse the day of ReferenceTime, ns since 1970 UTC; None if it is not such a number."""
+def _parse_reference_date(nanoseconds: str) -> date | None:
+    """Parse the date of ReferenceTime, ns since 1970 UTC; None if it is not such a number."""
     seconds = parse_count(nanoseconds[:-9])
     if seconds is None or len(nanoseconds) > 19:
         return None

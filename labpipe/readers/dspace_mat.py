@@ -36,7 +36,7 @@ from labpipe.readers.controldesk import (
     Export,
     Trace,
     load_export,
-    parse_saving_day,
+    parse_save_date,
     resolve_date,
     to_json,
 )
@@ -110,7 +110,7 @@ def read(path: Path, *, channels: Sequence[ChannelChoice] | None = None) -> Reco
 
 @contextmanager
 def _open_variables(path: Path) -> Iterator[tuple[Mapping[str, MatValue], str]]:
-    """Open a v5 or v7.3 file for its variables, and its header text with the day of saving."""
+    """Open a v5 or v7.3 file for its variables, and its header text with the date of saving."""
     head = read_head(path, 1024)
     header_text = head[:116].decode("latin-1").strip(" \0")
     if head[512:520] != _HDF5_SIGNATURE:
@@ -203,7 +203,7 @@ def _parse_struct(name: str, tree: Mapping[str, MatValue], header_text: str, pat
             "variable": name,
             "created": header_text,
             "revision": revision,
-            "date": resolve_date(stated_date, parse_saving_day(header_text)),
+            "date": resolve_date(stated_date, parse_save_date(header_text)),
             **properties,
         },
         notes=() if is_known else (note,),
@@ -233,7 +233,7 @@ def _make_trace(item: Mapping[str, MatValue], n_axes: int, path: Path) -> Trace:
         name=quoted_name.group(1) if quoted_name else port,
         path=full_path,
         unit_in_file=_find_text(properties, "Unit"),
-        clock=int(float(str(index))) - 1,
+        axis_index=int(float(str(index))) - 1,
         load=_build_loader(item, full_path, path),
         properties=properties,
     )

@@ -123,13 +123,13 @@ def _parse_groups(file: Any) -> Export:
     )
 
 
-def _make_trace(file: Any, group: int, index: int, clock: int) -> Trace:
+def _make_trace(file: Any, group: int, index: int, axis_index: int) -> Trace:
     channel = file.groups[group].channels[index]
     return Trace(
         name=channel.name.rsplit("/", 1)[-1],
         path=channel.name,
         unit_in_file=channel.unit or "",
-        clock=clock,
+        axis_index=axis_index,
         load=_build_loader(file, group, index),
         properties={"comment": channel.comment or ""},
     )

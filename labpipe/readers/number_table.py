@@ -15,7 +15,7 @@ import numpy as np
 from labpipe.readers.raw_files import ContentError, is_blank
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote
-from labpipe.units import get_si_factor
+from labpipe.units import get_conversion_factor
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -193,7 +193,7 @@ def has_unit(cells: Sequence[str]) -> bool:
 def has_dimension_of(text: str, unit: str) -> bool:
     """Return whether a text is a unit with the dimension of another."""
     try:
-        get_si_factor(text, unit)
+        get_conversion_factor(text, unit)
     except ValueError:
         return False
     return True

@@ -17,7 +17,7 @@ from labpipe.records.quality import Severity
 from labpipe.records.result import Result, Status, TestResult
 from labpipe.results import KINDS
 from labpipe.statistics.lots import FORCE_LIMIT
-from labpipe.units import get_si_factor
+from labpipe.units import get_conversion_factor
 
 if TYPE_CHECKING:
     from labpipe.records.group import Group, GroupNumber
@@ -221,7 +221,7 @@ def find_display_unit(name: str, unit: str, display: Mapping[str, str]) -> Scale
     display_unit = display.get(_QUANTITIES.get(unit, ""))
     if display_unit is None:
         return Scale(1.0, unit)
-    return Scale(1.0 / get_si_factor(display_unit, unit), display_unit)
+    return Scale(1.0 / get_conversion_factor(display_unit, unit), display_unit)
 
 
 def find_display(group: Group) -> Mapping[str, str]:
@@ -259,7 +259,7 @@ def find_unit(display: Mapping[str, str], quantity: str) -> Scale:
         If the quantity is unknown.
     """
     unit = display.get(quantity, SI_UNITS[quantity])
-    return Scale(1.0 / get_si_factor(unit, SI_UNITS[quantity]), typeset_unit(unit))
+    return Scale(1.0 / get_conversion_factor(unit, SI_UNITS[quantity]), typeset_unit(unit))
 
 
 def find_units(display: Mapping[str, str], *quantities: str) -> list[Scale]:

@@ -97,7 +97,7 @@ def test_report_page_may_connect_to_its_server(client: Client) -> None:
     place = client.get("").headers["Location"]
     assert place == f"/{client.site.token}/report/report.html"
     assert client.server.socket.getsockname()[0] == "127.0.0.1"
-    assert client.server.address == f"http://{client.host}/{client.site.token}/"
+    assert client.server.report_url == f"http://{client.host}/{client.site.token}/"
 
 
 def test_get_files_of_the_campaign(client: Client) -> None:
@@ -220,7 +220,7 @@ def test_ten_thousand_decisions_in_one_request(
         ("[]", "", 400, "found JSON without a list 'decisions'"),
         ('{"schema": 2, "decisions": []}', "", 400, "schema: expected decisions in JSON, found 2"),
         ('{"schema": 1, "decisions": [{"test": "T-1"}]}', "", 400, "decisions.0: expected test,"),
-        ("", "5000001", 413, "decisions: expected at most 5000000 bytes, found 5000001."),
+        ("", "5000001", 413, "Request body: expected a length of at most 5000000 bytes"),
         ("", 5000 * "9", 413, "found 99999999999999999999."),
         ("", "-1", 413, "found -1."),
     ],

@@ -39,7 +39,7 @@ from labpipe.records.declarations import (
     Speed,
     WholeNumber,
 )
-from labpipe.units import get_si_factor
+from labpipe.units import get_conversion_factor
 from tests.approved import Approve
 
 
@@ -112,7 +112,7 @@ def test_a_quantity_written_reads_back_as_the_same_float(
     try:
         value = quantity.parse(f"{number!r} {unit}")
     except ValueError:
-        value = number * get_si_factor(unit, quantity.quantity.unit)
+        value = number * get_conversion_factor(unit, quantity.quantity.unit)
         assert value in (0.0, float("inf")) or value > quantity.quantity.maximum
         return
 

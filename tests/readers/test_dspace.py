@@ -25,7 +25,7 @@ from labpipe.readers.controldesk import (
     Export,
     Trace,
     load_export,
-    parse_saving_day,
+    parse_save_date,
     resolve_date,
 )
 from labpipe.readers.dspace_mat import parse_mat5
@@ -222,8 +222,8 @@ DAYS = {
 
 def test_the_day_in_a_mat_header() -> None:
     header = "MATLAB 5.0 MAT-file, Platform: PCWIN, Created on: {} 17:31:15 2023"
-    assert {day: parse_saving_day(header.format(day)) for day in DAYS} == DAYS
-    assert parse_saving_day("") is None
+    assert {day: parse_save_date(header.format(day)) for day in DAYS} == DAYS
+    assert parse_save_date("") is None
 
 
 def written(variables: dict[str, Any], *, compress: bool = False) -> bytes:

@@ -18,7 +18,7 @@ from labpipe.records.declarations import (
     list_defaults,
     list_references,
 )
-from labpipe.units import get_si_factor, parse_quantity
+from labpipe.units import get_conversion_factor, parse_quantity
 
 QUANTITIES = {
     name: marker
@@ -32,7 +32,7 @@ QUANTITIES = {
 def test_the_example_is_in_the_range_and_the_shown_unit_fits(quantity: Quantity) -> None:
     example = parse_quantity(quantity.example, quantity.unit)
 
-    assert get_si_factor(quantity.display_unit, quantity.unit) > 0.0
+    assert get_conversion_factor(quantity.display_unit, quantity.unit) > 0.0
     assert quantity.minimum <= example <= quantity.maximum
     assert quantity.above is None or example > quantity.above
 

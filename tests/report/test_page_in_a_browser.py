@@ -267,7 +267,7 @@ def test_a_served_page_saves_without_a_download(browser: Browser, tmp_path: Path
         thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
         thread.start()
         try:
-            with shown(browser, server.address) as view:
+            with shown(browser, server.report_url) as view:
                 assert view.page.url.endswith("/report/report.html")
                 view.reject("T-3", "slipped")
                 view.sign()
@@ -280,7 +280,7 @@ def test_a_served_page_saves_without_a_download(browser: Browser, tmp_path: Path
                     view.button("Make the report again").click()
                 assert view.row("T-3").get_attribute("data-state") == "rejected"
                 hosts = {url.split("/")[2] for url in view.requests}
-                assert hosts == {server.address.split("/")[2]}
+                assert hosts == {server.report_url.split("/")[2]}
         finally:
             server.shutdown()
             thread.join()

@@ -61,7 +61,7 @@ from labpipe.readers.recording_checks import make_clock_notes
 from labpipe.readers.workbooks import clear_sheet_cache, format_head, is_workbook, open_sheets
 from labpipe.records.quality import QualityNote
 from labpipe.records.recording import Channel, Clock, Recording
-from labpipe.units import get_si_factor, parse_count
+from labpipe.units import get_conversion_factor, parse_count
 
 __all__ = ["assemble_recording", "choose_card", "read", "recognise", "recognise_card"]
 
@@ -186,7 +186,7 @@ def _clean_table(table: Table, card: Card) -> Table:
     if not card.last_zeros or any(last_row.get(name) != value for name, value in mark.items()):
         return replace(table, columns=columns)
     text = ", ".join(f"{name} {value:g}" for name, value in mark.items())
-    note = QualityNote.of("readers.last_row_left_out", "file", row=table.rows, values=text)
+    note = QualityNote.of("readers.last_row_left_out", "file", row=table.n_rows, values=text)
     columns = {i: values[:-1] for i, values in columns.items()}
     return replace(table, columns=columns, notes=(*table.notes, note))
 
@@ -200,7 +200,7 @@ def _drop_rows_apart(table: Table, card: Card) -> Table:
     max_rows, jump_factor = 3, 10.0
     steps = {i: np.abs(np.diff(values)) for i, values in table.columns.items()}
     time = find_time_column(table.names, table.units, card)
-    for first in range(max(table.rows - max_rows, MIN_TEST_ROWS), table.rows):
+    for first in range(max(table.n_rows - max_rows, MIN_TEST_ROWS), table.n_rows):
         jumping = {
             i
             for i, step in steps.items()
@@ -234,7 +234,7 @@ def _compare_counts(export: Export, table: Table, card: Card) -> list[QualityNot
         parse_count(str(export.properties.get(key, "")))
         for key in (card.stated_rows, card.stated_columns)
     )
-    notes, count = compare_row_counts(rows, table.rows), len(table.names)
+    notes, count = compare_row_counts(rows, table.n_rows), len(table.names)
     if columns not in {None, count}:
         notes.append(QualityNote.of("readers.columns_differ", "file", stated=columns, held=count))
     return notes
@@ -259,16 +259,16 @@ def _convert_table(table: Table, card: Card, *, is_alone: bool) -> Recording:
     ]
     metadata, notes = dict[str, object](), [*table.notes]
     if column is None:
-        clock = Clock(name, np.arange(table.rows, dtype=np.float64), unit="1")
-        notes.append(QualityNote.of("readers.no_time", f"clock {name}", rows=table.rows))
+        clock = Clock(name, np.arange(table.n_rows, dtype=np.float64), unit="1")
+        notes.append(QualityNote.of("readers.no_time", f"clock {name}", rows=table.n_rows))
     else:
         unit = table.units[column] or card.time_unit
         factor, time = _compute_time_factor(unit, table.names[column]), table.columns[column]
         clock = Clock(name, time if factor == 1.0 else factor * time)
         metadata |= {"time": table.names[column], "unit_in_file": unit}
         notes += make_clock_notes(clock, is_variable=card.variable_rate)
-    if 0 < table.rows < MIN_TEST_ROWS:
-        notes.append(QualityNote.of("readers.few_samples", f"clock {name}", rows=table.rows))
+    if 0 < table.n_rows < MIN_TEST_ROWS:
+        notes.append(QualityNote.of("readers.few_samples", f"clock {name}", rows=table.n_rows))
     if part := table.part or table.other_name:
         metadata["part"] = part
     return Recording("", "", "", (clock,), tuple(channels), metadata=metadata, notes=tuple(notes))
@@ -277,7 +277,7 @@ def _convert_table(table: Table, card: Card, *, is_alone: bool) -> Recording:
 def _compute_time_factor(unit: str, name: str) -> float:
     for spelling in (unit, unit.casefold()):
         with suppress(ValueError):
-            return get_si_factor(spelling or "none", "s")
+            return get_conversion_factor(spelling or "none", "s")
     raise ContentError.of(
         "readers.no_unit_of_time" if unit else "readers.time_without_unit",
         f"column '{name}'",

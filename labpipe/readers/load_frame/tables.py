@@ -1,4 +1,7 @@
-"""Read the tables of load-frame exports, of specimens side by side, in blocks, or on sheets."""
+"""Read the tables of load-frame exports, whether side by side, in blocks or on sheets.
+
+A dialect, whose data are a `Card`, describes the names, the units and the arrangement of an export.
+"""
 
 from __future__ import annotations
 
@@ -53,18 +56,18 @@ _Cells = tuple[str, ...]
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """The rows above the samples.
+    """The rows above the samples of a table.
 
     Parameters
     ----------
     names : names of the columns, without surrounding blanks
     units : units of the columns, without brackets; empty if not stated
-    first_row : index of the first row of samples
-    preamble : rows above the names
+    first_row : index of the first row of samples, counted from the first line of the head
+    preamble : cells of each row above the names and the specimens
     separator : character between cells
-    specimens : cells of the row above the names if it contains specimens, else empty
-    first_line : number of the first line of the head
-    sheet : name of the sheet in messages, such as ``sheet 'a'``; empty for a text
+    specimens : names of specimens in the cells of the row above the names; empty without such a row
+    first_line : number of the first line of the head in the file, counted from 1
+    sheet_label : sheet in messages, such as ``sheet 'a'``; empty for a text
     """
 
     names: _Cells
@@ -74,7 +77,7 @@ class Header:
     separator: str = ""
     specimens: _Cells = ()
     first_line: int = 1
-    sheet: str = ""
+    sheet_label: str = ""
 
 
 def find_header(
@@ -86,13 +89,13 @@ def find_header(
     ----------
     lines : lines of the head, without line ends; cells of a sheet are separated by tabs
     card : dialect that describes the header
-    first_line : number of the first of the lines
+    first_line : number of the first of the lines in the file, counted from 1
     sheet : name of the sheet; empty for a text
 
     Returns
     -------
-    The header. Its separator is the first one of the card that yields numbers, or the names that
-    the card requires.
+    The header. Its separator is the first separator of the dialect that splits the lines into a row
+    of numbers or, if names have no row of units, into the row of names that the dialect requires.
 
     Raises
     ------
@@ -101,7 +104,7 @@ def find_header(
     """
     head = lines[:400]  # the longest known header has 56 lines
     if card.names == "listed":
-        return _read_listed_titles(head, card)
+        return _read_listed_names(head, card)
     separators = ("\t",) if sheet else card.separators
     if card.names == "alone":
         words = card.header_words
@@ -120,31 +123,32 @@ def find_header(
     first_row = len(rows) - 1
     filled_rows = [i for i, row in enumerate(rows[:first_row]) if any(cell.strip() for cell in row)]
     cells = [tuple(map(str.strip, rows[i])) for i in filled_rows]
-    above = [row[: 1 + max(i for i, cell in enumerate(row) if cell)] for row in cells]
+    header_rows = [row[: 1 + max(i for i, cell in enumerate(row) if cell)] for row in cells]
 
     def describe_row_above(n_rows: int) -> str:
         row = filled_rows[max(len(filled_rows) - n_rows, 0)] if filled_rows else 0
         return f"sheet '{sheet}', row {first_line + row}" if sheet else f"line {first_line + row}"
 
-    if separator == " " and card.name_starts is not None and len(above) > 1:
-        text, n_cells = " ".join(rows[filled_rows[-2]]), len(rows[-1])
-        cuts = [match.start() for match in card.name_starts.finditer(text)]
-        edges = [0, *filter(None, cuts), len(text)]
-        above[-2] = tuple(text[start:stop].strip() for start, stop in pairwise(edges))
-        if (count := len(above[-2])) != n_cells:
-            facts = {"wanted": n_cells, "count": count, "text": quote_cells([text])}
+    if separator == " " and card.name_starts is not None and len(header_rows) > 1:
+        text, n_columns = " ".join(rows[filled_rows[-2]]), len(rows[-1])
+        # A name may contain blanks, and begins where the pattern of the dialect matches.
+        starts = [match.start() for match in card.name_starts.finditer(text)]
+        edges = [0, *filter(None, starts), len(text)]
+        header_rows[-2] = tuple(text[start:stop].strip() for start, stop in pairwise(edges))
+        if (count := len(header_rows[-2])) != n_columns:
+            facts = {"wanted": n_columns, "count": count, "text": quote_cells([text])}
             raise ContentError.of("readers.names_with_blanks", describe_row_above(2), **facts)
-    names, units, n_rows = _find_titles([(), (), *above][-2:], card, describe_row_above(1))
-    above = above[:-n_rows]
+    names, units, n_rows = _find_names([(), (), *header_rows][-2:], card, describe_row_above(1))
+    preamble = header_rows[:-n_rows]
     has_specimens = card.names == "above units" and card.layout in _SPECIMEN_LAYOUTS
-    specimens = above.pop() if above and has_specimens else ()
-    sheet_name = f"sheet '{sheet}'" if sheet else ""
-    return Header(names, units, first_row, above, separator, specimens, first_line, sheet_name)
+    specimens = preamble.pop() if preamble and has_specimens else ()
+    label = f"sheet '{sheet}'" if sheet else ""
+    return Header(names, units, first_row, preamble, separator, specimens, first_line, label)
 
 
-def _read_listed_titles(lines: Sequence[str], card: Card) -> Header:
-    """Read names on separate lines, above a line after which the samples begin."""
-    assert card.listed is not None  # cards without these patterns are refused
+def _read_listed_names(lines: Sequence[str], card: Card) -> Header:
+    """Read a header that lists one name per line and ends with the start line of the dialect."""
+    assert card.listed is not None  # a dialect without these patterns is refused
     assert card.start is not None
     start = next((i for i, line in enumerate(lines) if card.start.search(line)), None)
     if start is None:
@@ -154,39 +158,44 @@ def _read_listed_titles(lines: Sequence[str], card: Card) -> Header:
     if not cells:
         pattern = card.listed.pattern
         raise ContentError.of("readers.no_listed_names", f"lines 1 to {start}", pattern=pattern)
-    above = [split_line(line, "\t") for line in lines[:start]]
+    preamble = [split_line(line, "\t") for line in lines[:start]]
     names, units = zip(*(split_name_and_unit(cell) or (cell, "") for cell in cells), strict=True)
-    return Header(names, units, start + 1, above, card.separators[0])
+    return Header(names, units, start + 1, preamble, card.separators[0])
 
 
-def _find_titles(rows: Sequence[_Cells], card: Card, place: str) -> tuple[_Cells, _Cells, int]:
-    """Find names and units in the last two rows above the samples, and count their rows.
+def _find_names(rows: Sequence[_Cells], card: Card, place: str) -> tuple[_Cells, _Cells, int]:
+    """Find the names and the units of the columns in the last two rows above the samples.
 
-    Names are alone, with their units in the same cells, or above a row of units.
+    The names have no units, units in the same cells, or a row of units below them.
+
+    Returns
+    -------
+    names, units : names and units of the columns
+    n_rows : number of rows that contain them
     """
-    above, last = rows
+    previous, last = rows
     if card.names == "alone":
         return last, tuple(card.units.get(name, "") for name in last), 1
     width = max(map(len, rows))
-    names, cells = (row + ("",) * (width - len(row)) for row in rows)
+    names, unit_cells = (row + ("",) * (width - len(row)) for row in rows)
     # A unit cell may repeat the name above it, as for a counter.
-    units_row = tuple("" if cell == name else cell for name, cell in zip(names, cells, strict=True))
+    units = tuple("" if x == name else x for name, x in zip(names, unit_cells, strict=True))
     pairs = [split_name_and_unit(cell, card.brackets) for cell in last]
-    has_numbers, has_names = any(map(is_number, last)), not _lacks_names(names, cells)
-    has_both = card.names != "above units" and any(pair is not None and pair[0] for pair in pairs)
-    if has_names and not has_numbers and not has_both and _are_units(units_row, card):
-        return names, tuple(map(strip_brackets, units_row)), 2
-    has_titles = any(last if card.names == "any" else pairs)
-    if card.names == "above units" or has_numbers or not has_titles:
-        expected = _TITLES[card.names].format(f" in {card.brackets}" if card.brackets else "")
-        found = " below ".join(map(quote_cells, filter(any, (last, above)))) or "nothing"
+    has_numbers, has_names = any(map(is_number, last)), not _lacks_names(names, unit_cells)
+    has_names_with_units = card.names != "above units" and any(x and x[0] for x in pairs)
+    if has_names and not has_numbers and not has_names_with_units and _are_units(units, card):
+        return names, tuple(map(strip_brackets, units)), 2
+    has_names_in_last_row = any(last if card.names == "any" else pairs)
+    if card.names == "above units" or has_numbers or not has_names_in_last_row:
+        expected = _HEADER_TEXTS[card.names].format(f" in {card.brackets}" if card.brackets else "")
+        found = " below ".join(map(quote_cells, filter(any, (last, previous)))) or "nothing"
         raise ContentError.of("readers.no_titles", place, wanted=expected, rows=found)
-    names, units = zip(*(pair or (c, "") for pair, c in zip(pairs, last, strict=True)), strict=True)
+    names, units = zip(*(x or (cell, "") for x, cell in zip(pairs, last, strict=True)), strict=True)
     return names, units, 1
 
 
 def _are_units(cells: _Cells, card: Card) -> bool:
-    """Return whether a row contains units, in the brackets of the card or known without them."""
+    """Return whether a row contains units: in the brackets of the dialect, or known units."""
     if card.names == "any":
         return are_units(cells)
     filled = [cell for cell in cells if cell]
@@ -195,27 +204,28 @@ def _are_units(cells: _Cells, card: Card) -> bool:
     return bool(filled) and all(cell[0] + cell[-1] == card.brackets for cell in filled)
 
 
-def _lacks_names(names: _Cells, cells: _Cells) -> bool:
-    """Return whether a unit has no name, all names are equal, or the first one is a number."""
-    unnamed = any(unit and not name for name, unit in zip(names, cells, strict=True))
+def _lacks_names(names: _Cells, units: _Cells) -> bool:
+    """Return whether a unit has no name, all names are equal, or the first name is a number."""
+    has_unnamed_unit = any(unit and not name for name, unit in zip(names, units, strict=True))
     filled = [name for name in names if name]
-    return unnamed or (len(filled) > 1 and len(set(filled)) == 1) or any(map(is_number, names[:1]))
+    return has_unnamed_unit or len(set(filled)) == 1 < len(filled) or any(map(is_number, names[:1]))
 
 
 def find_time_column(names: Sequence[str], units: Sequence[str], card: Card) -> int | None:
-    """Find the column of time.
+    """Find the column of time among columns of numbers.
 
     Parameters
     ----------
     names, units : names and units of the columns
-    card : dialect with patterns of the name, preferred first
+    card : dialect with patterns of the name of the column, preferred first
 
     Returns
     -------
-    The index of the first column whose whole name matches the first pattern that any name matches,
-    with or without the prefix of a channel number or an underscore (``_Time``). Without a match, it
-    is that of the only column with a unit of time and a word for time in its name, or None if there
-    is no such column or several. Columns of text are ignored.
+    Index of the column. The patterns are tried in their order on all names as written, and then on
+    all names without the prefix of a channel number or an underscore (``_Time``); the first column
+    whose whole name matches is taken. Without a match, it is the only column that has a unit of
+    time and a word for time in its name. None if there is no such column or several. Columns of
+    text are ignored.
     """
     names = ["" if name in card.words else name for name in names]
     for spellings in (names, [normalise_name(name) for name in names]):
@@ -236,27 +246,28 @@ MIN_TEST_ROWS = 10
 _BLANK_LINES = re.compile(r"(?<=\n)((?:[ \t\r]*\n)+)")
 _SEPARATOR_CELL = re.compile(r"sep=.?")
 _SPECIMEN_LAYOUTS = ("side by side", "specimen above")
-_TITLES = {
+_HEADER_TEXTS = {
     "above units": "a row of names, then a row of units{}, above the numbers",
     "with units": "names with their units{} above the numbers",
     "any": "a row of names above the numbers",
 }
-"""Titles that a card expects, for messages."""
+"""Rows above the numbers that a dialect requires, for messages, keyed by `Card.names`."""
 Channels = Sequence[ChannelChoice] | None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Table:
-    """Columns of numbers on one clock.
+    """Numeric columns with a common time base.
 
     Parameters
     ----------
-    part : name of the specimen or sheet, empty if the export has only one
+    part : name of the specimen, sheet or block; empty if the export has only one
     names, units : names and units of all columns
-    columns : values of the wanted columns, each of shape (rows,), keyed by index of the column
-    other_name : another name of the part, such as that of the sheet
-    notes : quality notes
-    first_line : number of the line of the first row
+    columns : values of the columns that were read, each of shape (n_rows,) in the unit of its
+        column, keyed by index of the column
+    other_name : name of the sheet if `part` may be the specimen on it, otherwise empty
+    notes : quality notes on the rows
+    first_line : number of the line of the first row in the file, counted from 1
     """
 
     part: str
@@ -268,7 +279,7 @@ class Table:
     first_line: int = 1
 
     @property
-    def rows(self) -> int:
+    def n_rows(self) -> int:
         """Number of rows."""
         return max(map(len, self.columns.values()), default=0)
 
@@ -297,18 +308,19 @@ def read_text(content: Content, card: Card, path: Path, channels: Channels = Non
     Parameters
     ----------
     content : bytes of the export
-    card : dialect that describes names and units
+    card : dialect that describes the arrangement, the names and the units of the export
     path : path of the export, for the error on a channel
-    channels : wanted channels, None for all
+    channels : channels to read; None for all. In blocks, or if there are several specimens, all
+        channels are read.
 
     Returns
     -------
-    The tables; none if there is only a byte order mark.
+    The export. It has no tables if its file contains only a byte order mark.
 
     Raises
     ------
     ContentError
-        If names, units or numbers are not where the card states, or a wanted channel does not
+        If names, units or numbers are not where the dialect states, or a channel to read does not
         exist.
     """
     head = decode(content.data[:HEAD_BYTES], content, card.encodings)
@@ -326,17 +338,18 @@ def read_text(content: Content, card: Card, path: Path, channels: Channels = Non
         return _read_blocks(text, decimal, card)
     header = find_header(split_lines(head), card)
     specimens = _find_specimens(header, card)
-    wanted = None
+    subset = None
     if channels is not None and len(specimens) == 1:
-        wanted = _select_columns(header, card, channels, path)
-    body, columns, notes = _read_rows(content.data, header, card, columns=wanted, decimal=decimal)
+        subset = _select_columns(header, card, channels, path)
+    body, columns, notes = _read_rows(content.data, header, card, columns=subset, decimal=decimal)
     tables = []
-    for part, group in specimens:
-        names, units = (row[group.start : group.stop] for row in (header.names, header.units))
-        titled = (i for i in group if header.names[i] or header.units[i])  # not a blank separator
-        padded = {i - group.start: columns[i] for i in titled if i in columns}
-        rows = count_filled_rows(padded)  # blank rows pad a shorter specimen
-        tables.append(Table(part, names, units, {i: padded[i][:rows] for i in padded}))
+    for part, indices in specimens:
+        names, units = (row[indices.start : indices.stop] for row in (header.names, header.units))
+        # A column without a name and a unit separates two specimens.
+        named = (i for i in indices if header.names[i] or header.units[i])
+        padded_columns = {i - indices.start: columns[i] for i in named if i in columns}
+        n_rows = count_filled_rows(padded_columns)  # blank rows pad a shorter specimen
+        tables.append(Table(part, names, units, {i: x[:n_rows] for i, x in padded_columns.items()}))
     properties = _parse_preamble(header.preamble) | _list_texts(body, header, card)
     return Export(tuple(tables), properties, tuple(notes), head)
 
@@ -349,7 +362,22 @@ def _read_rows(
     columns: Sequence[int] | None = None,
     decimal: str = ".",
 ) -> tuple[Body, dict[int, Floats], list[QualityNote]]:
-    """Read the rows below a header, and their columns, by default all columns of numbers."""
+    """Read the rows below a header.
+
+    Parameters
+    ----------
+    data : bytes of a text, or of a sheet or block as text, that begin with the header
+    header : header of the table
+    card : dialect of the export
+    columns : indices of the columns to read, by default those of all columns of numbers
+    decimal : decimal sign
+
+    Returns
+    -------
+    body : rows below the header, as text
+    values : values of each column that was read, shape (n_rows,), keyed by index of the column
+    notes : quality notes on the rows
+    """
     body = Body(
         skip_lines(data, header.first_row),
         make_names_unique(header.names),
@@ -358,7 +386,7 @@ def _read_rows(
         header.separator,
         decimal,
         others_numeric=not card.words,
-        sheet=header.sheet,
+        sheet=header.sheet_label,
     )
     return body, *read_columns(body)
 
@@ -371,34 +399,34 @@ def _list_number_columns(header: Header, card: Card) -> list[int]:
 def _select_columns(
     header: Header, card: Card, channels: Sequence[ChannelChoice], path: object
 ) -> list[int]:
-    """Select the columns of wanted channels, their alternatives, time and marks of the last row."""
-    names, paths = header.names, make_names_unique(header.names)
+    """Select the columns of channels and their alternatives, of time, and of the end marker."""
+    names, unique_names = header.names, make_names_unique(header.names)
     time = find_time_column(names, header.units, card)
     candidates = [i for i in _list_number_columns(header, card) if i != time]
-    pairs = [(names[i], paths[i]) for i in candidates]
+    pairs = [(names[i], unique_names[i]) for i in candidates]
     columns = set[int]()
     for channel in channels:
         index = find_channel(channel, pairs, path)
         columns |= {candidates[i] for i in (index, *find_alternatives(channel, pairs, index))}
-    marks = {*card.last_zeros, *card.last_code}
-    return sorted(columns | {i for i, name in enumerate(names) if i == time or name in marks})
+    end_markers = {*card.last_zeros, *card.last_code}
+    return sorted(columns | {i for i, name in enumerate(names) if i == time or name in end_markers})
 
 
 def _find_specimens(header: Header, card: Card) -> list[tuple[str, range]]:
-    """Find name and columns of each specimen.
+    """Find the name and the indices of the columns of each specimen.
 
-    A specimen begins below a filled cell of the row of specimens. If that row is incomplete, it
-    begins at each repetition of the first name of a column.
+    The columns of a specimen begin below a filled cell of the row of specimens. If that row is
+    incomplete, they begin at each repetition of the name of the first column.
     """
     width = len(header.names)
     if card.layout != "side by side":
         return [("", range(width))]
-    titles = dict(enumerate(header.specimens))
-    starts = [i for i in range(width) if titles.get(i)]
+    specimen_names = dict(enumerate(header.specimens))
+    starts = [i for i in range(width) if specimen_names.get(i)]
     repeats = [i for i, name in enumerate(header.names) if name == header.names[0]]
     if starts[:1] != [0] or len(starts) < len(repeats):
         starts = repeats
-    names = [titles.get(start, "") for start in starts]
+    names = [specimen_names.get(start, "") for start in starts]
     if len(starts) > 1:
         names = [name or f"specimen {i}" for i, name in enumerate(names, start=1)]
         names = [*make_names_unique(names)]
@@ -406,7 +434,7 @@ def _find_specimens(header: Header, card: Card) -> list[tuple[str, range]]:
 
 
 def _list_texts(body: Body, header: Header, card: Card) -> dict[str, object]:
-    """List up to 20 distinct texts of each column that contains text according to the card."""
+    """List up to 20 distinct texts of each column that contains text according to the dialect."""
     max_texts = 20
     columns = {i: name for i, name in enumerate(header.names) if name in card.words}
     texts: dict[str, dict[str, None]] = {name: {} for name in columns.values()}
@@ -420,8 +448,8 @@ def _list_texts(body: Body, header: Header, card: Card) -> dict[str, object]:
 def _parse_preamble(rows: Rows) -> dict[str, object]:
     """Parse rows of the form ``key, value, unit``, or ``key: value`` in one cell.
 
-    A key that occurs several times has a list of values. The key ``lines`` has a list of the rows
-    without a key. A line ``sep=;``, which tells a spreadsheet the separator, is omitted.
+    A key that occurs several times has a list of values. The rows without a key are a list under
+    the key ``lines``. A line ``sep=;``, which tells a spreadsheet the separator, is omitted.
     """
     entries: dict[str, list[str]] = {}
     for row in rows:
@@ -447,8 +475,8 @@ def _parse_key_and_value(cells: Sequence[str]) -> tuple[str, str]:
 def _read_blocks(text: str, decimal: str, card: Card) -> Export:
     """Read blocks separated by blank lines.
 
-    Blocks of samples with the same columns are one table. Other blocks and summaries are metadata.
-    If there are only summaries, there is no table, but the note ``no_samples``.
+    Blocks of samples with the same columns form one table. Summaries and blocks of text become
+    metadata. An export of summaries alone has no table, and has the note ``no_samples``.
     """
     blocks, notes, line = list[Table](), list[QualityNote](), 1
     rows = list[Sequence[str]]()
@@ -470,7 +498,7 @@ def _read_blocks(text: str, decimal: str, card: Card) -> Export:
     summaries = _find_summaries(blocks, card)
     samples = [block for block in blocks if block not in summaries]  # compared by identity
     notes += [
-        QualityNote.of("readers.summary_blocks", "file", rows=table.rows, line=table.first_line)
+        QualityNote.of("readers.summary_blocks", "file", rows=table.n_rows, line=table.first_line)
         for table in summaries
     ]
     if not samples:
@@ -486,14 +514,14 @@ def _read_blocks(text: str, decimal: str, card: Card) -> Export:
 
 
 def _join_blocks(blocks: Sequence[Table]) -> tuple[list[Table], list[QualityNote]]:
-    """Join blocks with the same columns, and make blocks with other columns separate parts."""
+    """Join the blocks that have the same columns to one table; each such table is a part."""
     groups: dict[object, list[Table]] = {}
     for block in blocks:
         groups.setdefault((block.names, block.units), []).append(block)
     tables, notes = [], []
-    for number, members in enumerate(groups.values(), start=1):
+    for block_number, members in enumerate(groups.values(), start=1):
         columns = {i: np.concatenate([x.columns[i] for x in members]) for i in members[0].columns}
-        part = f"block {number}" if len(groups) > 1 else ""
+        part = f"block {block_number}" if len(groups) > 1 else ""
         tables.append(replace(members[0], part=part, columns=columns))
         if (count := len(members)) > 1:
             lines = ", ".join(str(table.first_line) for table in members)
@@ -502,9 +530,10 @@ def _join_blocks(blocks: Sequence[Table]) -> tuple[list[Table], list[QualityNote
 
 
 def _find_summaries(blocks: Sequence[Table], card: Card) -> list[Table]:
-    """Find the summaries, which are blocks without time or, if no block has time, of extremes.
+    """Find the blocks that are summaries.
 
-    A block of extremes has two rows, the maximum and the minimum of each column.
+    If some blocks have a column of time, the others are summaries. If none has, a block of extremes
+    is a summary: its two rows are the maximum and the minimum of each column.
     """
     without_time = [block for block in blocks if not _has_time(block, card)]
     if len(without_time) < len(blocks):
@@ -521,21 +550,22 @@ def _has_time(table: Table, card: Card) -> bool:
 
 
 def read_sheets(sheets: Sheets, card: Card) -> Export:
-    """Read all sheets of a workbook with samples.
+    """Read the sheets of a workbook that contain samples.
 
     Parameters
     ----------
     sheets : rows of each sheet, from `labpipe.readers.workbooks.open_sheets`
-    card : dialect that describes names and units
+    card : dialect that describes the names and the units
 
     Returns
     -------
-    One table per sheet with samples. The first rows of other sheets are metadata.
+    The export, with one table per sheet with samples. The first rows of the other sheets are among
+    its properties.
 
     Raises
     ------
     ContentError
-        If no sheet has names, units and numbers where the card states.
+        If no sheet has names, units and numbers where the dialect states.
     """
     max_listed_rows = 50
     tables, errors, properties = dict[str, Table](), list[ContentError](), dict[str, object]()
@@ -547,7 +577,7 @@ def read_sheets(sheets: Sheets, card: Card) -> Export:
             errors.append(error)
             continue
         width = len(header.names)
-        table_rows = [row[:width] for row in sheets[name]]  # without remarks beside the table
+        table_rows = [row[:width] for row in sheets[name]]  # remarks beside the table are omitted
         _, columns, notes = _read_rows(format_rows(table_rows).encode(), header, card)
         specimen = next((cell for cell in header.specimens if cell), name)
         tables[name] = Table(specimen, header.names, header.units, columns, name, tuple(notes))
@@ -555,7 +585,7 @@ def read_sheets(sheets: Sheets, card: Card) -> Export:
     if not tables:
         no_sheets = ContentError.of("readers.no_sheets", count=len(errors))
         raise next((x for x in errors if x.args[0] != "readers.no_table"), no_sheets)
-    left_out = [name for name in sheets if name not in tables or _has_results(name, tables, card)]
+    left_out = [name for name in sheets if name not in tables or _is_summary(name, tables, card)]
     notes = []
     if left_out:
         rows = {name: [split_line(line, "\t") for line in heads[name]] for name in left_out}
@@ -570,23 +600,27 @@ def read_sheets(sheets: Sheets, card: Card) -> Export:
 
 
 def _find_sheet_header(lines: Sequence[str], sheet: str, card: Card) -> Header:
-    """Find the header of a sheet, whose row above the names may state one specimen."""
+    """Find the header of a sheet, and require one specimen above the names if the dialect does.
+
+    Without it, a sheet with a column of time takes its own name instead, because its rows above the
+    names were edited.
+    """
     header = find_header(lines, card, sheet=sheet)
     if card.layout != "specimen above" or len({cell for cell in header.specimens if cell}) == 1:
         return header
     if find_time_column(header.names, header.units, card) is not None:
-        return replace(header, specimens=())  # the row was edited, so the sheet's name is used
+        return replace(header, specimens=())
     place = f"sheet '{sheet}', row {max(header.first_row - 2, 1)}"
     raise ContentError.of("readers.no_specimen_above", place)
 
 
-def _has_results(name: str, tables: Mapping[str, Table], card: Card) -> bool:
-    """Return whether a sheet has results.
+def _is_summary(name: str, tables: Mapping[str, Table], card: Card) -> bool:
+    """Return whether a sheet is a summary, with results instead of samples.
 
-    Its columns then differ from those of the longest table, and it has few rows or, unlike another
-    sheet, no time.
+    The columns of a summary differ from those of the longest table, and it has fewer rows than a
+    complete test, or no column of time although another sheet has one.
     """
-    table, longest = tables[name], max(tables.values(), key=lambda table: table.rows)
+    table, longest = tables[name], max(tables.values(), key=lambda table: table.n_rows)
     any_time = any(_has_time(x, card) for x in tables.values())
-    is_incomplete = table.rows < MIN_TEST_ROWS or (any_time and not _has_time(table, card))
+    is_incomplete = table.n_rows < MIN_TEST_ROWS or (any_time and not _has_time(table, card))
     return table.names != longest.names and is_incomplete
