@@ -41,7 +41,8 @@ class LoadDrop:
     start, stop : last sample before the loss and first sample after it
     middle : middle of the most probable drop, in samples; the mean of drops that fit equally well
     drop, drop_interval : loss of force and its 95 % interval, N
-    earliest_start, latest_stop : samples between which all possible drops over whole samples lie
+    earliest_start, latest_stop : earliest start and latest stop, in samples, of the drops with
+        whole starts and lengths that are possible according to `fit_load_drop`
     keeps_slope : whether the slope after it is at least 0.3 of that before, within two errors
     """
 
@@ -73,7 +74,7 @@ class PullCurve:
 
     @property
     def false_alarm_rate(self) -> float:
-        """False-alarm rate at one sample, for 1e-3 in the whole curve."""
+        """False-alarm rate of a test of one sample and length, for 1e-3 in the whole curve."""
         return 1e-3 / (len(self.f) * (self.longest_drop + 1))
 
     def add_back(self, drops: Sequence[LoadDrop]) -> PullCurve:
@@ -102,22 +103,23 @@ def fit_load_drop(pull: PullCurve, sample: int) -> LoadDrop | None:
     Notes
     -----
     The model is a polynomial with a step over a window around the sample. The window has 25 samples
-    more than the longest drop on each side, and the polynomial degree three. If that fails, they
-    are 15 and two, or 10 and one. A longer window has less noise but more curvature, which biases
-    the step by up to 4 % of the deviation, for a curvature that changes within the window (the
-    trade-off is that of jumps in regressions: Hahn, Todd and van der Klaauw, Econometrica 69 (2001)
-    201). The force falls evenly from a start in steps of a quarter of a sample, over quarters up to
-    two samples and whole samples beyond. All pairs of start and length are tried in first-order
-    autoregressive noise, whose correlation comes from the whole curve. Those whose whitened sum of
-    squares exceeds the smallest by at most 3.84 variances are possible. The samples inside any of
-    them have their own levels. The loss is the step by generalised least squares, with the interval
-    of `fit_linear` and the rest of the curve as further stretches.
+    more than the longest drop on each side, and the polynomial degree three. If that fit finds no
+    drop, 15 samples and degree two are tried, then 10 samples and degree one. A longer window has
+    less noise but more curvature, which biases the step by up to 4 % of the deviation, for a
+    curvature that changes within the window (the trade-off is that of jumps in regressions: Hahn,
+    Todd and van der Klaauw, Econometrica 69 (2001) 201). The force is assumed to fall linearly.
+    Starts are tried every quarter sample; lengths every quarter sample up to two samples and every
+    whole sample beyond. All pairs of start and length are tried in first-order autoregressive
+    noise, whose correlation comes from the whole curve. Those whose whitened sum of squares exceeds
+    the smallest by at most 3.84 variances are possible. Each sample inside any possible drop has
+    its own level. The loss is the step by generalised least squares, with its interval
+    (`fit_linear`). The rest of the curve adds information on the noise.
 
     The false-alarm rate of 1e-3 for a whole curve is shared by all samples and lengths. The test is
     a one-sided t-test of the sums of squares in the window.
     """
-    # Number of samples on each side of a slip, and the degree of a polynomial that bends less than
-    # noise over them. The longest is tried first.
+    # Number of samples beyond the longest drop on each side, and the degree of the polynomial,
+    # whose misfit stays below the noise. The longest window is tried first.
     side_lengths = ((25, 3), (15, 2), (10, 1))
     correlation = _estimate_correlation(pull.f)
     for side, degree in side_lengths:
@@ -150,8 +152,8 @@ class _Window:
 
     def fit_drop(self, sample: int) -> LoadDrop | None:
         """Fit a polynomial and a drop with every pair of start and length near a sample."""
-        # A possible drop exceeds the smallest sum of squares by at most this many variances: chi-
-        # squared with one degree of freedom, 95 %.
+        # The sum of squares of a possible drop exceeds the smallest one by at most this many
+        # variances: chi-squared with one degree of freedom, 95 %.
         max_excess_variances = 3.84
         start_step = 0.25  # samples
         pull, longest = self.pull, self.pull.longest_drop
@@ -165,7 +167,7 @@ class _Window:
         variance = min_cost / freedom
         # All drops between the same two samples have the same cost.
         best_drop = drops[costs <= min_cost + 1e-9 * variance].mean(axis=0)
-        # The best drop may be longer than a slip, or a step of a converter.
+        # Reject a drop longer than the longest slip, or one that fits no better than no drop.
         if best_drop[1] > longest or no_drop_cost <= min_cost:
             return None
         t = float(np.sqrt((no_drop_cost - min_cost) / variance)) if variance > 0.0 else np.inf
@@ -237,7 +239,10 @@ def _make_powers(x: Floats, degree: int) -> list[Floats]:
 
 
 def _estimate_correlation(f: Floats) -> float:
-    """Estimate the lag-one correlation of the noise as median over stretches, about cubics."""
+    """Estimate the lag-one correlation of the noise.
+
+    It follows from the median over stretches of the correlation of residuals about a cubic.
+    """
     width = min(_STRETCH_SAMPLES, len(f))
     basis = build_cubic_basis(width).T
     starts = range(0, len(f) - width + 1, max(width // 4, 1))
@@ -245,31 +250,31 @@ def _estimate_correlation(f: Floats) -> float:
     residuals = pieces - (pieces @ basis) @ basis.T
     power = np.maximum(np.sum(residuals**2, axis=1), np.finfo(float).tiny)
     products = np.sum(residuals[:, 1:] * residuals[:, :-1], axis=1)
-    factors, expected = _compute_expected_correlations(width)
-    return float(np.interp(np.median(products / power), expected, factors))
+    noise_correlations, expected = _compute_expected_correlations(width)
+    return float(np.interp(np.median(products / power), expected, noise_correlations))
 
 
 @cache
 def _compute_expected_correlations(width: int) -> tuple[Floats, Floats]:
-    """Compute the lag-one correlations of residuals about a cubic for those of the noise.
+    """Tabulate lag-one correlations of the noise, and of its residuals about a cubic.
 
-    Both are returned. Residuals of a fit are less correlated than the noise (Kendall, Biometrika 41
+    Residuals of a fit are less correlated than the noise (Kendall, Biometrika 41
     (1954)).
     """
-    factors = np.array([*np.linspace(0.0, 0.9, 10), 0.94, 0.97, 0.985])
+    noise_correlations = np.array([*np.linspace(0.0, 0.9, 10), 0.94, 0.97, 0.985])
     basis = build_cubic_basis(width).T
     lags = np.abs(np.subtract.outer(np.arange(width), np.arange(width)))
     expected = []
-    for factor in factors:
-        noise = factor**lags
-        residual_noise = noise - basis @ (basis.T @ noise)
-        residuals = residual_noise - (residual_noise @ basis) @ basis.T
-        expected.append(float(np.trace(residuals, offset=1) / np.trace(residuals)))
-    return factors, np.array(expected)
+    for noise_correlation in noise_correlations:
+        noise_covariance = noise_correlation**lags
+        cross_covariance = noise_covariance - basis @ (basis.T @ noise_covariance)
+        covariance = cross_covariance - (cross_covariance @ basis) @ basis.T
+        expected.append(float(np.trace(covariance, offset=1) / np.trace(covariance)))
+    return noise_correlations, np.array(expected)
 
 
 _MIN_SEARCHED_SAMPLES = 64
-"""Number of samples of the shortest branch in which slips are searched."""
+"""Number of samples of the shortest branch that is searched for slips."""
 
 
 @return_failure
@@ -296,15 +301,15 @@ def find_slips(
     is a yield. If the longest slip takes 16 samples or more, samples are averaged in blocks, 8 to
     12 for this slip, so that the result does not depend on the sampling rate. `start` and `stop`
     are the samples around these means. Differences of the means of adjacent windows of 3 to 48
-    samples, less their running median, show sudden drops but not slopes, kinks and yields. Each
-    window length is scaled by its own robust deviation (1.4826 MAD), valid for noise of any
-    correlation, with Student's t for its degrees of freedom. The most distinct drop is measured
-    (`fit_load_drop`) and added back before the next search, so that it neither repeats nor hides
-    its neighbours. Finally each drop is measured with all others added back, and those no longer
-    distinct are discarded. A slip must lose at least `min_drop` and at most a fifth of the force
-    before it, and the force must continue to rise. Its slope after the slip must not be below 0.3
-    of that before by more than two standard errors. The force must again reach at least half of its
-    largest value before the slip.
+    samples, less their running median, show sudden drops but not slopes, kinks and yields. The
+    differences of each window length are divided by their robust standard deviation (1.4826 MAD),
+    valid for noise of any correlation, and compared with Student's t for its degrees of freedom.
+    The most distinct drop is measured (`fit_load_drop`) and added back before the next search, so
+    that it neither repeats nor hides its neighbours. Finally each drop is measured with all others
+    added back, and those no longer distinct are discarded. A slip must lose at least `min_drop` and
+    at most a fifth of the force before it, and the force must continue to rise. Its slope after the
+    slip must not be below 0.3 of that before by more than two standard errors. The force must again
+    reach at least half of its largest value before the slip.
 
     The interval of the loss covers 95 %, in noise that is white, slow or both. That of the position
     is the middle 95 % of the displacements from the earliest start to the latest stop of all drops
@@ -316,10 +321,10 @@ def find_slips(
     # A larger drop is a failure: grips slide in small steps, while a torn strand loses its part of
     # the section, and adding that back would invent strength.
     max_drop_fraction, min_recovered_fraction = 0.2, 0.5  # of the force before the drop
-    size, longest_samples = _choose_block_size(displacement[finite])
+    size, longest_blocks = _choose_block_size(displacement[finite])
     starts = np.arange(0, len(finite) - size + 1, size)  # the last block includes the remainder
     d, f = (average_between(values[finite], starts) for values in (displacement, force))
-    pull = PullCurve(d, f, longest_samples, int(size > 1))
+    pull = PullCurve(d, f, longest_blocks, int(size > 1))
     slips = list[Slip]()
     for drop in _confirm_drops(pull, min_drop):
         max_drop = max_drop_fraction * median(f[max(drop.start - 4, 0) : drop.start + 1])
@@ -350,8 +355,8 @@ def _confirm_drops(pull: PullCurve, min_drop: float) -> list[LoadDrop]:
     """Find the drops, in order, that remain distinct with all others added back."""
     drops = _find_drops(pull, min_drop)
     if len(drops) > 1:
-        curves_of_one = [pull.add_back([x for x in drops if x is not drop]) for drop in drops]
-        refits = map(fit_load_drop, curves_of_one, [drop.start for drop in drops])
+        single_drop_curves = [pull.add_back([x for x in drops if x is not drop]) for drop in drops]
+        refits = map(fit_load_drop, single_drop_curves, [drop.start for drop in drops])
         drops = [fit for fit in refits if fit is not None]
     return sorted(drops, key=lambda drop: drop.start)
 
@@ -386,7 +391,8 @@ def _compute_distinctness(f: Floats, min_drop: float) -> Floats:
 
     sums = np.concatenate([[0.0], np.cumsum(f - f.mean())])
     for window in (length for length in window_lengths if 8 * length <= len(f)):
-        # The loss is that from the window before a sample to the one after it, without trend.
+        # Decrease of the mean force from the window before a sample to the window after it, less
+        # its running median.
         ends = np.arange(window, len(f) - window + 1)
         fall = (2.0 * sums[ends] - sums[ends - window] - sums[ends + window]) / window
         loss = np.zeros(len(f))
@@ -536,7 +542,7 @@ def choose_slack_samples(trace: Trace, *, start_fraction: float, stop_fraction: 
 
 
 def subtract_slack(replicates: Replicates, decide: Decide, measured_slack: Measured) -> Replicates:
-    """Subtract from each replicate curve its own slack.
+    """Subtract the measured slack from all curves, and add its noise as an input.
 
     Parameters
     ----------
@@ -576,8 +582,8 @@ def _subtract_slack_effect(quantity: Input, smooth: Trace, decide: Decide) -> In
     lower, upper = (float(smooth_slack.compute_change(quantity, x)[0]) for x in (-1.0, 1.0))
 
     def perturb(trace: Trace, x: float) -> Trace:
-        by = lower if x <= 0.0 else -upper
-        return curves.shift_displacement_by(quantity.perturb(trace, x), x, by=by)
+        shift = lower if x <= 0.0 else -upper
+        return curves.shift_displacement_by(quantity.perturb(trace, x), x, by=shift)
 
     return replace(quantity, perturb=perturb)
 
