@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 from scipy.optimize import brentq
 
-from labpipe.mechanics.law.plays import PlayLaw, make_linear_plays
+from labpipe.mechanics.law.plays import PlayLaw, make_elastic_law
 from labpipe.process.story import reduce_recordings
 from labpipe.protocol.load import parse_protocol, remove_absent_sources
 from labpipe.records.arrays import Floats
@@ -34,7 +34,7 @@ class ElasticModel:
 
     def build_law(self) -> PlayLaw:
         """Moment against curvature."""
-        return make_linear_plays(self.stiffness)
+        return make_elastic_law(self.stiffness)
 
 
 SPAN, STROKE, SPEED, RADIUS = 0.1524, 0.0294, 0.5e-3, 8.55e-3

@@ -16,7 +16,7 @@ from labpipe.mechanics.law.plays import (
     LoadingTable,
     PlayLaw,
     compute_first_curvature,
-    make_linear_plays,
+    make_elastic_law,
 )
 from labpipe.records.arrays import Floats
 from tests.builders.wire_tables import loss_card, wire_table
@@ -33,7 +33,7 @@ def test_a_law_of_plays_is_met_exactly_also_beyond_its_last_corner() -> None:
     assert curvature[:61] == pytest.approx(compute_first_curvature(PLAYS_TABLE, MOMENT), rel=1e-12)
     assert curvature[61:] == pytest.approx(-curvature[:61], rel=1e-12)
     assert slope[[1, 7, 20, 40]] == pytest.approx([0.5, 1.0, 1.25, 2.25], rel=1e-12)
-    assert LoadingTable.of_plays(make_linear_plays(4.0)).bend(MOMENT)[0] == pytest.approx(
+    assert LoadingTable.of_plays(make_elastic_law(4.0)).bend(MOMENT)[0] == pytest.approx(
         MOMENT / 4.0
     )
 
@@ -69,8 +69,8 @@ def test_derivatives_by_a_parameter_with_those_of_the_rest() -> None:
         return power_law(scale).bend_from_rest(rest(scale), moment)[0]
 
     difference = (bent(np.exp(step)) - bent(np.exp(-step))) / (2.0 * step)
-    changes = power_law(1.0).compute_changes_from_rest(rest(1.0), moment, np.full((1, 19), -1.5))
-    assert changes[0] == pytest.approx(difference, rel=1e-5, abs=1e-6)
+    result = power_law(1.0).compute_sensitivities_from_rest(rest(1.0), moment, rest(1.0)[None])
+    assert result[0] == pytest.approx(difference, rel=1e-5, abs=1e-6)
 
 
 def test_the_best_dahl_law_against_a_search() -> None:

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from labpipe.mechanics.law.plays import (
     PlayLaw,
     compute_first_curvature,
-    make_linear_plays,
+    make_elastic_law,
     make_polygon_law,
     make_stick_slip_law,
     require_within,
@@ -51,7 +51,7 @@ def drive(law: PlayLaw, moments: list[float]) -> Floats:
 def test_bilinear_law_breaks_then_unloads_with_the_first_stiffness() -> None:
     law = bilinear_law(2.0, 0.5, 1.0)
     loaded = 0.5 + 1.0 / 0.5
-    assert drive(make_linear_plays(4e-3), [0.02, -0.04, 0.0]) == pytest.approx([5.0, -10.0, 0.0])
+    assert drive(make_elastic_law(4e-3), [0.02, -0.04, 0.0]) == pytest.approx([5.0, -10.0, 0.0])
     assert drive(law, [1.0, 2.0, 1.0, 0.0]) == pytest.approx(
         [0.5, loaded, loaded - 0.5, loaded - 1.0]
     )
@@ -137,7 +137,7 @@ def sliders(n_sliders: int) -> SliderLaw:
 
 CASES: dict[str, list[Callable[[], object]]] = {
     "plays": [
-        *(lambda value=value: make_linear_plays(value) for value in (0.0, np.nan, np.inf)),
+        *(lambda value=value: make_elastic_law(value) for value in (0.0, np.nan, np.inf)),
         lambda: PlayLaw(1.0, row(1.0), row(-0.1)),
         lambda: PlayLaw(1.0, row(0, 1), row(1, 1)),
         lambda: PlayLaw(1.0, row(1, 1), row(1, 1)),

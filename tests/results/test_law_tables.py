@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from labpipe.mechanics.law.plays import PlayLaw, make_linear_plays
+from labpipe.mechanics.law.plays import PlayLaw, make_elastic_law
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import BendingCloud, MeasuredLaw
 from labpipe.results.bending import compute_prop_force
@@ -124,7 +124,7 @@ def test_intervals_hold_the_scale_and_what_frames_share() -> None:
 STIFFNESS = 5e-3
 
 
-SHAPES = pulled(make_linear_plays(STIFFNESS), travel=0.05, frames=101)
+SHAPES = pulled(make_elastic_law(STIFFNESS), travel=0.05, frames=101)
 
 
 TEST = bending_test(SHAPES)
@@ -174,7 +174,7 @@ def law_of(test: BendingTest) -> MeasuredLaw:
 
 
 LAWS: dict[str, tuple[PlayLaw, float]] = {
-    "elastic": (make_linear_plays(5e-3), 5e-4),
+    "elastic": (make_elastic_law(5e-3), 5e-4),
     "stick and slip": (WireModel().build_law(), 2e-3),
     "kinked": (bilinear_law(8e-3, 2e-3, 0.02), 1.5e-2),  # rounded between two knots
 }

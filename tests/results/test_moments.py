@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labpipe.mechanics.law.plays import make_linear_plays
+from labpipe.mechanics.law.plays import make_elastic_law
 from labpipe.records.curve import PointFlag
 from labpipe.results.bending import compute_prop_force
 from labpipe.results.measured_law import TipPull, average_frames, evaluate_curves
@@ -20,7 +20,7 @@ from tests.builders.bent_tests import (
     pulled,
 )
 
-TEST = bending_test(pulled(make_linear_plays(5e-3), travel=0.02, frames=12), noise=1e-5)
+TEST = bending_test(pulled(make_elastic_law(5e-3), travel=0.02, frames=12), noise=1e-5)
 
 
 def test_at_rest_it_is_known_from_all_frames_that_show_all_markers() -> None:
@@ -29,7 +29,7 @@ def test_at_rest_it_is_known_from_all_frames_that_show_all_markers() -> None:
     assert standing.markers == pytest.approx(TEST.shape.positions[:RESTING, 1:-1].mean(axis=0))
     assert standing.marker_noise == pytest.approx(1e-5, rel=0.35)
     assert standing.finer_series.shape == (1, 3, 8)
-    full = bending_test(pulled(make_linear_plays(5e-3), travel=0.01, frames=4), terms=11)
+    full = bending_test(pulled(make_elastic_law(5e-3), travel=0.01, frames=4), terms=11)
     assert np.isnan(full.specimen_at_rest.marker_noise), (
         "as many coefficients as markers leave none to try"
     )
@@ -47,7 +47,7 @@ def test_frames_without_force_or_without_all_markers_are_left_out() -> None:
         _ = replace(TEST, shape=replace(TEST.shape, flags=flags)).specimen_at_rest
 
 
-SHAPES = pulled(make_linear_plays(5e-3), travel=0.05, frames=24)
+SHAPES = pulled(make_elastic_law(5e-3), travel=0.05, frames=24)
 
 
 TEST_MOMENTS = bending_test(SHAPES)
@@ -72,7 +72,7 @@ def test_the_pull_of_a_string_by_hand(
 
 
 def test_moments_of_a_wire_with_weight_are_those_of_the_mechanics() -> None:
-    shapes = lifted(make_linear_plays(5e-3), travel=0.05, frames=24)
+    shapes = lifted(make_elastic_law(5e-3), travel=0.05, frames=24)
     held = compute_prop_force(HEAVY, LENGTH)
     assert shapes[0].tension == pytest.approx(WEIGHT + held, rel=1e-5)
     pull = TipPull(STRING, WEIGHT, WEIGHT + held, LENGTH, HEAVY)

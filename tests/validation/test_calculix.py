@@ -25,7 +25,7 @@ import numpy as np
 import pytest
 
 from labpipe.mechanics.decks.calculix import write_calculix_deck
-from labpipe.mechanics.law.plays import make_linear_plays
+from labpipe.mechanics.law.plays import make_elastic_law
 from labpipe.mechanics.law.thinning import make_concave_law
 from labpipe.mechanics.wire.first_loading import compute_end_load_path
 from labpipe.mechanics.wire.wire_table import tabulate_wire as table_of
@@ -69,7 +69,7 @@ def compressed(name: str) -> WireTable:
 def test_a_linear_bar_is_the_elastica(tmp_path: Path) -> None:
     table = wire_table("A2")
     deflection, load = pushed(replace(table, moment=4e-4 * table.curvature), tmp_path, n_steps=12)
-    expected = compute_end_load_path(make_linear_plays(4e-4), table.spec.length, deflection).load
+    expected = compute_end_load_path(make_elastic_law(4e-4), table.spec.length, deflection).load
     assert deflection[-1] == pytest.approx(0.6 * table.spec.length)
     assert load == pytest.approx(expected, rel=3e-3)
 

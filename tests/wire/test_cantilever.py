@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from labpipe.mechanics.law.plays import LoadingTable, PlayLaw, make_linear_plays
+from labpipe.mechanics.law.plays import LoadingTable, PlayLaw, make_elastic_law
 from labpipe.mechanics.wire.bending_law import fit_play_law
 from labpipe.mechanics.wire.cantilever import (
     Cantilever,
@@ -73,7 +73,7 @@ def test_cycles_leave_a_bend_repeat_and_lose_the_area_of_their_loop() -> None:
 
 
 @pytest.mark.parametrize(
-    ("law", "lean"), [(make_linear_plays(3e-3), (2.79, 4.12)), (WIRE, (2.55, 3.47))]
+    ("law", "lean"), [(make_elastic_law(3e-3), (2.79, 4.12)), (WIRE, (2.55, 3.47))]
 )
 def test_lean_of_the_string(law: PlayLaw, lean: tuple[float, float]) -> None:
     """What it adds to the force at 50 mm of travel, per cent, less the counterweight.
@@ -116,7 +116,7 @@ def test_a_long_step_does_not_end_in_a_curl() -> None:
     ],
 )
 def test_jacobian_against_central_differences(condition: TipCondition) -> None:
-    n, law, h = 12, make_linear_plays(1.0), 1e-6
+    n, law, h = 12, make_elastic_law(1.0), 1e-6
     stations = make_stations(n)
     table = LoadingTable.of_plays(law)
     wire = Cantilever(lambda moment, rows: table.bend(moment[rows]), stations, 0.8, condition)
@@ -133,12 +133,12 @@ def test_jacobian_against_central_differences(condition: TipCondition) -> None:
 
 
 def test_slack_and_level_wires_are_as_the_textbook_says() -> None:
-    law, weight, long = make_linear_plays(2e-3), 1e-4, 0.12
+    law, weight, long = make_elastic_law(2e-3), 1e-4, 0.12
     hanging = bend_under_force(law, make_straight(law, self_weight=weight), long, np.zeros(2))
     assert hanging.y[-1] == pytest.approx(-weight * long**4 / 8.0 / 2e-3, rel=1e-6)
     assert hanging.moment[0] == pytest.approx(-weight * long**2 / 2.0, rel=1e-6)
     rig = StringRig(0.76, 0.0265, LENGTH, 0.75)
-    linear = make_linear_plays(4e-3)
+    linear = make_elastic_law(4e-3)
     slack = bend_to_travel(linear, make_straight(linear), LENGTH, rig, 0.0)
     assert slack.tension == 0.0
     assert slack.force == pytest.approx([0.0, -0.0265])

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from labpipe.mechanics.law.plays import PlayLaw, make_linear_plays
+from labpipe.mechanics.law.plays import PlayLaw, make_elastic_law
 from labpipe.mechanics.wire.bending_law import fit_play_law
 from labpipe.mechanics.wire.cantilever import bend_to_deflection, bend_under_force, make_straight
 from labpipe.mechanics.wire.first_loading import compute_end_load_path
@@ -33,7 +33,7 @@ def test_the_elastica(tip_angle: float) -> None:
     load, rise, shortening = closed_form(tip_angle)
     if tip_angle == 1.43029:
         assert (load, rise, shortening) == pytest.approx((10.0, 0.81061, 0.555), rel=1e-4)
-    law = make_linear_plays(2e-3)
+    law = make_elastic_law(2e-3)
     force = np.array([0.0, load * law.stiffness / LENGTH**2])
     shape = bend_under_force(law, make_straight(law), LENGTH, force)
     numbers = (shape.y[-1] / LENGTH, 1.0 - shape.x[-1] / LENGTH, shape.angle[-1])
@@ -47,7 +47,7 @@ def test_the_elastica(tip_angle: float) -> None:
 @pytest.mark.parametrize(
     ("law", "load", "within"),
     [
-        (make_linear_plays(3e-3), 1.2, 1e-11),
+        (make_elastic_law(3e-3), 1.2, 1e-11),
         (bilinear_law(5e-3, 1.5e-3, 0.02), 0.9, 1e-4),
         (STRANDED, 0.13, 1e-5),
         (C4, 0.3, 1e-5),

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labpipe.mechanics.law.plays import LoadingTable, PlayLaw, make_linear_plays, make_polygon_law
+from labpipe.mechanics.law.plays import LoadingTable, PlayLaw, make_elastic_law, make_polygon_law
 from labpipe.mechanics.wire.calibration.calibrate_wire import find_tested_curvature as curvature_of
 from labpipe.mechanics.wire.cantilever import (
     CantileverShape,
@@ -34,7 +34,7 @@ GOALS = (0.0005, 0.002, 0.005, 0.01, 0.02, 0.035, 0.05)
 
 A2 = law_of(wire_of("A2"), n_plays=60)
 
-LAWS = [make_linear_plays(4e-4), bilinear_law(5e-3, 4e-4, 5e-4), A2]
+LAWS = [make_elastic_law(4e-4), bilinear_law(5e-3, 4e-4, 5e-4), A2]
 
 
 def curve_of(law: PlayLaw, rig: StringRig | None, deflection: float = 0.055) -> LoadingCurve:
@@ -111,7 +111,7 @@ def test_it_is_that_of_the_path_station_by_station() -> None:
 
 @pytest.mark.parametrize("weight", [0.0, WEIGHT])
 def test_first_loading_ends_where_the_tip_unloads(weight: float) -> None:
-    table = LoadingTable.of_plays(make_linear_plays(2e-3))
+    table = LoadingTable.of_plays(make_elastic_law(2e-3))
     curve = load_cantilever(table, HEAVY_LENGTH, None, weight, 0.1)
     assert 0.65 < curve.deflection[-1] / HEAVY_LENGTH < 0.75
     with pytest.raises(
@@ -156,7 +156,7 @@ def test_the_elastica_of_the_textbooks() -> None:
         (2.0, (0.493457, 0.160642, 0.781750)),
         (10.0, (0.810609, 0.554996, 1.430286)),
     ):
-        table = LoadingTable.of_plays(make_linear_plays(3.0))
+        table = LoadingTable.of_plays(make_elastic_law(3.0))
         at = load_to(table, 2.0, None, 0.0, np.array([2.0 * printed[0]]))
         assert at.tension[1] * 2.0**2 / 3.0 == pytest.approx(alpha, rel=1e-5)
         assert (1.0 - at.tip_x[1] / 2.0, at.tip_angle[1]) == pytest.approx(printed[1:], abs=2e-6)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labpipe.mechanics.law.plays import make_linear_plays
+from labpipe.mechanics.law.plays import make_elastic_law
 from labpipe.mechanics.wire.bending_law import (
     Contacts,
     compute_axial_strain,
@@ -84,7 +84,7 @@ ABOVE = bundle(("S", 2), positions=((0.0, -0.5e-3), (0.0, 0.5e-3)))
 
 ROW = np.column_stack([np.arange(4.0), np.zeros(4)])
 
-LINEAR, RIG = make_linear_plays(3e-3), StringRig(0.76, 0.0265, 0.085, 0.76)
+LINEAR, RIG = make_elastic_law(3e-3), StringRig(0.76, 0.0265, 0.085, 0.76)
 
 
 def table(*points: tuple[float, float]) -> StressTable:

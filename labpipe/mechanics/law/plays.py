@@ -1,4 +1,4 @@
-"""Define moment-curvature laws that compute the curvature from the moment and its history.
+"""Define laws of the curvature as a function of the moment and its history.
 
 A `PlayLaw` is a spring in series with play operators, because strands stick, slip and yield one
 after the other:
@@ -11,8 +11,9 @@ r_j. Unloading therefore starts with EI0, loops follow Masing's rule and close, 
 curvature remains at zero moment. The law is rate-independent. Moments are in N m, curvatures in
 1/m.
 
-A law may end at a moment. Functions here continue its last slope, so that a search may pass the
-end; `require_within` checks results. A `LoadingTable` is a law on first loading as a table.
+A law may have a largest moment. Beyond it, functions of this module extrapolate with the last
+slope, so that iterations may leave the range; `require_within` checks results. A `LoadingTable`
+tabulates a law on first loading.
 """
 
 from __future__ import annotations
@@ -35,8 +36,8 @@ class Response:
     ----------
     curvature : shape (stations,), 1/m
     compliance : shape (stations,), 1/(N m^2), derivative of the curvature with respect to the
-        moment, in the direction of the step
-    plays : shape (stations, plays), N m, history after the step
+        moment, in the direction of its change
+    plays : shape (stations, plays), N m, history after the change of the moment
     """
 
     curvature: Floats
@@ -46,7 +47,7 @@ class Response:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlayLaw(ArrayRecord):
-    """A concave law of first loading as plays, with Masing loops and residual curvature.
+    """Law with concave first loading as plays, with Masing loops and residual curvature.
 
     Parameters
     ----------
@@ -58,7 +59,7 @@ class PlayLaw(ArrayRecord):
     Raises
     ------
     ValueError
-        If a number is out of its range, or the numbers of half-widths and compliances differ.
+        If a value is out of range, or `half_widths` and `compliances` differ in length.
     """
 
     stiffness: float
@@ -84,8 +85,8 @@ class PlayLaw(ArrayRecord):
 
         Parameters
         ----------
-        moment : shape (stations,), N m; each is reached monotonically
-        history : shape (stations, plays), N m, history before the step
+        moment : shape (stations,), N m; each moment is reached monotonically
+        history : shape (stations, plays), N m, history before the change of the moment
 
         Returns
         -------
@@ -94,7 +95,7 @@ class PlayLaw(ArrayRecord):
 
         Notes
         -----
-        At a corner of the polygon the compliance is that of a play that does not move yet.
+        At a corner of the polygon, the compliance excludes the play that starts to move there.
         """
         column = moment[:, None]
         plays = np.clip(history, column - self.half_widths, column + self.half_widths)
@@ -104,8 +105,8 @@ class PlayLaw(ArrayRecord):
         return Response(curvature, compliance, plays)
 
 
-def make_linear_plays(stiffness: float) -> PlayLaw:
-    """Return a constant bending stiffness, N m^2, as a law without plays: kappa = M / EI."""
+def make_elastic_law(stiffness: float) -> PlayLaw:
+    """Return the linear elastic law kappa = M / EI, without plays; the stiffness is in N m^2."""
     return PlayLaw(stiffness, np.zeros(0), np.zeros(0))
 
 
@@ -145,7 +146,7 @@ def is_within(law: PlayLaw, moment: float) -> bool:
 
 
 def require_within(law: PlayLaw, moment: Floats, context: str) -> None:
-    """Refuse moments beyond the end of a law.
+    """Raise ValueError for moments beyond the end of a law.
 
     Parameters
     ----------
@@ -156,7 +157,7 @@ def require_within(law: PlayLaw, moment: Floats, context: str) -> None:
     Raises
     ------
     ValueError
-        The message states the curvatures of the wire and of the end of the law.
+        If a moment is beyond the end; the message states the curvatures of both.
     """
     largest = float(np.max(np.abs(moment), initial=0.0))
     if is_within(law, largest):
@@ -170,7 +171,7 @@ def require_within(law: PlayLaw, moment: Floats, context: str) -> None:
 
 
 def require(name: str, value: object, condition: str, *, holds: bool) -> None:
-    """Refuse a value that does not meet a condition.
+    """Raise ValueError for a value that does not meet a condition.
 
     Parameters
     ----------
@@ -182,7 +183,7 @@ def require(name: str, value: object, condition: str, *, holds: bool) -> None:
     Raises
     ------
     ValueError
-        The message states name, value and condition.
+        If the condition does not hold; the message states name, value and condition.
     """
     if not holds:
         message = f"{name}={value!r}: must be {condition}"
@@ -190,29 +191,29 @@ def require(name: str, value: object, condition: str, *, holds: bool) -> None:
 
 
 def require_positive(name: str, value: float) -> None:
-    """Refuse a number that is not finite or not positive, as `require`."""
+    """Raise ValueError unless a number is finite and positive; see `require`."""
     require(name, value, "finite and > 0", holds=bool(0.0 < value < np.inf))
 
 
 def require_not_negative(name: str, value: float) -> None:
-    """Refuse a number that is not finite or is negative, as `require`."""
+    """Raise ValueError unless a number is finite and not negative; see `require`."""
     require(name, value, "finite and >= 0", holds=bool(0.0 <= value < np.inf))
 
 
 def require_rising(name: str, values: Floats) -> None:
-    """Refuse numbers that are not positive and increasing, as `require`."""
+    """Raise ValueError unless numbers are positive and increasing; see `require`."""
     holds = bool(np.all(np.diff(values, prepend=0.0) > 0.0))
     require(name, values.tolist(), "positive and increasing", holds=holds)
 
 
 def require_finite(name: str, values: Floats | float) -> None:
-    """Refuse numbers that are NaN or infinite, as `require`."""
+    """Raise ValueError unless all numbers are finite; see `require`."""
     holds = bool(np.all(np.isfinite(values)))
     require(name, np.asarray(values).tolist(), "finite", holds=holds)
 
 
 def make_polygon_law(curvature: Floats, moment: Floats) -> PlayLaw:
-    """Build the law of a polygon through the origin and points of a first loading.
+    """Build the law whose first loading is the polygon through the origin and given points.
 
     Parameters
     ----------
@@ -225,13 +226,13 @@ def make_polygon_law(curvature: Floats, moment: Floats) -> PlayLaw:
         If the moment does not increase (softening), or a slope is larger than the preceding slope
         (stiffening); the message states the curvature.
     """
-    rounding = 1e-7  # relative to the first slope, in differences of close corners
+    slope_tolerance = 1e-7  # relative to the first slope; rounding errors between close corners
     slopes = np.diff(moment, prepend=0.0) / np.diff(curvature, prepend=0.0)
     if not np.all(slopes > 0.0):
         kappa = curvature[int(np.argmin(slopes > 0.0))]
         message = f"the law softens before curvature={kappa:.6g} 1/m: the moment must increase"
         raise ValueError(message)
-    if np.any(np.diff(slopes) > rounding * slopes[0]):
+    if np.any(np.diff(slopes) > slope_tolerance * slopes[0]):
         kappa = curvature[int(np.argmax(np.diff(slopes))) + 1]
         message = f"the law stiffens before curvature={kappa:.6g} 1/m: the slope must not increase"
         raise ValueError(message)
@@ -249,7 +250,7 @@ def make_stick_slip_law(
     last_moment: float,
     n_plays: int = 40,
 ) -> PlayLaw:
-    """Build a law for stick, followed by a power law of slip and yield (Ramberg-Osgood).
+    """Build a law of stick up to a moment and a power law of slip and yield (Ramberg-Osgood).
 
     The law is a polygon with corners on
     kappa = M / EI0 + (M0 / EI1) (max(M - Ms, 0) / M0)^(1 / n).
@@ -258,9 +259,9 @@ def make_stick_slip_law(
     ----------
     stick_stiffness : EI0, N m^2
     stick_moment : Ms, N m, moment up to which all strands stick, positive
-    slip_stiffness : EI1, N m^2, secant stiffness of the power law, M0 over its curvature at Ms + M0
+    slip_stiffness : EI1, N m^2, M0 divided by the curvature of the power law at Ms + M0
     reference_moment : M0, N m
-    hardening : n, from 0 (perfectly plastic) to 1 (two straight lines), ends excluded
+    hardening : n, from 0 (perfectly plastic) to 1 (two straight lines), exclusive
     last_moment : N m, last corner of the polygon; the law continues beyond it
     n_plays : number of plays, at least 1
 
@@ -295,41 +296,42 @@ class LoadingTable:
     start_compliance, end_compliance : shape (knots - 1,), 1/(N m^2), derivative of the curvature
         with respect to the moment at the start and at the end of each panel; it may be
         discontinuous at knots
-    start_changes, end_changes : shape (parameters, knots - 1), 1/m, derivative of the curvature at
-        constant moment with respect to each parameter, at the start and at the end of each panel
+    start_sensitivity, end_sensitivity : shape (parameters, knots - 1), 1/m, derivative of the
+        curvature at constant moment with respect to the logarithm of each parameter, at the start
+        and at the end of each panel
     """
 
     moment: Floats
     curvature: Floats
     start_compliance: Floats
     end_compliance: Floats
-    start_changes: Floats
-    end_changes: Floats
+    start_sensitivity: Floats
+    end_sensitivity: Floats
 
     @classmethod
     def of_plays(cls, law: PlayLaw) -> LoadingTable:
-        """Build the table of a law of plays, which is linear between its corners."""
+        """Tabulate a `PlayLaw`; the table is exact, as the law is linear between its corners."""
         moment, curvature, compliances = find_corners(law)
         step = moment[-1] or law.stiffness  # the last panel is as wide as all others together
         moment = np.append(moment, moment[-1] + step)
         curvature = np.append(curvature, curvature[-1] + compliances[-1] * step)
-        no_changes = np.zeros((0, len(compliances)))
-        return cls(moment, curvature, compliances, compliances, no_changes, no_changes)
+        no_sensitivity = np.zeros((0, len(compliances)))
+        return cls(moment, curvature, compliances, compliances, no_sensitivity, no_sensitivity)
 
     @cached_property
     def curve(self) -> PPoly:
-        """Return curvature, compliance and derivatives of the curvature over |moment|."""
+        """Piecewise polynomial of curvature, compliance and sensitivities over |moment|."""
         width, start, end = np.diff(self.moment), self.start_compliance, self.end_compliance
         chord = np.diff(self.curvature) / width
         cubic = (start + end - 2.0 * chord) / width**2
         square = (3.0 * chord - 2.0 * start - end) / width
-        panels = np.zeros((4, len(width) + 1, 2 + len(self.start_changes)))
+        panels = np.zeros((4, len(width) + 1, 2 + len(self.start_sensitivity)))
         panels[:, :-1, 0] = cubic, square, start, self.curvature[:-1]
         panels[2:, -1, 0] = end[-1], self.curvature[-1]  # beyond the last knot
         panels[1:, :, 1] = np.array([[3.0], [2.0], [1.0]]) * panels[:3, :, 0]
-        panels[2, :-1, 2:] = ((self.end_changes - self.start_changes) / width).T
-        panels[3, :-1, 2:] = self.start_changes.T
-        panels[3, -1, 2:] = self.end_changes[:, -1]
+        panels[2, :-1, 2:] = ((self.end_sensitivity - self.start_sensitivity) / width).T
+        panels[3, :-1, 2:] = self.start_sensitivity.T
+        panels[3, -1, 2:] = self.end_sensitivity[:, -1]
         return PPoly(panels, np.append(self.moment, 2.0 * self.moment[-1]))
 
     def bend(self, moment: Floats) -> CurvatureAndCompliance:
@@ -337,10 +339,13 @@ class LoadingTable:
         values = self.curve(np.abs(moment))
         return np.sign(moment) * values[..., 0], values[..., 1]
 
-    def compute_changes(self, moment: Floats) -> Floats:
-        """Return the derivatives of the curvature of `bend` with respect to parameters, axis 0."""
-        changes = np.moveaxis(self.curve(np.abs(moment))[..., 2:], -1, 0)
-        return np.asarray(np.sign(moment) * changes, dtype=np.float64)
+    def compute_sensitivities(self, moment: Floats) -> Floats:
+        """Return the derivatives of the curvature of `bend`, 1/m, by logarithms of parameters.
+
+        Axis 0 of the result is the parameter.
+        """
+        sensitivities = np.moveaxis(self.curve(np.abs(moment))[..., 2:], -1, 0)
+        return np.asarray(np.sign(moment) * sensitivities, dtype=np.float64)
 
     def bend_from_rest(self, rest: Floats, moment: Floats) -> CurvatureAndCompliance:
         """Return curvature and compliance after bending from a state at rest.
@@ -348,13 +353,13 @@ class LoadingTable:
         Parameters
         ----------
         rest : shape (stations,), N m, moment at rest, reached by first loading
-        moment : shape (n, stations), N m; each is reached monotonically
+        moment : shape (n, stations), N m; each moment is reached monotonically
 
         Notes
         -----
         Masing's rule states that after a reversal at M0 the curvature is
-        kappa0 + 2 k((M - M0) / 2), with the law k of first loading, until the moment is -M0. From
-        there it is k(M).
+        kappa0 + 2 k((M - M0) / 2) until the moment is -M0, and k(M) from there. k is the law of
+        first loading, and kappa0 the curvature at M0.
         """
         curvature, compliance = self.bend(moment)
         is_reversed = self._is_reversed(rest, moment)
@@ -383,31 +388,31 @@ class LoadingTable:
             curvature[is_unloaded] -= 2.0 * half_curvature_change
         return curvature, compliance
 
-    def compute_changes_from_rest(
-        self, rest: Floats, moment: Floats, rest_change: Floats
+    def compute_sensitivities_from_rest(
+        self, rest: Floats, moment: Floats, rest_sensitivity: Floats
     ) -> Floats:
-        """Return the derivatives of the curvature of `bend_from_rest` with respect to parameters.
+        """Return the derivatives of the curvature of `bend_from_rest` by logarithms of parameters.
 
         Parameters
         ----------
         rest, moment : as for `bend_from_rest`
-        rest_change : shape (parameters, stations), N m, derivative of the moment at rest with
-            respect to the parameters
+        rest_sensitivity : shape (parameters, stations), N m, derivative of the moment at rest
+            with respect to the logarithms of the parameters
 
         Returns
         -------
         Shape (parameters, n, stations), 1/m.
         """
-        changes = self.compute_changes(moment)
+        sensitivities = self.compute_sensitivities(moment)
         is_reversed = self._is_reversed(rest, moment)
         if is_reversed.any():
             half_change = 0.5 * (moment - rest)
-            compliance_drop = self.bend(rest)[1] - self.bend(half_change)[1]
-            half_changes = self.compute_changes(half_change)
-            reversed_changes = self.compute_changes(rest)[:, None, :] + 2.0 * half_changes
-            reversed_changes = reversed_changes + compliance_drop * rest_change[:, None, :]
-            changes = np.where(is_reversed, reversed_changes, changes)
-        return changes
+            compliance_difference = self.bend(rest)[1] - self.bend(half_change)[1]
+            half_sensitivities = self.compute_sensitivities(half_change)
+            after_reversal = self.compute_sensitivities(rest)[:, None, :] + 2.0 * half_sensitivities
+            after_reversal = after_reversal + compliance_difference * rest_sensitivity[:, None, :]
+            sensitivities = np.where(is_reversed, after_reversal, sensitivities)
+        return sensitivities
 
     @staticmethod
     def _is_reversed(rest: Floats, moment: Floats) -> Flags:

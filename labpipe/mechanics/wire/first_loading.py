@@ -271,13 +271,13 @@ def _make_curve(
     """Make the curve of equilibria; its derivatives are NaN except on first loading."""
     bent, deflection = wire.bend(moment, load), wire.condition.deflection
     assert deflection is not None
-    change = np.full((1 + len(table.start_changes), len(deflection)), np.nan)
+    change = np.full((1 + len(table.start_sensitivity), len(deflection)), np.nan)
     if is_first_loading:
         rest = wire.bend(moment[:1], load[:1])
-        rest_change = rest.compute_sensitivities(table.compute_changes(moment[:1]))
-        changes = table.compute_changes_from_rest(moment[0], moment, rest_change[1:, 0, :-1])
-        change = bent.compute_sensitivities(changes)[:, :, -1]
-        change[1:] -= rest_change[1:, :, -1]
+        at_rest = rest.compute_sensitivities(table.compute_sensitivities(moment[:1]))
+        sensitivity = table.compute_sensitivities_from_rest(moment[0], moment, at_rest[1:, 0, :-1])
+        change = bent.compute_sensitivities(sensitivity)[:, :, -1]
+        change[1:] -= at_rest[1:, :, -1]
     change[:, 0] = 0.0
     change[0, 0] = (load[1] - load[0]) / deflection[1] if len(load) > 1 else np.nan
     (force_x, force_y), cos, sin = bent.tip_force.force.T, bent.cos[:, -1], bent.sin[:, -1]

@@ -1,6 +1,6 @@
 """Compute the table of a wire from its row in a wire sheet: law, stiffnesses and cantilever.
 
-Further functions replace values of the sheet by calibrated values, and prepare the sliders that
+Other functions replace values of the sheet with calibrated values, and prepare the sliders that
 represent the bending of the strands.
 """
 
@@ -59,7 +59,7 @@ _MIN_POINT_SPACING = 1e-4
 
 
 def tabulate_wire(spec: WireSpec) -> WireTable:
-    """Compute the law of a wire on first loading, and its other properties for simulation.
+    """Compute the law of first loading and the other properties of a wire for simulations.
 
     Parameters
     ----------
@@ -67,11 +67,11 @@ def tabulate_wire(spec: WireSpec) -> WireTable:
 
     Returns
     -------
-    The table. Its curvatures are zero, 200 values evenly spaced in the logarithm over four decades
-    up to the end of the range, and the slip onsets of the strands. An onset below a millionth of
-    the range is reported as zero. The notes are those of `build_wire` and ``range_shortened``,
-    ``tension``, ``slips_at_once``, ``insulation_doubtful``, ``cantilever_cut`` and
-    ``weight_left_out``.
+    The table. Its curvature grid consists of zero, 200 logarithmically spaced values over four
+    decades up to the end of the range, and the slip onsets of the strands. An onset below a
+    millionth of the range is reported as zero. The notes are those of `build_wire` and
+    ``range_shortened``, ``tension``, ``slips_at_once``, ``insulation_doubtful``, ``cantilever_cut``
+    and ``weight_left_out``.
 
     Raises
     ------
@@ -82,22 +82,22 @@ def tabulate_wire(spec: WireSpec) -> WireTable:
 
     Notes
     -----
-    The law is that of `wire.bending_law`. The cantilever is clamped at one end, with an end load
-    normal to the undeformed axis. The first point is at rest, where the end load holds the tip
-    level against the weight of the wire.
+    The law is that of `labpipe.mechanics.wire.bending_law`. The cantilever is clamped at one
+    end, with an end load normal to the undeformed axis. The first point is at rest, where the end
+    load holds the tip level against the weight of the wire.
     """
     wire = build_wire(spec)
-    largest, range_notes = find_law_range(spec, strain=wire.axial_strain)
-    onsets = _find_onsets(wire, largest)
-    curve = _compute_rising_curve(wire, make_curvature_grid(largest, onsets[onsets > 0.0]))
-    limit = find_insulation_limit(spec)
+    largest_curvature, range_notes = find_law_range(spec, strain=wire.axial_strain)
+    onsets = _find_onsets(wire, largest_curvature)
+    curvature = make_curvature_grid(largest_curvature, onsets[onsets > 0.0])
+    curve = _compute_rising_curve(wire, curvature)
+    insulation_limit = find_insulation_limit(spec)
     min_moment, max_moment = find_orientation_range(
         wire.section, wire.contacts, curve, tension=spec.tension
     )
     stretch_torsion = compute_stretch_torsion(wire.section)
     cantilever = compute_cantilever(spec, curve, GRAVITY * wire.mass_per_length)
-    law_notes = _find_law_notes(spec, onsets, curve, limit)
-    notes = (*wire.notes, *range_notes, *law_notes, *cantilever.notes)
+    law_notes = _find_law_notes(spec, onsets, curve, insulation_limit)
     return WireTable(
         name=spec.name,
         spec=spec,
@@ -115,9 +115,9 @@ def tabulate_wire(spec: WireSpec) -> WireTable:
         tip_force=cantilever.force,
         mass_per_length=wire.mass_per_length,
         rest=cantilever.rest,
-        doubtful_curvature=limit,
-        doubtful_deflection=cantilever.find_deflection(curve, limit),
-        notes=notes,
+        doubtful_curvature=insulation_limit,
+        doubtful_deflection=cantilever.find_deflection(curve, insulation_limit),
+        notes=(*wire.notes, *range_notes, *law_notes, *cantilever.notes),
         **{item.name: getattr(curve, item.name) for item in fields(curve)},
     )
 
@@ -131,38 +131,38 @@ def make_layout(section: CrossSection) -> WireLayout:
     return WireLayout(*strands, tube.bore_radius, tube.outer_radius)
 
 
-def make_curvature_grid(largest: float, onsets: Floats) -> Floats:
+def make_curvature_grid(largest_curvature: float, onsets: Floats) -> Floats:
     """Make the curvatures of a table: zero, four decades up to the largest, and slip onsets.
 
     Parameters
     ----------
-    largest : 1/m, last curvature
+    largest_curvature : 1/m, last curvature
     onsets : shape (n,), 1/m, slip onsets, positive, distinct and below the largest curvature; they
         replace points of the grid that are close to them
     """
     n_points = 200
     n_decades = 4.0  # range of the grid below the largest curvature
-    grid = np.geomspace(10.0**-n_decades, 1.0, n_points) * largest
-    grid[-1] = largest
+    grid = np.geomspace(10.0**-n_decades, 1.0, n_points) * largest_curvature
+    grid[-1] = largest_curvature
     is_near_onset = np.abs(grid[:, None] - onsets) <= _MIN_POINT_SPACING * grid[:, None]
     return np.concatenate([[0.0], np.union1d(grid[~is_near_onset.any(axis=1)], onsets)])
 
 
-def _find_onsets(built: BuiltWire, largest: float) -> Floats:
+def _find_onsets(wire: BuiltWire, largest_curvature: float) -> Floats:
     """Find the distinct slip onsets of the strands, 1/m; 0 for immediate slip."""
     min_relative_onset = 1e-6  # relative to the largest curvature; earlier slip is immediate
-    wire, spec = (built.section, built.contacts), built.spec
-    onsets = np.sort(find_slip_onsets(*wire, tension=spec.tension, orientation=spec.orientation))
-    is_immediate = onsets <= min_relative_onset * largest
-    is_in_range = onsets < largest * (1.0 - _MIN_POINT_SPACING)
+    options = {"tension": wire.spec.tension, "orientation": wire.spec.orientation}
+    onsets = np.sort(find_slip_onsets(wire.section, wire.contacts, **options))
+    is_immediate = onsets <= min_relative_onset * largest_curvature
+    is_in_range = onsets < largest_curvature * (1.0 - _MIN_POINT_SPACING)
     onsets = onsets[~is_immediate & is_in_range]
     onsets = onsets[np.diff(onsets, prepend=0.0) > _MIN_POINT_SPACING * onsets]
     return np.concatenate([np.zeros(int(is_immediate.any())), onsets])
 
 
-def _compute_rising_curve(built: BuiltWire, curvature: Floats) -> MomentCurve:
+def _compute_rising_curve(wire: BuiltWire, curvature: Floats) -> MomentCurve:
     """Compute the law of first loading; refuse a law that softens."""
-    curve = built.compute_curve(curvature)
+    curve = wire.compute_curve(curvature)
     falls = np.flatnonzero(np.diff(curve.moment) <= 0.0)
     if len(falls):
         first, last = curve.curvature[falls[0] : falls[0] + 2]
@@ -173,10 +173,10 @@ def _compute_rising_curve(built: BuiltWire, curvature: Floats) -> MomentCurve:
 
 
 def find_insulation_limit(spec: WireSpec) -> float:
-    """Find the curvature up to which the insulation counts as linear, 1/m.
+    """Find the curvature up to which the insulation is treated as linear, 1/m.
 
-    It is infinite if the sheet has a stress table of the insulation. The range of the law then ends
-    with that of the table.
+    It is infinite if the sheet has a stress table of the insulation. In that case the range of the
+    law ends with the stress table.
     """
     if spec.insulation_table is not None:
         return float("inf")
@@ -206,7 +206,7 @@ def _find_law_notes(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BuiltWire:
-    """Cross-section of a wire of a sheet, and the contacts between its strands.
+    """Cross-section of the wire in one row of a sheet, and the contacts between its strands.
 
     Parameters
     ----------
@@ -214,7 +214,7 @@ class BuiltWire:
     section : cross-section of the wire
     contacts : friction coefficients and radial force
     axial_strain : strain of the straight wire under its tension
-    notes : notes on replaced entries of the sheet, and on tolerated faults
+    notes : notes on defaults for missing entries, and on tolerated deviations
     """
 
     spec: WireSpec
@@ -225,9 +225,8 @@ class BuiltWire:
 
     def compute_curve(self, curvature: Floats) -> MomentCurve:
         """Compute the moment curve of first loading at curvatures, shape (n,), 1/m."""
-        tension, orientation = self.spec.tension, self.spec.orientation
-        wire = self.section, self.contacts
-        return compute_moment_curve(*wire, curvature, tension=tension, orientation=orientation)
+        options = {"tension": self.spec.tension, "orientation": self.spec.orientation}
+        return compute_moment_curve(self.section, self.contacts, curvature, **options)
 
     @property
     def mass_per_length(self) -> float:
@@ -274,8 +273,8 @@ def build_wire(spec: WireSpec) -> BuiltWire:
         insulation=spec.friction_insulation,
         radial_force=spec.radial_force,
     )
-    strain = compute_axial_strain(section, spec.tension)  # refuses a negative tension
-    find_law_range(spec, strain=strain)  # refuses a tension beyond a stress table
+    strain = compute_axial_strain(section, spec.tension)  # raises for a negative tension
+    find_law_range(spec, strain=strain)  # raises for a tension beyond a stress table
     notes += _find_section_notes(section, spec, strain)
     return BuiltWire(spec, section, contacts, strain, tuple(notes))
 
@@ -289,8 +288,9 @@ def make_layers(spec: WireSpec) -> tuple[Layer, ...]:
     Raises
     ------
     ValueError
-        If the number of lay angles is not that of rings, the number of strand diameters is not that
-        of layers, the stress table is not concave, or a number is out of its range.
+        If the number of lay angles differs from that of the rings, or the number of strand
+        diameters from that of the layers, the stress table is not concave, or a number is out of
+        range.
     """
     material: Material = RambergOsgood(spec.conductor_modulus, spec.copper_k, spec.copper_n)
     if spec.stress_table is not None:
@@ -308,13 +308,13 @@ def make_layers(spec: WireSpec) -> tuple[Layer, ...]:
 
 
 def _place_strands(spec: WireSpec) -> tuple[CrossSection, list[QualityNote]]:
-    """Place the strands; return a note if the default layout, a hexagon, does not fit."""
-    bore, wall = spec.wire_diameter / 2.0 - spec.insulation_thickness, spec.insulation_thickness
-    curve, modulus = None, spec.insulation_modulus
+    """Return the cross-section, and a note if the default layout, a hexagon, does not fit."""
+    wall, modulus = spec.insulation_thickness, spec.insulation_modulus
+    bore_radius, curve = spec.wire_diameter / 2.0 - wall, None
     if spec.insulation_table is not None:
         curve = StressTable(*spec.insulation_table)
         modulus = curve.modulus
-    tube = Insulation(bore, wall, modulus, spec.insulation_poisson, curve)
+    tube = Insulation(bore_radius, wall, modulus, spec.insulation_poisson, curve)
     layers = make_layers(spec)
     if spec.layout == "compressed":
         return place_sectors(layers, tube, radii=spec.layer_radii), []
@@ -335,33 +335,34 @@ def _find_section_notes(
 ) -> Iterator[QualityNote]:
     """Yield notes on a loose bore, eccentric strands, overlaps, and yielding in tension.
 
-    The model treats the axial stiffness of strands as elastic.
+    The model assumes elastic strands in tension, so a note states if they yield.
     """
     min_fill = 0.4  # fraction of the area of the bore; two strands that touch the bore fill 0.5
     max_silent_offset, touch_tolerance = 0.02, 1e-9  # relative to the radius of the bore
     max_elastic_factor = 1.2  # elastic stress relative to that of the stress-strain curve
-    bore = spec.wire_diameter / 2.0 - spec.insulation_thickness
+    bore_radius = spec.wire_diameter / 2.0 - spec.insulation_thickness
     area = section.repeat_per_strand(layer.area for layer in section.layers)
     offset = float(np.hypot(section.x @ area, section.y @ area) / area.sum())
-    if (fill := float(area.sum()) / (np.pi * bore**2)) < min_fill:
-        yield QualityNote.of("mechanics.wire.bore_loose", spec.place, fill=fill, bore=2e3 * bore)
-    if section.kind == "packed" and offset > max_silent_offset * bore:
+    if (fill := float(area.sum()) / (np.pi * bore_radius**2)) < min_fill:
+        bore_mm = 2e3 * bore_radius
+        yield QualityNote.of("mechanics.wire.bore_loose", spec.place, fill=fill, bore=bore_mm)
+    if section.kind == "packed" and offset > max_silent_offset * bore_radius:
         angles = np.linspace(0.0, np.pi, 180, endpoint=False)
         stiffness = [compute_stick_stiffness(section, orientation=angle) for angle in angles]
         yield QualityNote.of(
             "mechanics.wire.layout_eccentric",
             spec.place,
             offset=1e3 * offset,
-            percent=100.0 * offset / bore,
+            percent=100.0 * offset / bore_radius,
             lowest=min(stiffness),
             highest=max(stiffness),
         )
-    if section.overlap > touch_tolerance * bore:
+    if section.overlap > touch_tolerance * bore_radius:
         yield QualityNote.of(
             "mechanics.wire.overlap_tolerated",
             spec.place,
             overlap=1e6 * section.overlap,
-            percent=100.0 * section.overlap / bore,
+            percent=100.0 * section.overlap / bore_radius,
             allowed=100.0 * MAX_RELATIVE_OVERLAP,
         )
     material = section.layers[0].material
@@ -386,10 +387,10 @@ def _find_helix_notes(section: CrossSection, spec: WireSpec) -> Iterator[Quality
     """
     max_silent_overlap = 0.05  # relative to the diameter of the strands
     max_overlap = 0.1  # relative to the diameter of the strands, and to the area of the bore
-    copper = sum(layer.count * layer.area / np.cos(layer.lay_angle) for layer in section.layers)
-    bore = np.pi * (spec.wire_diameter / 2.0 - spec.insulation_thickness) ** 2
-    if copper > (1.0 + max_overlap) * bore:
-        areas = {"copper": copper * 1e6, "bore": bore * 1e6}
+    strand_area = sum(ring.count * ring.area / np.cos(ring.lay_angle) for ring in section.layers)
+    bore_area = np.pi * (spec.wire_diameter / 2.0 - spec.insulation_thickness) ** 2
+    if strand_area > (1.0 + max_overlap) * bore_area:
+        areas = {"copper": strand_area * 1e6, "bore": bore_area * 1e6}
         raise ValueError(format_sentence("mechanics.wire.copper_too_large", **areas))
     overlap = 0.0 if section.kind == "compressed" else find_helix_overlap(section)
     if overlap <= max_silent_overlap:
@@ -411,8 +412,8 @@ def find_law_range(spec: WireSpec, *, strain: float = 0.0) -> tuple[float, tuple
 
     Returns
     -------
-    The curvature, 1/m, and notes. The sheet states the curvature, or the bending radius is five
-    wire diameters. The curvature is smaller, with the note ``range_shortened``, if tension and
+    The curvature, 1/m, and notes. It is the curvature stated in the sheet, or that of a bending
+    radius of five wire diameters. It is smaller, with the note ``range_shortened``, if tension and
     bending strain the rim of a strand or of the insulation beyond its stress table.
 
     Raises
@@ -420,13 +421,13 @@ def find_law_range(spec: WireSpec, *, strain: float = 0.0) -> tuple[float, tuple
     ValueError
         If the tension alone strains the wire to the last strain of a stress table.
     """
-    min_radius_diameters = 5.0  # wire diameters; harnesses are hardly bent to smaller radii
+    min_radius_diameters = 5.0  # wire diameters; harnesses are rarely bent to smaller radii
     largest_curvature = spec.largest_curvature or 1.0 / (min_radius_diameters * spec.wire_diameter)
     notes: tuple[QualityNote, ...] = ()
-    strand, wire = max(spec.strand_diameters), spec.wire_diameter
+    strand_diameter, wire_diameter = max(spec.strand_diameters), spec.wire_diameter
     for table, diameter, part in (
-        (spec.stress_table, strand, f"a strand of {strand * 1e3:.3g} mm"),
-        (spec.insulation_table, wire, f"the insulation of {wire * 1e3:.3g} mm"),
+        (spec.stress_table, strand_diameter, f"a strand of {strand_diameter * 1e3:.3g} mm"),
+        (spec.insulation_table, wire_diameter, f"the insulation of {wire_diameter * 1e3:.3g} mm"),
     ):
         if table is None:
             continue
@@ -452,20 +453,21 @@ def find_law_range(spec: WireSpec, *, strain: float = 0.0) -> tuple[float, tuple
 
 
 DEFAULT_SHARE_RANGE = (0.35, 1.0)
-"""Range of the isotropic share of the hardening of annealed copper if the sheet does not state it.
+"""Range of the isotropic share of hardening, for annealed copper whose sheet states none.
 
-With less than 0.35, a wire would spring back farther than standards of winding wire allow.
+With less than 0.35, a wire would spring back farther than standards for winding wire allow.
 """
 
 
 def set_parameters(spec: WireSpec, values: Mapping[str, float]) -> WireSpec:
-    """Replace values of a wire's sheet by calibrated values.
+    """Return the row of a wire with calibrated values in place of those of the sheet.
 
     Parameters
     ----------
     spec : row of the calibrated wire in its sheet, or of another wire of the same type
     values : calibrated values in SI units, keyed by the names of `PARAMETERS`. The sheet gives
-        values that are missing or NaN. The copper scale is a factor on the strength
+        values that are missing or NaN. The copper scale multiplies the strength
+        coefficient K
 
     Returns
     -------
@@ -487,13 +489,13 @@ def set_parameters(spec: WireSpec, values: Mapping[str, float]) -> WireSpec:
 
 
 def make_strand_slider(section: CrossSection, law: SliderLaw, factor: float = 1.0) -> GrowingSlider:
-    """Make the growing slider of fully isotropic strands that bend about their own axes.
+    """Make the growing slider of strands with purely isotropic hardening, for their own bending.
 
     Parameters
     ----------
     section : cross-section of the wire
-    law : law of the wire, which has the corners of the slider
-    factor : factor on the moments of the strands, such as that of `compute_chord_ratio`
+    law : law of the wire; the slider takes its corners
+    factor : factor on the moments of the strands, such as the result of `compute_chord_ratio`
     """
     corners = np.append(law.slip_curvatures, law.last)
     curvature, moment = continue_strand_moment(section, corners)
@@ -501,7 +503,7 @@ def make_strand_slider(section: CrossSection, law: SliderLaw, factor: float = 1.
 
 
 def compute_chord_ratio(law: SliderLaw, table: WireTable) -> float:
-    """Compute the ratio of the first slope of a fitted law to the first chord of its table."""
+    """Compute the first slope of a fitted law divided by that of the first chord of its table."""
     corners = np.concatenate([[0.0], law.slip_curvatures, [law.last]])
     moment = np.interp(corners, table.curvature, table.moment)
     return law.first_stiffness / float(compute_hull_slopes(corners, moment)[0])
