@@ -440,7 +440,7 @@ class SlipResults(Kind):
             make_result = partial(
                 self.make_result,
                 test,
-                method=f"two parallel lines around a sudden fall of the force; {slip.decision}",
+                method=f"step in a polynomial around a sudden fall of the force; {slip.decision}",
                 period=(float(time[slip.start]), float(time[slip.stop])),
                 suffix=f".{number}",
             )

@@ -1,14 +1,15 @@
-"""Value, estimate, 95 % interval and budget of a number, from replicates of the curve.
+"""Compute the value, estimate, 95 % interval and budget of results from replicates of a curve.
 
-The method is that of JCGM 101:2008 (GUM supplement 1). With T the number of a curve, the error of
+The method is that of JCGM 101:2008 (GUM supplement 1). With T a result of a curve, the error of
 replicate r is
 
-delta_r = T(smooth + noise_r, filtered) - T(smooth) + sum over inputs i of the change of T by z_ir,
+delta_r = T(smooth + noise_r, filtered) - T(smooth) - c_r - sum over inputs i of T_i(-z_ir),
 
-where z_ir is the drawn error of input i. The 95 % interval is [value - 97.5 % quantile of delta,
-value - 2.5 % quantile], widened to contain the value. It includes the bias of T from noise: the
-largest of many noisy samples is above the largest true value. The estimate is the value minus the
-mean of delta.
+where z_ir is the error that is drawn for input i, T_i(x) is the change of T if input i changes by
+x, and c_r is the drawn correction for finite sampling. The 95 % interval is [value - 97.5 %
+quantile of delta, value - 2.5 % quantile], widened to contain the value. It accounts for the bias
+of T from noise: the largest of many noisy samples is above the largest true value. The estimate is
+the value minus the mean of delta.
 """
 
 from __future__ import annotations
@@ -99,35 +100,35 @@ def measure_numbers(replicates: Replicates, decide: Decide) -> tuple[Measured, .
     # Noise below this fraction of the standard uncertainty causes no doubt either: noise twice as
     # large would widen the interval by less than a fifth.
     small_error_fraction = 0.38
-    # Fractions of replicates without a number from which on the interval is doubtful, and the
-    # number is not available.
-    max_sure_missing, max_missing = 0.05, 0.5
+    # Fractions of replicates without a number: above the first one the interval is doubtful, from
+    # the second one the number is unavailable.
+    max_missing_without_doubt, max_missing = 0.05, 0.5
     reading = decide(replicates.measured)
     values = reading.values or _compute_numbers(reading, replicates.measured).tolist()
     smooth_reading = _read_smooth_curve(replicates, decide, reading)
     smooth = SmoothNumbers.of(decide, replicates.smooth, smooth_reading, replicates.curves)
     noisy = [smooth_reading.replicate_numbers(trace) for trace in replicates.iterate_traces()]
     noise = np.concatenate(noisy, axis=1) - smooth.numbers[:, None]
-    sampling_errors, sampling_spread = _draw_sampling_errors(replicates, reading, smooth)
-    deviations = noise - sampling_errors
+    corrections, sampling_spread = _draw_sampling_corrections(replicates, reading, smooth)
+    deviations = noise - corrections
     contributions, doubts = [(STEP, sampling_spread)], list[tuple[str, Reason]]()
     input_doubts = list[tuple[Floats, Reason]]()
     for quantity in replicates.inputs:
         changes = np.array([smooth.compute_change(quantity, x) for x in (-1.0, 1.0)])
-        if np.isnan(changes).any():  # a missing change is the opposite of the other one
+        if np.isnan(changes).any():  # replace a missing change by the opposite of the other one
             changes = np.where(np.isnan(changes), -changes[::-1], changes)
             doubts.append(("", Reason.of("uncertainty.no_number", cause=quantity.cause)))
-        decrease, increase = changes
+        at_minus, at_plus = changes  # of the input by one standard deviation
         z = replicates.draw_input(quantity)
-        deviations = deviations + np.where(z > 0.0, np.outer(-decrease, z), np.outer(increase, z))
-        change = 0.5 * (increase - decrease) * quantity.standard_deviation
+        deviations = deviations + np.where(z > 0.0, np.outer(-at_minus, z), np.outer(at_plus, z))
+        change = 0.5 * (at_plus - at_minus) * quantity.standard_deviation
         contributions.append((quantity.cause, change))
         input_doubts += [(np.abs(change), reason) for reason in quantity.doubts]
     missing_fraction = float(np.isnan(deviations).any(axis=0).mean())
     not_repeatable = Reason.of("uncertainty.not_repeatable", missing=missing_fraction)
     if missing_fraction >= max_missing:
         raise UnavailableError(not_repeatable)
-    if missing_fraction > max_sure_missing:
+    if missing_fraction > max_missing_without_doubt:
         doubts.append(("", not_repeatable))
     noise_doubts = tuple(_list_slow_noise_doubts(replicates, smooth_reading.n))
     spread, negligible = np.nanstd(noise, axis=1), negligible_fraction * np.abs(values)
@@ -150,15 +151,15 @@ def measure_numbers(replicates: Replicates, decide: Decide) -> tuple[Measured, .
     )
 
 
-def _draw_sampling_errors(
+def _draw_sampling_corrections(
     replicates: Replicates, reading: Reading, smooth: SmoothNumbers
 ) -> tuple[Floats, Floats]:
-    """Draw the correction of numbers to infinitely fine samples.
+    """Draw corrections of the numbers for finite sampling.
 
     Returns
     -------
-    errors : shape (numbers, replicates), in the unit of each number
-    spreads : shape (numbers,), their standard deviations, with the sign of the correction
+    shifts : shape (numbers, replicates), the corrections, in the unit of each number
+    spreads : shape (numbers,), their standard deviations, signed like the correction
     """
     measured = replicates.measured
     if reading.sampling_correction is not None:
@@ -168,22 +169,22 @@ def _draw_sampling_errors(
     else:
         correction = SmoothNumbers.of(smooth.decide, measured, reading).compute_sampling_change()
     deviation = 1.0 / np.sqrt(3.0)  # of a uniform distribution from -1/2 to 3/2, about 1/2
-    errors = np.outer(correction, 0.5 + deviation * replicates.draw_input(_SAMPLING))
+    shifts = np.outer(correction, 0.5 + deviation * replicates.draw_input(_SAMPLING))
     spreads = deviation * correction
     longest_branch = max((branch.stop - branch.start for branch in measured.branches), default=0)
-    is_sampled = reading.ends_at_samples or reading.sampling_correction is not None
-    if longest_branch > SHORT_RECORD_SAMPLES or reading.depends_on_corners or not is_sampled:
-        return errors, spreads
+    ignores_sampling = reading.sampling_correction is None and not reading.ends_at_samples
+    if longest_branch > SHORT_RECORD_SAMPLES or reading.depends_on_corners or ignores_sampling:
+        return shifts, spreads
     # A short record does not show whether the curve is smooth: one half of the replicates has a
     # corner in each step that allows one.
     corners, has_corners = smooth.compute_corner_change(), replicates.draw_input(_CORNERS) > 0.0
-    interpolated = errors if reading.sampling_correction is None else np.zeros_like(errors)
-    errors = np.where(has_corners, interpolated + corners[:, None], errors)
-    return errors, np.where(corners == 0.0, spreads, np.copysign(errors.std(axis=1), spreads))
+    smooth_shifts = shifts if reading.sampling_correction is None else 0.0
+    shifts = np.where(has_corners, smooth_shifts + corners[:, None], shifts)
+    return shifts, np.where(corners == 0.0, spreads, np.copysign(shifts.std(axis=1), spreads))
 
 
 def _read_smooth_curve(replicates: Replicates, decide: Decide, reading: Reading) -> Reading:
-    """Choose the samples on the smooth curve or, if that fails, on the measured curve."""
+    """Choose the samples on the smooth curve; if that fails, on the measured or averaged curve."""
     smooth_reading = return_failure(decide)(replicates.smooth)
     if isinstance(smooth_reading, Reading):
         return smooth_reading
