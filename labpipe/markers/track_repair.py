@@ -399,11 +399,9 @@ def _make_dropped_notes(
         points = [
             measured[tracks.start[i] : tracks.stop[i], tracks.column[i]] for i in chain.tracklets
         ]
-        # diagonal of the bounding box of the track
-        size, where = (
-            1e3 * np.linalg.norm(np.ptp(np.concatenate(points), axis=0)),
-            f"{names}, {span}",
-        )
+        # diagonal of the bounding box of the track, mm
+        size = 1e3 * float(np.linalg.norm(np.ptp(np.concatenate(points), axis=0)))
+        where = f"{names}, {span}"
         yield QualityNote.of("markers.track_dropped", where, names=names, span=span, size=size)
     if count := len(unlisted := chains[_MAX_NOTES:]):
         frames = sum(chain.frames for chain in unlisted)
