@@ -104,6 +104,10 @@ class Signals:
         """Return the quantity of each of the two signals of the curve, keyed by signal name."""
         return {self.force: "force", self.displacement: "displacement"}
 
+    def is_zeroed(self, name: str) -> bool:
+        """Return whether a step zeroes a signal, from a stretch at rest or in motion."""
+        return name in {*self.zero_stretches, *self.moving_zero_stretches}
+
     def add_signal(self, name: str, signal: Signal) -> Signals:
         """Add or replace a signal, both raw and filtered."""
         raw, filtered = {**self.raw, name: signal}, {**self.filtered, name: signal}
