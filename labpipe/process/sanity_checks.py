@@ -9,6 +9,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from datetime import date
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from labpipe.process.motion import Motion, orient_force
 from labpipe.process.steps import PreparedTest
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.source import Certificate
-from labpipe.records.arrays import Flags, Floats, average_between, compute_median_step, drop_missing
+from labpipe.records.arrays import Flags, Floats, average_blocks, compute_median_step, drop_missing
 from labpipe.records.curve import Branch, Direction
 from labpipe.records.declarations import Limits, TravelFromSpeed
 from labpipe.records.estimates import Failure
@@ -65,36 +66,25 @@ def check_signals(
 def check_rig(prepared: PreparedTest, motion: Motion, protocol: Protocol) -> Iterator[Finding]:
     """Report cycles, stroke, speed and specimen length that differ from those of the protocol."""
     max_length_difference, max_length_deviation = 2e-3, 0.02  # m; fraction of the length
-    rig, travel, branches, shape = protocol.rig, motion.signal, motion.branches, prepared.shape
-    if branches and rig.cycles not in (None, len({branch.cycle for branch in branches})):
-        cycles, expected = branches[-1].cycle, rig.cycles
-        yield Finding.of(
-            "process.cycles_unexpected", "rig.cycles", measured=cycles, expected=expected
-        )
+    rig, travel, branches = protocol.rig, motion.signal, motion.branches
+    if branches and rig.cycles not in (None, branches[-1].cycle):
+        facts: dict[str, Any] = {"measured": branches[-1].cycle, "expected": rig.cycles}
+        yield Finding.of("process.cycles_unexpected", "rig.cycles", **facts)
     if branches and rig.stroke is not None and not is_full_stroke(travel, rig.stroke):
-        stroke, expected_stroke = 1e3 * _measure_range(travel.values), 1e3 * rig.stroke
-        yield Finding.of(
-            "process.stroke_unexpected", "rig.stroke", measured=stroke, expected=expected_stroke
-        )
+        facts = {"measured": 1e3 * _measure_range(travel.values), "expected": 1e3 * rig.stroke}
+        yield Finding.of("process.stroke_unexpected", "rig.stroke", **facts)
     if branches and rig.crosshead_speed is not None and travel.has_time:
-        rig_speed = 1e3 * rig.crosshead_speed  # mm/s
-        speed = 1e3 * _measure_speed(travel, branches[0])
+        speed, rig_speed = _measure_speed(travel, branches[0]), rig.crosshead_speed
         if abs(speed - rig_speed) > protocol.limits.speed_deviation * rig_speed:
-            yield Finding.of(
-                "process.speed_unexpected",
-                "rig.crosshead_speed",
-                *("displacement", "force"),
-                measured=speed,
-                expected=rig_speed,
-            )
-    length, markers = protocol.specimen.length, protocol.markers
+            facts = {"measured": 1e3 * speed, "expected": 1e3 * rig_speed}
+            where = "rig.crosshead_speed"
+            yield Finding.of("process.speed_unexpected", where, "displacement", "force", **facts)
+    length, markers, shape = protocol.specimen.length, protocol.markers, prepared.shape
     if length is None or markers is None or markers.clamp is None or shape is None:
         return
     if abs(shape.length - length) > max(max_length_difference, max_length_deviation * length):
-        where, measured, stated = "specimen.length", 1e3 * shape.length, 1e3 * length
-        yield Finding.of(
-            "process.length_unexpected", where, "displacement", measured=measured, stated=stated
-        )
+        facts = {"measured": 1e3 * shape.length, "stated": 1e3 * length}
+        yield Finding.of("process.length_unexpected", "specimen.length", "displacement", **facts)
 
 
 def _measure_speed(motion: Signal, branch: Branch) -> float:
@@ -119,7 +109,7 @@ def check_lost_samples(
     A machine cannot jump, and a specimen in loading cannot gain much force at once. Such a jump
     shows that samples were lost, and that the times after it are wrong. With one clock, lost
     samples do not matter, because each displacement still has its force. Jumps are searched in
-    medians over 0.1 s, which noise hardly changes.
+    means over 0.1 s, which noise hardly changes.
     """
     min_ratio, quantile = 1.5, 0.99  # jump over the usual change, which is a quantile
     duration = 0.1  # s, of a block
@@ -132,11 +122,9 @@ def check_lost_samples(
         ("force", signals.force, force),
     ):
         block_size = max(1, round(duration / compute_median_step(signal.time)))
-        samples = drop_missing(signal.values)
-        n_blocks = len(samples) // block_size
-        values = np.median(samples[: n_blocks * block_size].reshape(n_blocks, block_size), axis=1)
-        middles = np.flatnonzero(~np.isnan(signal.values))[block_size // 2 :: block_size]
-        time = signal.time[middles[:n_blocks]]
+        is_finite = ~np.isnan(signal.values)
+        samples = signal.time[is_finite], signal.values[is_finite]
+        time, values = (average_blocks(x, max(1, len(x) // block_size)) for x in samples)
         usual_change = compute_step_quantile(values, quantile)
         jumps = [
             (sample, size)
@@ -146,17 +134,15 @@ def check_lost_samples(
         ]
         if jumps:
             sample, size = max(jumps, key=lambda jump: abs(jump[1]))
-            yield Finding.of(
-                "process.samples_lost",
-                channel,
-                *(quantity, "clock"),
-                channel=channel,
-                size=f"{1e3 * size:.4g} mm" if signal.unit == "m" else f"{size:.4g} N",
-                duration=duration,
-                ratio=abs(size) / usual_change,
-                at=float(time[sample]),
-                count=len(jumps),
-            )
+            facts: dict[str, Any] = {
+                "channel": channel,
+                "size": f"{1e3 * size:.4g} mm" if signal.unit == "m" else f"{size:.4g} N",
+                "duration": duration,
+                "ratio": abs(size) / usual_change,
+                "at": float(time[sample]),
+                "count": len(jumps),
+            }
+            yield Finding.of("process.samples_lost", channel, quantity, "clock", **facts)
 
 
 def _is_rising(values: Floats, sample: int) -> bool:
@@ -193,11 +179,11 @@ def check_lowest_force(prepared: PreparedTest, _: Motion, protocol: Protocol) ->
     force = prepared.signals.filtered.get(prepared.signals.force)
     if force is None or (string is None and specimen.span is None):
         return
-    block_size = max(1, convert_seconds_to_window(block_duration, force.time))
-    n_blocks = len(force.values) // block_size
-    blocks = force.values[: n_blocks * block_size].reshape(n_blocks, block_size).mean(axis=1)
-    window = max(1, convert_seconds_to_window(mean_duration, force.time[::block_size]))
-    means = compute_moving_average(blocks, window=min(window, n_blocks - 1 + n_blocks % 2))
+    block_size = convert_seconds_to_window(block_duration, force.time)
+    blocks = average_blocks(force.values, len(force.values) // block_size)
+    window = convert_seconds_to_window(mean_duration, force.time[::block_size])
+    window = min(window, len(blocks) - 1 + len(blocks) % 2)
+    means = compute_moving_average(blocks, window=window)
     limits = list[tuple[float, str]]()
     if string is not None:
         # The force can fall below zero only by the weight that the string carries.
@@ -253,14 +239,13 @@ def check_mid_span(
     if delay > limits.zero_overlap:
         note = Finding.of("process.no_rest", "markers", delay=delay)
         return replace(prepared, span=Failure("no_rest", note.note.message)), [note]
-    deflection = 1e3 * _measure_range(mid_span.values)
-    travel = 1e3 * _measure_range(motion.signal.values)  # mm
-    if abs(deflection - travel) <= limits.mid_span_deviation * travel:
+    ranges = {"deflection": mid_span.values, "travel": motion.signal.values}
+    facts: dict[str, Any] = {name: 1e3 * _measure_range(ranges[name]) for name in ranges}  # mm
+    deviation = abs(facts["deflection"] - facts["travel"])
+    if deviation <= limits.mid_span_deviation * facts["travel"]:
         return prepared, []
-    note = Finding.of(
-        "process.mid_span_differs", "mid_span", "displacement", deflection=deflection, travel=travel
-    )
-    return prepared, [note]
+    name, where = "process.mid_span_differs", "mid_span"
+    return prepared, [Finding.of(name, where, "displacement", **facts)]
 
 
 def check_signs(prepared: PreparedTest, motion: Motion, protocol: Protocol) -> list[Finding]:
@@ -281,24 +266,27 @@ def check_signs(prepared: PreparedTest, motion: Motion, protocol: Protocol) -> l
     more than a fifth of the largest force, has no wrong sign, and neither has its displacement.
     """
     max_opposite_fraction = 0.2  # of the largest force
-    error_factor = 10.0  # number of standard errors of a block mean
-    signals, curve = prepared.signals, protocol.curve
-    displacement, time = signals.raw[signals.displacement], signals.raw[signals.displacement].time
-    if curve is None or not motion.branches:
+    error_factor, n_blocks = 10.0, 200  # standard errors of a block mean; blocks of a record
+    signals, curve, branches = prepared.signals, protocol.curve, motion.branches
+    displacement = signals.raw[signals.displacement]
+    if curve is None or not branches:
         return []
-    force = motion.clocks.interpolate(signals.raw[signals.force], time)
-    masks = [(time >= x.start_time) & (time <= x.stop_time) for x in motion.branches]
-    means, sizes = _average_blocks(force), [np.abs(_average_blocks(force[mask])) for mask in masks]
+    time, force_signal = displacement.time, signals.raw[signals.force]
+    force = motion.clocks.interpolate(force_signal, time)
+    masks = [(time >= x.start_time) & (time <= x.stop_time) for x in branches]
+    means = average_blocks(drop_missing(force), n_blocks)
+    sizes = [np.abs(average_blocks(drop_missing(force[mask]), n_blocks)) for mask in masks]
     growths = [float(np.max(size - size[:1], initial=0.0)) for size in sizes]
     if len(means) < 2 or not max(growths) > 0.0:
         return []
-    noise = error_factor * estimate_noise_level(force) / np.sqrt(max(1.0, len(force) / len(means)))
+    noise = error_factor * estimate_noise_level(force) * np.sqrt(len(means) / len(force))
     extreme = float(means[int(np.argmax(np.abs(means)))])
     opposite = float((-np.sign(extreme) * means).max())
     if np.ptp(means) <= noise or opposite > max_opposite_fraction * abs(extreme) + noise:
         return []
-    loading_masks = masks[int(np.argmax(growths))], masks[0]
-    paths = [drop_missing(displacement.values[mask]) for mask in loading_masks]
+    paths = [
+        drop_missing(displacement.values[mask]) for mask in (masks[np.argmax(growths)], masks[0])
+    ]
     is_measured = signals.displacement in protocol.channels and all(map(len, paths))
     is_falling = {
         "force": extreme < 0.0,
@@ -308,30 +296,20 @@ def check_signs(prepared: PreparedTest, motion: Motion, protocol: Protocol) -> l
     texts = {"force": f"{extreme:.3g} N", "displacement": f"{lowest:.3g} mm"}
     names = [x for x in texts if is_falling[x] and (curve.reverse is None or x in curve.reverse)]
     signs, name_list = " and ".join(f"the {x} goes to {texts[x]}" for x in names), ", ".join(names)
-    remedy = format_sentence(
-        "process.signs_reversed" if curve.reverse else "process.signs_to_reverse",
-        names=name_list if curve.reverse else format_overrides("curve.reverse", f"[{name_list}]"),
-    )
-    # The clocks are aligned at peaks of the force.
-    clock = ("clock",) if motion.clocks.force is not None else ()
-    return [
-        Finding.of(
-            "process.force_reversed" if name == "force" else "process.displacement_reversed",
-            getattr(signals, name),
-            f"{name}_sign" if len(names) > 1 else name,
-            *(clock if name == "force" else ()),
-            signs=signs,
-            remedy=remedy,
-        )
-        for name in names
-    ]
-
-
-def _average_blocks(values: Floats) -> Floats:
-    """Average the values that are not NaN over at most 200 blocks."""
-    finite = drop_missing(values)
-    starts = np.linspace(0, len(finite), min(200, len(finite)), endpoint=False).astype(np.int64)
-    return average_between(finite, starts) if len(finite) else finite
+    if curve.reverse:
+        remedy = format_sentence("process.signs_reversed", names=name_list)
+    else:
+        override = format_overrides("curve.reverse", f"[{name_list}]")
+        remedy = format_sentence("process.signs_to_reverse", names=override)
+    findings = []
+    for name in names:
+        quantities = [f"{name}_sign" if len(names) > 1 else name]
+        if name == "force" and motion.clocks.force is not None:
+            quantities.append("clock")  # the clocks are aligned at peaks of the force
+        facts: dict[str, Any] = {"signs": signs, "remedy": remedy}
+        channel = getattr(signals, name)
+        findings.append(Finding.of(f"process.{name}_reversed", channel, *quantities, **facts))
+    return findings
 
 
 def check_start(signals: Signals, motion: Motion, *, has_slack: bool) -> Iterator[Finding]:
@@ -381,16 +359,13 @@ def check_start(signals: Signals, motion: Motion, *, has_slack: bool) -> Iterato
     start_period = float(time[0]), max(float(time[0]), motion.branches[0].start_time)
     for doubtful, period in ((["start"], start_period), (zeroed_quantities, None)):
         if doubtful:
-            yield Finding.of(
-                "process.begins_under_load",
-                where,
-                *doubtful,
-                period=period,
-                load=load,
-                relative_load=relative_load,
-                position=1e3 * float(path[0]),
-                zeros=f"; {' and '.join(zeroed_names)} zeroed there" if zeroed_names else "",
-            )
+            facts: dict[str, Any] = {
+                "load": load,
+                "relative_load": relative_load,
+                "position": 1e3 * float(path[0]),
+                "zeros": f"; {' and '.join(zeroed_names)} zeroed there" if zeroed_names else "",
+            }
+            yield Finding.of("process.begins_under_load", where, *doubtful, period=period, **facts)
 
 
 def _read_first_branch(
@@ -437,13 +412,9 @@ def _check_first_sample(channel: str, force: Floats, path: Floats) -> Iterator[F
     travel_below, travel_above = -path.min(), path.max()
     is_below = min_ratio * travel_above < travel_below < max_ratio * travel_above
     if is_zeroed and is_below and force_below > min_ratio * force_above:
-        yield Finding.of(
-            "process.zeroed_in_mid_stroke",
-            channel,
-            *("displacement", "force", "start"),
-            travel=1e3 * travel_below,
-            force=force_below,
-        )
+        facts: dict[str, Any] = {"travel": 1e3 * travel_below, "force": force_below}
+        quantities = "displacement", "force", "start"
+        yield Finding.of("process.zeroed_in_mid_stroke", channel, *quantities, **facts)
 
 
 def _is_loaded(force: Floats, path: Floats, path_range: float, relative_load: float) -> bool:
@@ -616,10 +587,6 @@ def check_calibration_due(protocol: Protocol, tested: date | None) -> Iterator[F
     """
     for instrument in list_certified_instruments(protocol):
         if instrument.due is not None and tested is not None and tested > instrument.due:
-            yield Finding.of(
-                "process.calibration_overdue",
-                instrument.channel,
-                *instrument.measures,
-                instrument=instrument,
-                tested=tested,
-            )
+            facts: dict[str, Any] = {"instrument": instrument, "tested": tested}
+            name, where = "process.calibration_overdue", instrument.channel
+            yield Finding.of(name, where, *instrument.measures, **facts)
