@@ -18,7 +18,7 @@ import numpy as np
 from labpipe.errors import format_overrides
 from labpipe.protocol import schema
 from labpipe.protocol.schema import Branches
-from labpipe.records.arrays import Floats, compute_median_step, drop_missing, median
+from labpipe.records.arrays import Floats, average_blocks, compute_median_step, drop_missing, median
 from labpipe.records.curve import Branch, ClockFit
 from labpipe.records.estimates import Failure
 from labpipe.records.quality import Doubt, Finding
@@ -175,23 +175,6 @@ def split_at_turns(motion: Motion) -> tuple[Branch, ...]:
         times[turn.stroke_index, 1] = turn.arrival.time
         times[turn.stroke_index + 1, 0] = turn.departure.time
     return turning_points.split_branches(motion.signal.time, motion.strokes, turning_times=times)
-
-
-def average_equal_blocks(values: Floats, min_blocks: int) -> Floats:
-    """Average a record over blocks of equal size.
-
-    Parameters
-    ----------
-    values : shape (n,), samples of any quantity
-    min_blocks : smallest number of blocks; a shorter record is unchanged
-
-    Returns
-    -------
-    Shape (blocks,), block means. Last samples that do not fill a block are left out.
-    """
-    block_size = max(1, len(values) // min_blocks)
-    n_blocks = len(values) // block_size
-    return np.asarray(values[: n_blocks * block_size].reshape(n_blocks, block_size).mean(axis=1))
 
 
 def orient_force(force: Signal) -> Signal:
@@ -590,7 +573,9 @@ def _measure_repeat(motion: Motion, force: Signal, fit: ClockFit) -> Repeat | No
     if isinstance(lag, Failure) or isinstance(force_lag, Failure):
         return None
     drift = force.zero_drift * float(np.nanmax(np.abs(force.values)))
-    time, values = (average_equal_blocks(x, 50_000) for x in (force.time, force.values))
+    time, values = (
+        average_blocks(x, 50_000, has_remainder=False) for x in (force.time, force.values)
+    )
     drift_modes = compute_drift_modes(time - time[0], drift)
     drifted_forces = [values, *(values + mode for mode in drift_modes)] if drift_modes else []
     drifted_lags = [fit_force(time, drifted_force) for drifted_force in drifted_forces]

@@ -18,11 +18,18 @@ import numpy as np
 
 from labpipe.errors import ProcessingError, format_overrides
 from labpipe.messages import format_sentence
-from labpipe.process.motion import Motion, average_equal_blocks, orient_force
+from labpipe.process.motion import Motion, orient_force
 from labpipe.protocol.schema import Protocol, Rig
 from labpipe.protocol.source import ChannelSource
 from labpipe.records import declarations
-from labpipe.records.arrays import Flags, Floats, compute_median_step, drop_missing, find_run_times
+from labpipe.records.arrays import (
+    Flags,
+    Floats,
+    average_blocks,
+    compute_median_step,
+    drop_missing,
+    find_run_times,
+)
 from labpipe.records.causes import SPEED, TURN
 from labpipe.records.curve import NORMAL_95, Shape
 from labpipe.records.estimates import Failure
@@ -607,7 +614,7 @@ def average_level(values: Floats, other_values: Floats) -> tuple[float, float]:
     if stretches:
         fit = fit_linear(np.ones((len(values), 1)), values, other_stretches=stretches)
         return float(fit.coefficients[0]), float(fit.half_widths[0]) / NORMAL_95
-    blocks = average_equal_blocks(values, _MIN_BLOCKS)
+    blocks = average_blocks(values, _MIN_BLOCKS, has_remainder=False)
     error = float(np.sqrt(estimate_long_run_variance(blocks, parameters=1) / len(blocks)))
     return float(values.mean()), error
 
@@ -623,7 +630,7 @@ def fit_end_level(values: Floats, other_values: Floats) -> tuple[float, float]:
     -------
     The value of the line at the first sample and its standard error, in the unit of `values`.
     """
-    blocks = average_equal_blocks(values, _MIN_BLOCKS)
+    blocks = average_blocks(values, _MIN_BLOCKS, has_remainder=False)
     block_size = len(values) // len(blocks)
     # The unit of positions is the length of a block, and the first sample is at 0.
     positions = np.arange(len(blocks)) + 0.5 * (block_size - 1) / block_size

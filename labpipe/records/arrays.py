@@ -174,24 +174,26 @@ def average_between(values: Floats, starts: Ints) -> Floats:
     -------
     Shape (m,), in the unit of `values`; the last block ends with the last sample.
     """
-    means: Floats = np.add.reduceat(values, starts) / np.diff(np.append(starts, len(values)))
-    return means
+    sizes = np.diff(np.append(starts, len(values)))
+    return np.asarray(np.add.reduceat(values, starts) / sizes)
 
 
-def average_blocks(values: Floats, points: int) -> Floats:
-    """Average blocks of consecutive samples of equal size.
+def average_blocks(values: Floats, points: int, *, has_remainder: bool = True) -> Floats:
+    """Average blocks of consecutive samples of equal size, which unlike decimation does not alias.
 
     Parameters
     ----------
     values : shape (n,); a NaN makes the mean of its block NaN
     points : minimum number of means, if there are as many samples
+    has_remainder : whether the last block includes the remainder; if False, the remainder is left
+        out, so that the noise of all means is equal
 
     Returns
     -------
-    Means, from `points` to less than twice as many, in the unit of `values`. The last block
-    includes the remainder.
+    Means, from `points` to less than twice as many, in the unit of `values`.
     """
     size = max(1, len(values) // points)
+    values = values if has_remainder else values[: len(values) // size * size]
     starts = np.arange(0, max(len(values) - size + 1, 1), size)
     return average_between(values, starts) if len(values) else values
 

@@ -143,14 +143,12 @@ class Signals:
 
         raw, filtered = self.raw[name], self.filtered[name]
         zeroed = subtract(raw)
+        levels = {**self.subtracted_levels, name: self.subtracted_levels.get(name, 0.0) + level}
         return replace(
             self,
             raw={**self.raw, name: zeroed},
             filtered={**self.filtered, name: zeroed if filtered is raw else subtract(filtered)},
-            subtracted_levels={
-                **self.subtracted_levels,
-                name: self.subtracted_levels.get(name, 0.0) + level,
-            },
+            subtracted_levels=levels,
         )
 
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import log_ndtr, ndtr
 
-from labpipe.records.arrays import Floats, Ints
+from labpipe.records.arrays import Floats, Ints, average_blocks
 from labpipe.uncertainty.autocorrelation import estimate_long_run_variance
 
 
@@ -64,12 +64,11 @@ def fit_corner(time: Floats, values: Floats, *, guess: float, window: float) -> 
     """
     min_bins_per_side, min_side_samples = 600, 4
     is_used = (np.abs(time - guess) <= window) & ~np.isnan(values)
-    block_size = int(is_used.sum()) // (2 * min_bins_per_side)
-    t, y = average_blocks(time[is_used] - guess, values[is_used], block_size)
+    t, y = _average_pairs(time[is_used] - guess, values[is_used], 2 * min_bins_per_side)
     if min((t < 0).sum(), (t > 0).sum()) < min_side_samples:
         return None
     grid = np.linspace(-0.5 * window, 0.5 * window, 41)
-    coarse = average_blocks(t, y, len(t) // 200)
+    coarse = _average_pairs(t, y, 200)
     costs = [_fit_joined_lines(*coarse, corner_time)[1] for corner_time in grid]
     corner_time = float(grid[int(np.argmin(costs))])
     parameters = np.append(_fit_joined_lines(t, y, corner_time)[0], corner_time)
@@ -167,23 +166,10 @@ def _make_corner(
     )
 
 
-def average_blocks(time: Floats, values: Floats, size: int) -> tuple[Floats, Floats]:
-    """Average blocks of consecutive samples, which unlike decimation does not alias hum.
-
-    Parameters
-    ----------
-    time, values : shape (n,), times (s) and values (any unit) of a signal
-    size : number of samples per block; below 2 the samples are returned unchanged
-
-    Returns
-    -------
-    Mean times and mean values of the blocks, shape (n // size,) each; NaN if a block contains NaN.
-    """
-    if size < 2:
-        return time, values
-    count = len(time) // size * size
-    time, values = time[:count].reshape(-1, size), values[:count].reshape(-1, size)
-    return time.mean(axis=1), values.mean(axis=1)
+def _average_pairs(time: Floats, values: Floats, points: int) -> tuple[Floats, Floats]:
+    """Average times and values over blocks of equal size; `points` is the minimum number."""
+    t, y = (average_blocks(x, points, has_remainder=False) for x in (time, values))
+    return t, y
 
 
 def _build_line_design(time: Floats, corner: float) -> Floats:
@@ -303,7 +289,7 @@ def fit_reversal(
     first_half_width = 0.15  # of the first grid, in windows
     is_used = (time >= guess - window) & (time <= guess + window + dwell) & ~np.isnan(values)
     count, relative_dwell = int(is_used.sum()), dwell / window
-    t, y = average_blocks((time[is_used] - guess) / window, values[is_used], count // min_bins)
+    t, y = _average_pairs((time[is_used] - guess) / window, values[is_used], min_bins)
     n_before, n_after = (t < -_SEARCH_RANGE).sum(), (t > relative_dwell + _SEARCH_RANGE).sum()
     if min(n_before, n_after) < _N_FIXED or np.ptp(y) == 0.0:
         return None
