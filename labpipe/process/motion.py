@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import pairwise
 from math import sqrt
+from typing import Any
 
 import numpy as np
 
@@ -103,20 +104,17 @@ def find_motion_strokes(signal: Signal, settings: Branches) -> tuple[Motion, lis
     strokes or noise hides them.
     """
     noise_factor = 5.0  # standard deviations that noise alone may reach
-    channel, min_stroke = settings.channel, settings.min_stroke
-    noise = estimate_noise_level(signal.values)
+    time, values, min_stroke = signal.time, signal.values, settings.min_stroke
+    noise = estimate_noise_level(values)
     if noise_factor * noise > min_stroke:
-        noise, min_stroke = 1e3 * noise, 1e3 * min_stroke
-        return Motion(signal), [
-            Finding.of(
-                "process.motion_is_noise", channel, blocks=True, noise=noise, min_stroke=min_stroke
-            )
-        ]
-    strokes = turning_points.find_strokes(signal.time, signal.values, min_stroke=min_stroke)
-    if not strokes:
-        span = 1e3 * float(np.nanmax(signal.values) - np.nanmin(signal.values))
-        return Motion(signal), [Finding.of("process.no_motion", channel, blocks=True, span=span)]
-    return Motion(signal, strokes=strokes), []
+        name = "process.motion_is_noise"
+        facts: dict[str, Any] = {"noise": 1e3 * noise, "min_stroke": 1e3 * min_stroke}
+    elif strokes := turning_points.find_strokes(time, values, min_stroke=min_stroke):
+        return Motion(signal, strokes=strokes), []
+    else:
+        name = "process.no_motion"
+        facts = {"span": 1e3 * float(np.nanmax(values) - np.nanmin(values))}
+    return Motion(signal), [Finding.of(name, settings.channel, blocks=True, **facts)]
 
 
 def find_motion_turns(motion: Motion, *, window: float) -> tuple[Turn, ...]:
@@ -145,26 +143,26 @@ def find_motion_turns(motion: Motion, *, window: float) -> tuple[Turn, ...]:
     min_dwell_factor, min_median_factor, min_turns = 2.4, 1.5, 3
     min_dwell_samples, min_apparent_dwell = 3, 1e-6  # s
     signal, time = motion.signal, motion.signal.time
-    candidates, ratios = [], []
+    candidates = []
     for index, (stroke, next_stroke) in enumerate(pairwise(motion.strokes)):
         ends = time[[stroke.start, stroke.stop, next_stroke.start, next_stroke.stop]].tolist()
         fit_width = min(window, 0.95 * min(ends[1] - ends[0], ends[3] - ends[2]))
         for sharp_turn, dwell_turn in _fit_turn(signal, index, (ends[1], ends[2]), fit_width):
-            dwell, apparent_dwell = 0.0, 0.0
-            if dwell_turn is not None:
-                dwell = dwell_turn.dwell
-                apparent_dwell = _estimate_apparent_dwell(signal, dwell_turn)
+            apparent_dwell = _estimate_apparent_dwell(signal, dwell_turn) if dwell_turn else 0.0
             candidates.append((sharp_turn, dwell_turn, apparent_dwell))
-            ratios.append(dwell / max(apparent_dwell, min_apparent_dwell))
+    ratios = [
+        turn.dwell / max(apparent_dwell, min_apparent_dwell) if turn else 0.0
+        for _, turn, apparent_dwell in candidates
+    ]
     dwells_everywhere = len(ratios) >= min_turns and median(np.array(ratios)) > min_median_factor
     min_dwell = min_dwell_samples * compute_median_step(time)
     turns = []
-    for turn, dwell_turn, apparent_dwell in candidates:
+    for sharp_turn, dwell_turn, apparent_dwell in candidates:
         limit = max(min_dwell_factor * apparent_dwell, min_dwell)
-        if dwell_turn and (turn is None or dwells_everywhere or dwell_turn.dwell > limit):
+        if dwell_turn and (not sharp_turn or dwells_everywhere or dwell_turn.dwell > limit):
             turns.append(dwell_turn)
-        elif turn:
-            turns.append(turn)
+        elif sharp_turn:
+            turns.append(sharp_turn)
     return tuple(turns)
 
 
@@ -246,10 +244,9 @@ def check_turns(motion: Motion, *, for_clock: bool = True) -> Iterator[Finding]:
             time = float(signal.time[stroke.stop])
             start = max(recorded_times[recorded_times < time][-1:], default=time)
             stop = min(recorded_times[recorded_times > time][:1], default=time)
-            period, clock, where = (float(start), float(stop)), signal.clock, "travel"
-            yield Finding.of(
-                "process.turn_not_seen", where, *quantities, period=period, clock=clock, time=time
-            )
+            facts: dict[str, Any] = {"clock": signal.clock, "time": time}
+            period, name = (float(start), float(stop)), "process.turn_not_seen"
+            yield Finding.of(name, "travel", *quantities, period=period, **facts)
     for turn in motion.turns:
         finding = _find_rounded_corner(signal, turn)
         if finding is not None:
@@ -282,15 +279,10 @@ def _find_rounded_corner(signal: Signal, turn: Turn) -> Finding | None:
             scatter = noise * np.sqrt(1.0 + noise_factor * variance_error)
             limit = np.hypot(scatter, 2.0 * MAX_CORNER_CUT)
         if cut > limit:
-            return Finding.of(
-                "process.turn_rounded",
-                "travel",
-                "displacement",
-                period=(turn.arrival.time - width, turn.departure.time + width),
-                clock=signal.clock,
-                time=turn.middle_time,
-                cut=1e6 * cut,
-            )
+            period = turn.arrival.time - width, turn.departure.time + width
+            facts: dict[str, Any] = {"clock": signal.clock, "time": turn.middle_time}
+            facts |= {"cut": 1e6 * cut, "period": period}
+            return Finding.of("process.turn_rounded", "travel", "displacement", **facts)
     return None
 
 
@@ -500,25 +492,13 @@ def fit_turning_points(
     force = orient_force(force)
     pairs, is_ambiguous, peak_counts = match_strokes(motion, force, sign=1)
     events = find_turn_events(force, pairs, motion, align.force_window)
+    facts: dict[str, Any] = {"peak_counts": peak_counts}
     if not events.size:
-        error = Finding.of(
-            "process.no_common_peak" if pairs else "process.no_pair_of_peaks",
-            "align",
-            blocks=True,
-            peak_counts=peak_counts,
-        )
-        return None, [error]
+        name = "process.no_common_peak" if pairs else "process.no_pair_of_peaks"
+        return None, [Finding.of(name, "align", blocks=True, **facts)]
     if is_ambiguous:
-        state = format_overrides("align", "{method: stated, offset: ...}")
-        findings.append(
-            Finding.of(
-                "process.alignment_ambiguous",
-                "align",
-                "clock",
-                peak_counts=peak_counts,
-                state=state,
-            )
-        )
+        facts["state"] = format_overrides("align", "{method: stated, offset: ...}")
+        findings.append(Finding.of("process.alignment_ambiguous", "align", "clock", **facts))
     fit = _fit_events(events, None)
     if events.shape[1] > 2 and not _has_relaxation(force, motion, fit):
         repeat, repeat_findings = _select_repeat(_measure_repeat(motion, force, fit), fit)
@@ -530,17 +510,8 @@ def _check_constant(force: Signal, channel: str) -> list[Finding]:
     """Report a constant force, which has no turning point."""
     if np.nanmax(force.values) > np.nanmin(force.values):
         return []
-    level = float(np.nanmean(force.values))
-    return [
-        Finding.of(
-            "process.constant_channel",
-            channel,
-            blocks=True,
-            channel=channel,
-            level=level,
-            force=force,
-        )
-    ]
+    facts: dict[str, Any] = {"channel": channel, "level": float(np.nanmean(force.values))}
+    return [Finding.of("process.constant_channel", channel, blocks=True, force=force, **facts)]
 
 
 def _measure_repeat(motion: Motion, force: Signal, fit: ClockFit) -> Repeat | None:
@@ -577,9 +548,12 @@ def _measure_repeat(motion: Motion, force: Signal, fit: ClockFit) -> Repeat | No
         average_blocks(x, 50_000, has_remainder=False) for x in (force.time, force.values)
     )
     drift_modes = compute_drift_modes(time - time[0], drift)
-    drifted_forces = [values, *(values + mode for mode in drift_modes)] if drift_modes else []
-    drifted_lags = [fit_force(time, drifted_force) for drifted_force in drifted_forces]
-    lags = [x.value for x in drifted_lags if not isinstance(x, Failure)]
+    fits = (
+        [fit_force(time, np.add(values, mode)) for mode in (0.0, *drift_modes)]
+        if drift_modes
+        else []
+    )
+    lags = [x.value for x in fits if not isinstance(x, Failure)]
     drift_error = float(np.linalg.norm(np.subtract(lags[1:], lags[0]))) if lags else 0.0
     error = float(np.hypot(lag.error, force_lag.error))
     return Repeat(lag.value, force_lag.value, error, drift_error)
@@ -631,21 +605,18 @@ def _check_fit(fit: ClockFit, align: schema.AlignTurningPoints) -> Iterator[Find
     residual_factor = 2.0
     allowed_by_noise = residual_factor * float(np.sqrt(np.mean(fit.event_errors**2)))
     if fit.residual > max(align.max_residual, allowed_by_noise):
-        residual, allowed = 1e3 * fit.residual, 1e3 * align.max_residual
-        yield Finding.of(
-            "process.alignment_residual", "align", "clock", residual=residual, allowed=allowed
-        )
+        facts: dict[str, Any] = {
+            "residual": 1e3 * fit.residual,
+            "allowed": 1e3 * align.max_residual,
+        }
+        yield Finding.of("process.alignment_residual", "align", "clock", **facts)
     half_width = 0.5 * (fit.drift_interval.upper - fit.drift_interval.lower)
     if abs(fit.drift) - half_width > align.max_drift:
         # Clocks are accurate to parts per million. These may be recordings of two tests.
-        yield Finding.of(
-            "process.alignment_drift",
-            "align",
-            *("clock", "displacement", "force"),
-            drift=1e6 * fit.drift,
-            half_width=1e6 * half_width,
-            allowed=1e6 * align.max_drift,
-        )
+        facts = {"drift": 1e6 * fit.drift, "half_width": 1e6 * half_width}
+        facts["allowed"] = 1e6 * align.max_drift
+        quantities = "clock", "displacement", "force"
+        yield Finding.of("process.alignment_drift", "align", *quantities, **facts)
     if len(fit.event_times_motion) == 1:
         yield Finding.of("process.alignment_one_event", "align", "clock")
 
@@ -680,14 +651,8 @@ def make_stated_fit(
     events = np.array([[0.0], [align.offset], [error]])
     drift, method = (align.drift, max_rate_difference / sqrt(3.0)), f"stated: {align.because}"
     fit = make_clock_fit((align.offset, error), drift, events, method)
-    note = Finding.of(
-        "process.clocks_stated",
-        "align",
-        align=align,
-        error=error,
-        ppm=1e6 * align.drift,
-        basis=error_basis,
-    )
+    facts: dict[str, Any] = {"error": error, "ppm": 1e6 * align.drift, "basis": error_basis}
+    note = Finding.of("process.clocks_stated", "align", align=align, **facts)
     return fit, [note, *_check_stated_offset(force, fit, motion)]
 
 
@@ -738,21 +703,14 @@ def fit_common_start(
     lag = float(np.average(lags, weights=weights)) if len(lags) else 0.0
     lag_error = float(weights.sum() ** -0.5) if len(lags) else 0.0
     started_together = abs(lag) - 1.96 * lag_error <= align.max_offset
-    fit, channel = _fit_common_start_clock(events, align, started_together), align.channel
-    max_lag = 1e3 * align.max_offset
+    fit = _fit_common_start_clock(events, align, started_together)
+    facts: dict[str, Any] = {"channel": align.channel, "max_lag": 1e3 * align.max_offset}
     if not len(lags):
-        note = Finding.of("process.start_unchecked", "align", channel=channel, max_lag=max_lag)
-        return fit, [*findings, note]
-    note = Finding.of(
-        "process.common_start" if started_together else "process.not_started_together",
-        "align",
-        *(() if started_together else ("clock", "force")),
-        channel=channel,
-        lag=1e3 * lag,
-        half_width=1.96e3 * lag_error,
-        max_lag=max_lag,
-        offset=1e3 * fit.offset,
-    )
+        return fit, [*findings, Finding.of("process.start_unchecked", "align", **facts)]
+    facts |= {"lag": 1e3 * lag, "half_width": 1.96e3 * lag_error, "offset": 1e3 * fit.offset}
+    if started_together:
+        return fit, [*findings, Finding.of("process.common_start", "align", **facts)]
+    note = Finding.of("process.not_started_together", "align", "clock", "force", **facts)
     return fit, [*findings, note]
 
 
@@ -773,13 +731,11 @@ def _fit_common_start_clock(
     """Fit offset and drift to the bounds of the protocol and to events, shape (3, events), s."""
     motion, force, errors = events
     start_error, drift_error = align.max_offset / sqrt(3.0), align.max_drift / sqrt(3.0)
-    design = np.column_stack([np.ones_like(motion), motion])
-    bounds = [([0.0, 1.0], drift_error)]
-    bounds += [([1.0, 0.0], start_error)] if started_together else []
-    design = np.vstack([design, *(row for row, _ in bounds)])
-    differences = np.append(force - motion, np.zeros(len(bounds)))
-    standard_errors = np.append(errors, [error for _, error in bounds])
-    (offset, drift), covariance = solve_weighted(design, differences, standard_errors)
+    bounds = np.array([[0.0, 1.0, drift_error], [1.0, 0.0, start_error]])[: 1 + started_together]
+    design = np.vstack([np.column_stack([np.ones_like(motion), motion]), bounds[:, :2]])
+    differences, deviations = np.append(force - motion, 0.0 * bounds[:, 2]), bounds[:, 2]
+    deviations = np.append(errors, deviations)
+    (offset, drift), covariance = solve_weighted(design, differences, deviations)
     offset_error, drift_error = np.sqrt(np.diag(covariance)).tolist()
     if not len(errors):  # the common start is the only event
         events = np.array([[0.0], [0.0], [start_error]])
