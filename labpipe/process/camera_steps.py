@@ -7,7 +7,7 @@ from dataclasses import replace
 from fnmatch import fnmatchcase
 from functools import partial
 from math import sqrt
-from typing import TypeAlias, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -111,10 +111,8 @@ def repair_marker_tracks(
     if settings.rings == "by-body":
         rings = group_rings(repaired.names)
         if len(rings) < min_rings:
-            count, markers, names = len(rings), len(repaired.names), ", ".join(rings)
-            raise ValueError(
-                format_sentence("process.few_rings", count=count, markers=markers, names=names)
-            )
+            facts = {"count": len(rings), "markers": len(repaired.names), "names": ", ".join(rings)}
+            raise ValueError(format_sentence("process.few_rings", **facts))
         repaired = compute_ring_centres(repaired, rings)
     findings += [*body_findings, *_make_shape_findings(repaired.notes, take.role)]
     take = replace(take, clamp_positions=clamp_path, repaired=repaired)
@@ -133,13 +131,12 @@ def find_specimen_axes(prepared: PreparedTest, step: declarations.SpecimenFrame)
     if MIN_SAMPLES_NOISE_UNKNOWN <= (is_at_rest & is_before_motion).sum() < is_at_rest.sum():
         is_at_rest &= is_before_motion
         frame = find_frame(rest=is_at_rest)
-        duration, stated = float(np.ptp(tracks.time[is_at_rest])), step.over
-        findings.append(
-            Finding.of("process.short_rest_of_clamp", role, duration=duration, stated=stated)
-        )
+        duration = float(np.ptp(tracks.time[is_at_rest]))
+        facts: dict[str, Any] = {"duration": duration, "stated": step.over}
+        findings.append(Finding.of("process.short_rest_of_clamp", role, **facts))
     findings += _make_shape_findings(frame.notes, role)
-    plane, line = 1e3 * frame.out_of_plane, 1e3 * frame.travel_residual  # mm
-    findings.append(Finding.of("process.specimen_frame", role, plane=plane, line=line))
+    facts = {"plane": 1e3 * frame.out_of_plane, "line": 1e3 * frame.travel_residual}
+    findings.append(Finding.of("process.specimen_frame", role, **facts))
     if clamp_path is not None:
         travel = -frame.to_specimen(clamp_path)[:, 1]
         travel = travel - np.nanmean(travel[is_at_rest])
@@ -184,9 +181,9 @@ def fit_specimen_shapes(
     )
     findings = list(_make_shape_findings(fit.notes, role))
     rms, rest_rms = 1e3 * compute_rms(fit.residual), 1e3 * compute_rms(fit.residual[is_at_rest])
+    facts: dict[str, Any] = {"rms": rms, "rest_rms": rest_rms}
     if rms > misfit_factor * rest_rms + misfit_offset and has_clamp:
-        note = Finding.of("process.shape_misfit", role, "displacement", rms=rms, rest_rms=rest_rms)
-        findings.append(note)
+        findings.append(Finding.of("process.shape_misfit", role, "displacement", **facts))
     angle = float(np.degrees(fit.clamp_angle))
     findings.append(Finding.of("process.shape_fit", role, rms=rms, angle=angle))
     if has_clamp:
@@ -235,14 +232,12 @@ def _read_clamp_path(
     body = tracks.find_body(settings.clamp)
     if body is None:
         similar_names = sort_by_likeness(settings.clamp, [body.name for body in tracks.bodies])
-        listed_names = ", ".join(map(repr, similar_names)) or "no rigid body in the take"
-        raise ProcessingError.about(
-            "process.no_clamp", role, "rigid bodies", clamp=settings.clamp, found=listed_names
-        )
+        found = ", ".join(map(repr, similar_names)) or "no rigid body in the take"
+        facts = {"clamp": settings.clamp, "found": found}
+        raise ProcessingError.about("process.no_clamp", role, "rigid bodies", **facts)
     if np.isnan(body.position).all():
-        raise ProcessingError.about(
-            "process.clamp_never_seen", role, f"rigid body {settings.clamp!r}"
-        )
+        place = f"rigid body {body.name!r}"
+        raise ProcessingError.about("process.clamp_never_seen", role, place)
     return _repair_clamp_path(tracks, body, step, role)
 
 
@@ -265,13 +260,13 @@ def _repair_clamp_path(
     next_samples = np.searchsorted(measured_times, missing_times)
     gap_ends = np.concatenate([[-np.inf], measured_times, [np.inf]])
     gaps = gap_ends[next_samples + 1] - gap_ends[next_samples]
-    bridged_samples = np.flatnonzero(is_missing)[gaps <= step.max_gap]
-    for axis in range(3):
-        path[bridged_samples, axis] = np.interp(
-            tracks.time[bridged_samples], measured_times, path[~is_missing, axis]
+    bridged = np.flatnonzero(is_missing)[gaps <= step.max_gap]
+    for coordinate in path.T:
+        coordinate[bridged] = np.interp(
+            tracks.time[bridged], measured_times, coordinate[~is_missing]
         )
-    lost, bridged, gap = int(is_missing.sum()), len(bridged_samples), step.max_gap
-    finding = Finding.of("process.clamp_lost", name, body=name, lost=lost, bridged=bridged, gap=gap)
+    facts: dict[str, Any] = {"lost": int(is_missing.sum()), "bridged": len(bridged)}
+    finding = Finding.of("process.clamp_lost", name, body=name, gap=step.max_gap, **facts)
     return path, [*findings, finding]
 
 
@@ -295,17 +290,13 @@ def _select_specimen_tracks(
         if not name.startswith(prefixes)
         and (is_unlabelled(name) or any(name == x or fnmatchcase(name, x) for x in patterns))
     ]
-    other_bodies = ", ".join(sorted({name for name in bodies if name != settings.clamp}))
-    findings = []
-    if other_bodies:
-        findings.append(Finding.of("process.bodies_left_out", role, bodies=other_bodies))
     visible_names = [name for name in selected_names if tracks.n_missing[name] < len(tracks.time)]
     if len(visible_names) < min_tracks:
-        names = ", ".join(visible_names) or "none"
-        raise ProcessingError.about(
-            "process.few_markers", role, "markers", count=len(visible_names), names=names
-        )
-    return selected_names, findings
+        facts = {"count": len(visible_names), "names": ", ".join(visible_names) or "none"}
+        raise ProcessingError.about("process.few_markers", role, "markers", **facts)
+    other_bodies = ", ".join(sorted({name for name in bodies if name != settings.clamp}))
+    finding = Finding.of("process.bodies_left_out", role, bodies=other_bodies)
+    return selected_names, [finding] if other_bodies else []
 
 
 def fit_three_point_shape(
@@ -338,14 +329,9 @@ def fit_three_point_shape(
         sections = find_sections(repaired.positions, rest=is_at_rest, min_distance=step.section)
         deflections = np.abs(sections.markers[..., 1] - sections.rest_xyz[:, 1])
         max_deflections = np.max(np.nan_to_num(deflections), axis=1)  # of each frame
-        is_bent = max_deflections > bent_fraction * max_deflections.max()
-        shape = fit_span(
-            sections,
-            span=span,
-            radius=settings.centre_offset,
-            side=step.facing,
-            is_bent=np.asarray(is_bent, dtype=np.bool_),
-        )
+        is_bent = np.asarray(max_deflections > bent_fraction * max_deflections.max())
+        radius, side = settings.centre_offset, step.facing
+        shape = fit_span(sections, span=span, radius=radius, side=side, is_bent=is_bent)
     except ValueError as error:
         return _reject_span(prepared, Failure("too_few_markers", str(error)))
     deflection = shape.axis.deflection
@@ -357,20 +343,13 @@ def fit_three_point_shape(
     variance = estimate_long_run_variance(rest_values, parameters=1) / count
     mid_span = take.make_signal(time, deflection - rest_values.mean())
     mid_span = replace(mid_span, zero_error=float(np.sqrt(variance)))
-    prepared = replace(
-        prepared,
-        signals=prepared.signals.add_signal("mid_span", mid_span),
-        shape=_make_span_shape(sections, shape, time, repaired.flags),
-        span=SpanBend(shape, time, is_at_rest),
-    )
-    note = Finding.of(
-        "process.three_point_shape",
-        take.role,
-        count=sections.count,
-        n_around=int((shape.lever > 0.0).sum()),
-        noise=1e6 * shape.axis.noise,
-    )
-    return prepared, [note]
+    signals = prepared.signals.add_signal("mid_span", mid_span)
+    span_shape = _make_span_shape(sections, shape, time, repaired.flags)
+    bend = SpanBend(shape, time, is_at_rest)
+    n_around, noise = int((shape.lever > 0.0).sum()), 1e6 * shape.axis.noise
+    facts: dict[str, Any] = {"count": sections.count, "n_around": n_around, "noise": noise}
+    note = Finding.of("process.three_point_shape", take.role, **facts)
+    return replace(prepared, signals=signals, shape=span_shape, span=bend), [note]
 
 
 def _reject_span(prepared: PreparedTest, reason: Failure) -> StepOutcome:

@@ -457,7 +457,9 @@ def _check_cycle_changes(record: CheckedRecord) -> Iterator[Finding]:
         is_turn_shifted = abs(new_travel[-1] - old_travel[-1]) > max_shift
         is_force_alone = kind == "level" and not is_turn_shifted
         yield record.report(
-            f"process.cycle_{kind}",
+            "process.cycle_level"
+            if kind == "level"
+            else ("process.cycle_scale" if kind == "scale" else "process.cycle_travel"),
             *(("force",) if is_force_alone else BOTH),
             at=new_cycle.loading.start,
             segment=(old_cycle.unloading.stop - 1, -1),

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -86,11 +86,8 @@ def build_curve(
     time = displacement.time
     force = test.clocks.interpolate(unfiltered_force, time)  # `correct_curve` filters it
     if np.isnan(force).all():
-        force_ends, motion_ends = test.force.time[[0, -1]], time[[0, -1]]
-        note = Finding.of(
-            "process.no_overlap", "align", blocks=True, force=force_ends, motion=motion_ends
-        )
-        return None, [note]
+        facts: dict[str, Any] = {"force": test.force.time[[0, -1]], "motion": time[[0, -1]]}
+        return None, [Finding.of("process.no_overlap", "align", blocks=True, **facts)]
     branches, motion_time = motion.branches, motion.signal.time
     if len(motion_time) != len(time):
         # The branches count the samples of another channel with the same clock.
@@ -136,7 +133,19 @@ def correct_curve(test: ReducedTest, settings: CurveBlock) -> CorrectionOutcome:
     if settings.elastic_line is not None:
         test = replace(test, pull=fit_pull(test, ElasticWindow(**dict(settings.elastic_line))))
     # The notes on slips are made last, because the slack changes the positions of the slips.
-    return test, [*findings, *(_make_slip_note(test.signals.force, slip) for slip in test.slips)]
+    for slip in test.slips:
+        facts: dict[str, Any] = {"drop": slip.drop, "position": 1e3 * slip.position}
+        note = Finding.of(
+            "process.slip_marked"
+            if slip.decision is SlipDecision.MARKED
+            else "process.slip_repaired"
+            if slip.decision is SlipDecision.REPAIRED
+            else "process.slip_cut",
+            test.signals.force,
+            **facts,
+        )
+        findings.append(note)
+    return test, findings
 
 
 def bridge_outliers(signals: Signals) -> tuple[Signal, list[Finding]]:
@@ -154,15 +163,11 @@ def bridge_outliers(signals: Signals) -> tuple[Signal, list[Finding]]:
     outliers = find_spikes(raw_force.values)
     if not len(outliers):
         return raw_force, []
-    first_outlier = int(outliers[0])
-    time, value = raw_force.time[first_outlier], raw_force.values[first_outlier]
-    note = Finding.of(
-        "process.stray_samples",
-        signals.force,
-        count=len(outliers),
-        first=float(value),
-        at=f"at {time:.3f} s" if raw_force.has_time else f"in sample {first_outlier + 1}",
-    )
+    first = int(outliers[0])
+    time, value = raw_force.time[first], float(raw_force.values[first])
+    at = f"at {time:.3f} s" if raw_force.has_time else f"in sample {first + 1}"
+    facts: dict[str, Any] = {"count": len(outliers), "first": value, "at": at}
+    note = Finding.of("process.stray_samples", signals.force, **facts)
     return replace(raw_force, values=bridge_spikes(raw_force.values, outliers)), [note]
 
 
@@ -209,14 +214,9 @@ def _check_compliance(
     blocks = np.array_split(corrected, min(max_blocks, len(corrected)))
     if np.all(np.diff([np.nanmean(block) for block in blocks]) > 0.0):
         return
-    displacement_change = float(curve.displacement[peak] - curve.displacement[branch.start])
-    force_change = float(curve.force[peak] - curve.force[branch.start])
-    raise ProcessingError.about(
-        "process.too_compliant",
-        "curve.compliance",
-        limit=1e6 * abs(displacement_change / force_change),
-        stated=1e6 * compliance,
-    )
+    changes = [values[peak] - values[branch.start] for values in (curve.displacement, curve.force)]
+    facts = {"limit": 1e6 * abs(float(changes[0] / changes[1])), "stated": 1e6 * compliance}
+    raise ProcessingError.about("process.too_compliant", "curve.compliance", **facts)
 
 
 def find_final_loss(test: ReducedTest, criteria: LossOfForce) -> int | Failure | None:
@@ -340,20 +340,6 @@ def _cut_curve(curve: Curve, stop: int) -> Curve:
     return replace(curve, force=force, branches=branches)
 
 
-def _make_slip_note(channel: str, slip: Slip) -> Finding:
-    """Make the note on a slip, which states how it was treated."""
-    return Finding.of(
-        "process.slip_marked"
-        if slip.decision is SlipDecision.MARKED
-        else "process.slip_repaired"
-        if slip.decision is SlipDecision.REPAIRED
-        else "process.slip_cut",
-        channel,
-        drop=slip.drop,
-        position=1e3 * slip.position,
-    )
-
-
 def _subtract_slack(test: ReducedTest, settings: SlackBlock) -> CorrectionOutcome:
     """Subtract the slack from the displacement, the replicate curves and the slip positions."""
     start, stop = settings.start, settings.stop
@@ -401,12 +387,8 @@ def measure_slack(test: ReducedTest, read_slack: Decide) -> Measured | Failure:
     first_displacement, first_force = float(trace.displacement[start]), float(trace.force[start])
     is_taut = slack.value >= first_displacement - taut_fraction * float(np.ptp(trace.displacement))
     if not is_taut and not _is_preloaded(slack, read_slack, trace, start):
-        return Failure.of(
-            "process.steepest_at_begin",
-            zero=1e3 * slack.value,
-            first=1e3 * first_displacement,
-            load=first_force,
-        )
+        facts = {"zero": 1e3 * slack.value, "first": 1e3 * first_displacement, "load": first_force}
+        return Failure.of("process.steepest_at_begin", **facts)
     return slack
 
 

@@ -107,14 +107,16 @@ def find_motion_strokes(signal: Signal, settings: Branches) -> tuple[Motion, lis
     time, values, min_stroke = signal.time, signal.values, settings.min_stroke
     noise = estimate_noise_level(values)
     if noise_factor * noise > min_stroke:
-        name = "process.motion_is_noise"
         facts: dict[str, Any] = {"noise": 1e3 * noise, "min_stroke": 1e3 * min_stroke}
-    elif strokes := turning_points.find_strokes(time, values, min_stroke=min_stroke):
+        finding = Finding.of("process.motion_is_noise", settings.channel, blocks=True, **facts)
+        return Motion(signal), [finding]
+    strokes = turning_points.find_strokes(time, values, min_stroke=min_stroke)
+    if strokes:
         return Motion(signal, strokes=strokes), []
-    else:
-        name = "process.no_motion"
-        facts = {"span": 1e3 * float(np.nanmax(values) - np.nanmin(values))}
-    return Motion(signal), [Finding.of(name, settings.channel, blocks=True, **facts)]
+    span = 1e3 * float(np.nanmax(values) - np.nanmin(values))
+    return Motion(signal), [
+        Finding.of("process.no_motion", settings.channel, blocks=True, span=span)
+    ]
 
 
 def find_motion_turns(motion: Motion, *, window: float) -> tuple[Turn, ...]:
@@ -245,8 +247,8 @@ def check_turns(motion: Motion, *, for_clock: bool = True) -> Iterator[Finding]:
             start = max(recorded_times[recorded_times < time][-1:], default=time)
             stop = min(recorded_times[recorded_times > time][:1], default=time)
             facts: dict[str, Any] = {"clock": signal.clock, "time": time}
-            period, name = (float(start), float(stop)), "process.turn_not_seen"
-            yield Finding.of(name, "travel", *quantities, period=period, **facts)
+            facts |= {"period": (float(start), float(stop))}
+            yield Finding.of("process.turn_not_seen", "travel", *quantities, **facts)
     for turn in motion.turns:
         finding = _find_rounded_corner(signal, turn)
         if finding is not None:
@@ -494,10 +496,11 @@ def fit_turning_points(
     events = find_turn_events(force, pairs, motion, align.force_window)
     facts: dict[str, Any] = {"peak_counts": peak_counts}
     if not events.size:
-        name = "process.no_common_peak" if pairs else "process.no_pair_of_peaks"
-        return None, [Finding.of(name, "align", blocks=True, **facts)]
+        if pairs:
+            return None, [Finding.of("process.no_common_peak", "align", blocks=True, **facts)]
+        return None, [Finding.of("process.no_pair_of_peaks", "align", blocks=True, **facts)]
     if is_ambiguous:
-        facts["state"] = format_overrides("align", "{method: stated, offset: ...}")
+        facts |= {"state": format_overrides("align", "{method: stated, offset: ...}")}
         findings.append(Finding.of("process.alignment_ambiguous", "align", "clock", **facts))
     fit = _fit_events(events, None)
     if events.shape[1] > 2 and not _has_relaxation(force, motion, fit):
@@ -548,11 +551,8 @@ def _measure_repeat(motion: Motion, force: Signal, fit: ClockFit) -> Repeat | No
         average_blocks(x, 50_000, has_remainder=False) for x in (force.time, force.values)
     )
     drift_modes = compute_drift_modes(time - time[0], drift)
-    fits = (
-        [fit_force(time, np.add(values, mode)) for mode in (0.0, *drift_modes)]
-        if drift_modes
-        else []
-    )
+    modes = [np.zeros(1), *drift_modes] if drift_modes else []
+    fits = [fit_force(time, values + mode) for mode in modes]
     lags = [x.value for x in fits if not isinstance(x, Failure)]
     drift_error = float(np.linalg.norm(np.subtract(lags[1:], lags[0]))) if lags else 0.0
     error = float(np.hypot(lag.error, force_lag.error))
@@ -613,8 +613,8 @@ def _check_fit(fit: ClockFit, align: schema.AlignTurningPoints) -> Iterator[Find
     half_width = 0.5 * (fit.drift_interval.upper - fit.drift_interval.lower)
     if abs(fit.drift) - half_width > align.max_drift:
         # Clocks are accurate to parts per million. These may be recordings of two tests.
-        facts = {"drift": 1e6 * fit.drift, "half_width": 1e6 * half_width}
-        facts["allowed"] = 1e6 * align.max_drift
+        facts = {"drift": 1e6 * fit.drift, "allowed": 1e6 * align.max_drift}
+        facts |= {"half_width": 1e6 * half_width}
         quantities = "clock", "displacement", "force"
         yield Finding.of("process.alignment_drift", "align", *quantities, **facts)
     if len(fit.event_times_motion) == 1:

@@ -239,13 +239,12 @@ def check_mid_span(
     if delay > limits.zero_overlap:
         note = Finding.of("process.no_rest", "markers", delay=delay)
         return replace(prepared, span=Failure("no_rest", note.note.message)), [note]
-    ranges = {"deflection": mid_span.values, "travel": motion.signal.values}
-    facts: dict[str, Any] = {name: 1e3 * _measure_range(ranges[name]) for name in ranges}  # mm
-    deviation = abs(facts["deflection"] - facts["travel"])
-    if deviation <= limits.mid_span_deviation * facts["travel"]:
+    deflection, travel = (1e3 * _measure_range(x.values) for x in (mid_span, motion.signal))  # mm
+    if abs(deflection - travel) <= limits.mid_span_deviation * travel:
         return prepared, []
-    name, where = "process.mid_span_differs", "mid_span"
-    return prepared, [Finding.of(name, where, "displacement", **facts)]
+    facts: dict[str, Any] = {"deflection": deflection, "travel": travel}
+    note = Finding.of("process.mid_span_differs", "mid_span", "displacement", **facts)
+    return prepared, [note]
 
 
 def check_signs(prepared: PreparedTest, motion: Motion, protocol: Protocol) -> list[Finding]:
@@ -308,7 +307,14 @@ def check_signs(prepared: PreparedTest, motion: Motion, protocol: Protocol) -> l
             quantities.append("clock")  # the clocks are aligned at peaks of the force
         facts: dict[str, Any] = {"signs": signs, "remedy": remedy}
         channel = getattr(signals, name)
-        findings.append(Finding.of(f"process.{name}_reversed", channel, *quantities, **facts))
+        findings.append(
+            Finding.of(
+                "process.force_reversed" if name == "force" else "process.displacement_reversed",
+                channel,
+                *quantities,
+                **facts,
+            )
+        )
     return findings
 
 
@@ -588,5 +594,5 @@ def check_calibration_due(protocol: Protocol, tested: date | None) -> Iterator[F
     for instrument in list_certified_instruments(protocol):
         if instrument.due is not None and tested is not None and tested > instrument.due:
             facts: dict[str, Any] = {"instrument": instrument, "tested": tested}
-            name, where = "process.calibration_overdue", instrument.channel
-            yield Finding.of(name, where, *instrument.measures, **facts)
+            where, quantities = instrument.channel, instrument.measures
+            yield Finding.of("process.calibration_overdue", where, *quantities, **facts)

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -150,16 +150,14 @@ def calibrate(
     scale_errors: dict[str, float] = {
         role: source.gain_uncertainty for role, source in protocol.sources.items()
     }
-    reversed_quantities = (curve and curve.reverse) or ()
-    reversed_channels = [getattr(curve, quantity) for quantity in reversed_quantities]
+    reversed_channels = [getattr(curve, name) for name in (curve and curve.reverse) or ()]
     for role, recording in recordings.items():
         force_path = next((x.path for x in recording.channels if x.name == signals.force), None)
         for note in recording.notes:
+            located_note = replace(note, where=f"{role}: {note.where}" if note.where else role)
             is_of_force = note.code == "columns_disagree" and note.where == force_path
-            placed = replace(note, where=f"{role}: {note.where}" if note.where else role)
-            findings.append(
-                doubt_stretches("force", placed, "") if is_of_force else Finding(placed)
-            )
+            doubted = doubt_stretches("force", located_note, "")
+            findings.append(doubted if is_of_force else Finding(located_note))
         if recording.markers is not None:
             _check_clock(recording.markers.time, role, min_samples=min_frames)
             tracks = recording.markers
@@ -215,9 +213,8 @@ def _check_peak(
         return
     peak = float(np.nanmax(np.abs(signal.values)))
     if not peak_range[0] <= peak <= peak_range[1]:
-        yield Finding.of(
-            "process.implausible_peak", name, quantity, peak=peak, signal=signal, limits=peak_range
-        )
+        facts: dict[str, Any] = {"peak": peak, "signal": signal, "limits": peak_range}
+        yield Finding.of("process.implausible_peak", name, quantity, **facts)
 
 
 def _check_size(values: Floats, kind: str, role: str, source: str) -> None:
@@ -257,16 +254,13 @@ def _check_missing(name: str, signal: Signal, quantity: str) -> list[Finding]:
 def _check_clock(time: Floats, role: str, *, min_samples: int) -> None:
     """Raise an error for a clock with too few samples, or one that does not increase."""
     if len(time) < min_samples:
-        raise ProcessingError.about(
-            "process.few_samples_of_clock", role, "time", needed=min_samples, found=len(time)
-        )
-    reversed_steps = np.flatnonzero(~(time[1:] > time[:-1]))
-    if len(reversed_steps):
-        sample = int(reversed_steps[0]) + 1
-        place, this_time, previous = f"sample {sample + 1}", time[sample], time[sample - 1]
-        raise ProcessingError.about(
-            "process.time_backwards", role, place, time=this_time, previous=previous
-        )
+        facts = {"needed": min_samples, "found": len(time)}
+        raise ProcessingError.about("process.few_samples_of_clock", role, "time", **facts)
+    is_increasing = time[1:] > time[:-1]
+    if not is_increasing.all():
+        sample = int(np.argmin(is_increasing)) + 1
+        facts = {"time": time[sample], "previous": time[sample - 1]}
+        raise ProcessingError.about("process.time_backwards", role, f"sample {sample + 1}", **facts)
 
 
 def check_channels(signals: Signals, protocol: Protocol) -> Iterator[Finding]:
@@ -293,15 +287,10 @@ def check_channels(signals: Signals, protocol: Protocol) -> Iterator[Finding]:
                 yield doubt_stretches("clock", replace(note, stretches=()), signal.clock)
         for run in (run for run in runs if not run.is_clipped):
             times = _get_adjacent_times(signal, run)
-            note = QualityNote.of(
-                "process.frozen_channel",
-                name,
-                times,
-                value=float(signal.values[run.start]),
-                signal=signal,
-                times=times,
-                time_unit="s" if signal.has_time else "of the samples",
-            )
+            time_unit = "s" if signal.has_time else "of the samples"
+            facts = {"value": float(signal.values[run.start]), "signal": signal}
+            facts |= {"times": times, "time_unit": time_unit}
+            note = QualityNote.of("process.frozen_channel", name, times, **facts)
             yield doubt_stretches(quantity, note, signal.clock)
             if protocol.branches is not None and protocol.branches.channel == name:
                 # The branches begin and end at wrong times.
@@ -311,14 +300,13 @@ def check_channels(signals: Signals, protocol: Protocol) -> Iterator[Finding]:
 def _make_saturation_note(name: str, signal: Signal, runs: list[StuckRun]) -> QualityNote:
     """Make the note of all stretches in which a channel is saturated."""
     levels = sorted({float(signal.values[run.start]) for run in runs})
-    return QualityNote.of(
-        "process.saturation",
-        name,
-        *(_get_adjacent_times(signal, run) for run in runs),
-        count=sum(run.stop - run.start for run in runs),
-        runs=len(runs),
-        levels=" and ".join(f"{level:.6g} {signal.unit}" for level in levels),
-    )
+    facts = {
+        "count": sum(run.stop - run.start for run in runs),
+        "runs": len(runs),
+        "levels": " and ".join(f"{level:.6g} {signal.unit}" for level in levels),
+    }
+    stretches = [_get_adjacent_times(signal, run) for run in runs]
+    return QualityNote.of("process.saturation", name, *stretches, **facts)
 
 
 def _get_adjacent_times(signal: Signal, run: StuckRun) -> tuple[float, float]:
@@ -368,29 +356,20 @@ def compute_travel_from_speed(
         unloading_time = np.clip(time - corner.time - delay, 0.0, duration)
         return np.asarray(speed * (loading_time - unloading_time), dtype=np.float64)
 
-    values = compute_travel(0.0)
+    values, time_error = compute_travel(0.0), corner.time_error
     perturbed = {
-        TURN: compute_travel(corner.time_error),
+        TURN: compute_travel(time_error),
         SPEED: (1.0 + step.speed_uncertainty) * values,
     }
     signal = Signal(time, values, "m", force.clock, perturbed=perturbed)
-    findings = [
-        Finding.of(
-            "process.displacement_from_speed",
-            step.channel,
-            speed=1e3 * speed,
-            duration=duration,
-            time=corner.time,
-            error=1e3 * corner.time_error,
-        )
-    ]
+    facts: dict[str, Any] = {"speed": 1e3 * speed, "duration": duration}
+    facts |= {"time": corner.time, "error": 1e3 * time_error}
+    findings = [Finding.of("process.displacement_from_speed", step.channel, **facts)]
     missed_time = float(force.time[0]) - start
-    half_width = 2.0 * float(np.hypot(corner.time_error, step.speed_uncertainty * duration))
+    half_width = 2.0 * float(np.hypot(time_error, step.speed_uncertainty * duration))
     if missed_time > half_width:
-        finding = Finding.of(
-            "process.start_missed", "force", "force", missed_time=missed_time, half_width=half_width
-        )
-        findings.append(finding)
+        facts = {"missed_time": missed_time, "half_width": half_width}
+        findings.append(Finding.of("process.start_missed", "force", "force", **facts))
     return signals.add_signal(step.channel, signal), findings
 
 
@@ -467,34 +446,28 @@ def zero_signal(signals: Signals, step: declarations.Zero) -> tuple[Signals, lis
     ValueError
         If the signal has no times, or the stretch holds too few samples.
     """
-    name = step.channel
+    name, is_at_start = step.channel, step.at == "start"
     signal = signals.filtered[name]
     _require_time(signal, name, "a stretch in s")
-    time, first, last = signal.time, 0, len(signal.time)
-    if step.at == "start":
+    time, last = signal.time, len(signal.time)
+    if is_at_start:
         stop = int(np.searchsorted(time, time[0] + step.over, side="right"))
-        last = min(max(stop, MIN_SAMPLES_NOISE_KNOWN), last)
+        first, last = 0, min(max(stop, MIN_SAMPLES_NOISE_KNOWN), last)
     else:
         start_sample = int(np.searchsorted(time, time[-1] - step.over))
         first = max(min(start_sample, last - MIN_SAMPLES_NOISE_KNOWN), 0)
     duration = max(step.over, float(time[last - 1] - time[first]))
-    start = float(time[0] if step.at == "start" else time[-1] - duration)
+    start = float(time[0] if is_at_start else time[-1] - duration)
     values = drop_missing(signal.values[first:last])
-    other_values = signal.values[last:] if step.at == "start" else signal.values[:first]
+    other_values = signal.values[last:] if is_at_start else signal.values[:first]
     min_samples = count_required_samples(other_values)
     if len(values) < min_samples:
-        time_step = compute_median_step(signal.time)
-        message = format_sentence(
-            "process.short_stretch",
-            channel=name,
-            count=len(values),
-            duration=duration,
-            needed=min_samples,
-            rate=1.0 / time_step,
-        )
+        time_step = compute_median_step(time)
+        facts: dict[str, Any] = {"needed": min_samples, "rate": 1.0 / time_step}
+        facts |= {"channel": name, "count": len(values), "duration": duration}
         min_duration = f"{(min_samples + 0.5) * time_step:.2g} s"
         remedy = f"Write {format_overrides(f'{step.key}.over', min_duration)}."
-        raise ValueError(message, remedy)
+        raise ValueError(format_sentence("process.short_stretch", **facts), remedy)
     stretch = {name: (start, start + duration)}
     if step.by == "mean":
         signals = replace(signals, zero_stretches={**signals.zero_stretches, **stretch})
@@ -503,22 +476,16 @@ def zero_signal(signals: Signals, step: declarations.Zero) -> tuple[Signals, lis
     else:
         stretches = {**signals.moving_zero_stretches, **stretch}
         signals = replace(signals, moving_zero_stretches=stretches)
-        outward = slice(None, None, 1 if step.at == "start" else -1)  # outermost sample first
-        level, error, n_rest = measure_moving_zero(values[outward], other_values)
+        outermost_first = slice(None, None, 1 if is_at_start else -1)
+        level, error, n_rest = measure_moving_zero(values[outermost_first], other_values)
         method = f"the outer end of a line over {duration:.4g} s"
         if n_rest:
             rest_duration = duration * n_rest / len(values)
             method = f"the mean over the {rest_duration:.3g} s before the motion"
+    facts = {"level": round(level, 12), "unit": signal.unit, "method": method}
+    facts |= {"end": step.at, "count": len(values)}
     is_short = len(values) < MIN_SAMPLES_NOISE_UNKNOWN
-    note = Finding.of(
-        "process.zeroed_on_few" if is_short else "process.zeroed",
-        name,
-        level=round(level, 12),
-        unit=signal.unit,
-        method=method,
-        end=step.at,
-        count=len(values),
-    )
+    note = Finding.of("process.zeroed_on_few" if is_short else "process.zeroed", name, **facts)
     return signals.subtract_level(name, level, error), [note]
 
 

@@ -122,11 +122,8 @@ class Signals:
         filter_steps : filters that were applied in addition to the earlier ones
         """
         filters = {**self.filters, name: (*self.filters.get(name, ()), *filter_steps)}
-        return replace(
-            self,
-            filtered={**self.filtered, name: signal},
-            filters=filters if filter_steps else self.filters,
-        )
+        filtered = {**self.filtered, name: signal}
+        return replace(self, filtered=filtered, filters=filters if filter_steps else self.filters)
 
     def subtract_level(self, name: str, level: float, error: float) -> Signals:
         """Subtract a level from a signal, both raw and filtered.

@@ -72,9 +72,15 @@ def find_stuck_runs(time: Floats, values: Floats, paired: Floats | None = None) 
     resolution are not reported.
     """
     min_run = 3  # samples; two equal samples occur at any corner
-    starts, lengths = _find_equal_runs(values)
-    channel = _Channel(time, values, paired, starts, lengths)
-    if not (lengths >= min_run).any() or not channel.high > channel.low:
+    is_equal = np.zeros(len(values) + 1, dtype=np.bool_)  # whether equal to the previous sample
+    np.equal(values[1:], values[:-1], out=is_equal[1:-1])
+    starts, stops = np.flatnonzero(is_equal[1:] != is_equal[:-1]).reshape(-1, 2).T
+    lengths = stops - starts + 1
+    if not (lengths >= min_run).any():
+        return []
+    low, high = float(np.nanmin(values)), float(np.nanmax(values))
+    channel = _Channel(time, values, paired, starts, lengths, low, high)
+    if not high > low:
         return []
     long_runs = np.flatnonzero(lengths >= max(min_run, _UNUSUAL_RUN_FACTOR * channel.usual_run))
     candidates = np.flatnonzero(lengths >= min_run)
@@ -88,14 +94,6 @@ def find_stuck_runs(time: Floats, values: Floats, paired: Floats | None = None) 
     return stuck_runs
 
 
-def _find_equal_runs(values: Floats) -> tuple[Ints, Ints]:
-    """Find the first samples and the lengths of the runs of two or more equal values."""
-    is_equal = np.zeros(len(values) + 1, dtype=np.bool_)  # whether equal to the previous sample
-    np.equal(values[1:], values[:-1], out=is_equal[1:-1])
-    starts, stops = np.flatnonzero(is_equal[1:] != is_equal[:-1]).reshape(-1, 2).T
-    return starts, stops - starts + 1
-
-
 @dataclass(frozen=True, eq=False)
 class _Channel:
     """Channel with its usual run length, speed and noise, which are computed on demand.
@@ -104,6 +102,7 @@ class _Channel:
     ----------
     time, values, paired : see `find_stuck_runs`
     starts, lengths : shape (runs,), first samples and lengths of the runs of two or more samples
+    low, high : minimum and maximum of the values
     """
 
     time: Floats
@@ -111,6 +110,8 @@ class _Channel:
     paired: Floats | None
     starts: Ints
     lengths: Ints
+    low: float
+    high: float
 
     @cached_property
     def usual_run(self) -> float:
@@ -119,16 +120,6 @@ class _Channel:
         rank = 0.95 * (n_single + len(self.lengths) - 1) - n_single
         ranks = np.arange(-1, len(self.lengths))
         return float(np.interp(rank, ranks, np.append(1, np.sort(self.lengths))))
-
-    @cached_property
-    def low(self) -> float:
-        """Minimum of the values."""
-        return float(np.nanmin(self.values))
-
-    @cached_property
-    def high(self) -> float:
-        """Maximum of the values."""
-        return float(np.nanmax(self.values))
 
     @cached_property
     def rounding(self) -> float:
@@ -182,15 +173,11 @@ class _Channel:
             return False
         return (is_clipped or stop == len(self.values)) and self._interrupts_motion(start, stop)
 
-    @cached_property
-    def first_value(self) -> float:
-        """First value that is not NaN."""
-        return float(self.values[np.argmin(np.isnan(self.values))])
-
     def _is_at_rest(self, sample: int) -> bool:
         """Return whether a sample is near zero or near the first value."""
         level, tolerance = float(self.values[sample]), _MIN_JUMP_FRACTION * (self.high - self.low)
-        return abs(level) <= tolerance or abs(level - self.first_value) <= tolerance
+        first_value = float(self.values[np.argmin(np.isnan(self.values))])
+        return abs(level) <= tolerance or abs(level - first_value) <= tolerance
 
     def _is_followed_by_jump(self, start: int, stop: int) -> bool:
         """Return whether a jump follows the run while the other quantity moves smoothly."""

@@ -20,6 +20,7 @@ TAKES_A_TEMPLATE = {"about", "of", "build_refusal", "format_sentence", "format_e
 FORWARDS = {"_make_stretch_notes": {"name", "span"}, "report": set[str]()}
 FORWARDS["_make_span_note"] = FORWARDS["_make_stretch_notes"]
 """Function that gives a template on -> the facts that it adds."""
+ASSIGNMENTS = ast.Assign | ast.AnnAssign | ast.AugAssign
 OTHER_ARGUMENTS = {"period", "clock", "blocks", "at", "missing", "channel", "segment"}
 
 
@@ -42,15 +43,16 @@ def calls(repository: Path) -> dict[ast.Call, str]:
 
 
 def _with_facts_named(module: ast.Module) -> ast.Module:
-    """The module with the keys of a dictionary in place of ``**facts``."""
+    """The module with the keys of the dictionary above in place of ``**facts``."""
     for function in (node for node in ast.walk(module) if isinstance(node, ast.FunctionDef)):
         keys: dict[str, list[Any]] = {}
-        for node in ast.walk(function):
-            if isinstance(node, ast.Assign) and isinstance(node.value, ast.Dict):
-                names = [getattr(key, "value", "**") for key in node.value.keys]
-                keys[ast.unparse(node.targets[0])] = names
-        for call in (node for node in ast.walk(function) if isinstance(node, ast.Call)):
-            for old in [keyword for keyword in call.keywords if keyword.arg is None]:
+        for node in sorted(ast.walk(function), key=lambda node: getattr(node, "lineno", 0)):
+            if isinstance(node, ASSIGNMENTS) and isinstance(node.value, ast.Dict):
+                name = ast.unparse(node.targets[0] if isinstance(node, ast.Assign) else node.target)
+                earlier = keys.get(name, []) if isinstance(node, ast.AugAssign) else []
+                keys[name] = earlier + [getattr(key, "value", "**") for key in node.value.keys]
+            call: Any = node
+            for old in [x for x in getattr(node, "keywords", ()) if x.arg is None]:
                 names = keys.get(ast.unparse(old.value), ["**"])
                 call.keywords += [ast.keyword(name, old.value) for name in names]
                 call.keywords.remove(old)
@@ -121,9 +123,7 @@ def fields_of(template: dict[str, str]) -> set[str]:
 
 def _templates_named(call: ast.Call) -> list[str]:
     """Names of templates in the first argument of a call."""
-    function = (
-        call.func.attr if isinstance(call.func, ast.Attribute) else getattr(call.func, "id", "")
-    )
+    function = getattr(call.func, "attr", getattr(call.func, "id", ""))
     if function not in TAKES_A_TEMPLATE | FORWARDS.keys():
         return []
     texts = [part.value for part in ast.walk(call.args[0]) if isinstance(part, ast.Constant)]
