@@ -58,7 +58,7 @@ class Sections(ArrayRecord):
         return np.array([x[self.section_index == index].mean() for index in range(self.count)])
 
 
-def find_sections(markers_lab: Floats, *, is_at_rest: Flags, min_distance: float) -> Sections:
+def find_sections(markers_lab: Floats, is_at_rest: Flags, *, min_distance: float) -> Sections:
     """Determine the coordinate frame and the sections of a specimen on two supports.
 
     Parameters

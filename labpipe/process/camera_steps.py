@@ -335,9 +335,7 @@ def fit_three_point_shape(
         return _reject_span(prepared, Failure.of("process.no_span"))
     is_at_rest = np.asarray(time <= time[0] + step.over)
     try:
-        sections = find_sections(
-            repaired.positions, is_at_rest=is_at_rest, min_distance=step.section
-        )
+        sections = find_sections(repaired.positions, is_at_rest, min_distance=step.section)
         deflections = np.abs(sections.markers[..., 1] - sections.rest_xyz[:, 1])
         max_deflections = np.max(np.nan_to_num(deflections), axis=1)  # of each frame
         is_bent = max_deflections > bent_fraction * max_deflections.max()
@@ -388,10 +386,8 @@ def _make_span_shape(
     degree, n_fitted = 9, 61  # degree of the power series; number of points to which it is fitted
     section_flags = flags[:, sections.marker_columns]
     is_finite = np.isfinite(shape.centres).all(axis=2)
-    flags_of_sections = np.stack(
-        [section_flags[:, sections.section_index == k].max(axis=1) for k in range(sections.count)],
-        axis=1,
-    )
+    in_sections = [sections.section_index == index for index in range(sections.count)]
+    flags_of_sections = np.stack([section_flags[:, x].max(axis=1) for x in in_sections], axis=1)
     x = sections.x - shape.mid_span
     relative_x = np.linspace(0.0, 1.0, n_fitted)
     y = shape.axis.compute_y(x[0] + relative_x * (x[-1] - x[0]))

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from labpipe.markers.tracklets import is_unlabelled
 from labpipe.records.arrays import Flags, Floats, find_runs, median
 from labpipe.records.quality import QualityNote
 from labpipe.records.recording import Clock, MarkerTracks
@@ -192,6 +191,8 @@ def make_track_notes(tracks: MarkerTracks) -> Iterator[QualityNote]:
     Notes ``take_empty``, ``marker_blank``, ``marker_gaps``, ``body_gaps``, ``frozen_pose``,
     ``unlabelled_markers``.
     """
+    from labpipe.markers.tracklets import is_unlabelled  # not needed by tensile tests
+
     # From this number of successive unchanged steps, a pose counts as frozen, not as at rest.
     min_frozen_steps = 10
     if not tracks.names and not tracks.bodies:

@@ -79,7 +79,7 @@ def take(**more: object) -> tuple[MarkerTracks, Flags]:
 
 def test_frame_and_sections() -> None:
     markers, rest = take()
-    sections = find_sections(markers.positions, is_at_rest=rest, min_distance=0.004)
+    sections = find_sections(markers.positions, rest, min_distance=0.004)
 
     assert sections.count == 15
     assert np.allclose(np.diff(sections.x), 0.0127, atol=1e-6)
@@ -92,7 +92,7 @@ def test_frame_and_sections() -> None:
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_the_axis_lies_a_radius_from_every_marker(sign: float) -> None:
     markers, rest = take()
-    sections = find_sections(markers.positions, is_at_rest=rest, min_distance=0.004)
+    sections = find_sections(markers.positions, rest, min_distance=0.004)
 
     axis = fit_rest_axis(sections, radius=RADIUS, direction=(0.0, sign))
 
@@ -206,7 +206,7 @@ def test_a_bent_rod_with_two_rows_of_markers(facing: str) -> None:
     record = BendingRecord(noise=(0.0, 0.0, 1e-7), angles=tuple(float(angle) for angle in angles))
     take = tracks(record, np.random.default_rng(0))
     rest = np.asarray(take.time < 2.0)
-    sections = find_sections(take.positions, is_at_rest=rest, min_distance=0.004)
+    sections = find_sections(take.positions, rest, min_distance=0.004)
     is_bent = np.nanmax(np.abs(sections.markers[..., 1] - sections.rest_xyz[:, 1]), axis=1) > 0.015
 
     shape = fit_specimen_shape(sections, span=SPAN, radius=RADIUS, side=facing, is_bent=is_bent)
@@ -238,19 +238,17 @@ def test_what_makes_no_sections() -> None:
             compute_ring_centres(ring, {"low": members})
     made, rest = take()
     with pytest.raises(ValueError, match="2 markers seen at rest: expected at least 3"):
-        find_sections(made.positions[:, :2], is_at_rest=rest, min_distance=0.004)
+        find_sections(made.positions[:, :2], rest, min_distance=0.004)
     with pytest.raises(ValueError, match="the markers do not move: expected a specimen that is"):
-        find_sections(
-            np.repeat(made.positions[:1], 80, axis=0), is_at_rest=rest[:80], min_distance=0.004
-        )
+        find_sections(np.repeat(made.positions[:1], 80, axis=0), rest[:80], min_distance=0.004)
     is_bent = np.asarray(np.abs(made.time - 62.0) < 20.0)
     for count, message in (
         (16, r"-80.17 mm to \+8.7.* some 45.72 mm away on both sides, which is 60 % of half"),
         (10, "5 sections with markers: expected at least 6"),
     ):
-        sections = find_sections(made.positions[:, :count], is_at_rest=rest, min_distance=0.004)
+        sections = find_sections(made.positions[:, :count], rest, min_distance=0.004)
         with pytest.raises(ValueError, match=message):
             fit_specimen_shape(sections, span=SPAN, radius=RADIUS, side="side", is_bent=is_bent)
-    sections = find_sections(made.positions, is_at_rest=rest, min_distance=0.004)
+    sections = find_sections(made.positions, rest, min_distance=0.004)
     with pytest.raises(ValueError, match=r"sections with markers 2 lie between supports 15.24 mm"):
         fit_specimen_shape(sections, span=0.01524, radius=RADIUS, side="side", is_bent=is_bent)
