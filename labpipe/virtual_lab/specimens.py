@@ -204,7 +204,9 @@ class StrandedWire:
         law = self.build_loading_law()
         if self.isotropic_share == 0.0:
             return law
-        return harden_plays(law, self.build_section(), self.isotropic_share, factor=self.factor)
+        return harden_plays(
+            law, self.build_section().layers, self.isotropic_share, factor=self.factor
+        )
 
     @property
     def mass_per_length(self) -> float:

@@ -541,27 +541,18 @@ class MixedLaw(PlayLaw):
         return Response(curvature, 1.0 / response.stiffness, new_history)
 
 
-def make_mixed_law(
-    plays: PlayLaw, curvature: Floats, strand_moment: Floats, isotropic_share: float
-) -> MixedLaw:
+def make_mixed_law(plays: PlayLaw, corners: Floats, growing_slider: GrowingSlider) -> MixedLaw:
     """Build the law of a wire whose strands harden partly isotropically.
 
     Parameters
     ----------
     plays : law of the wire on first loading
-    curvature : shape (n,), 1/m, positive and increasing: first the curvatures at the half-widths
-        of `plays` and at its largest moment, then larger curvatures that the strands reach in loops
-    strand_moment : shape (n,), N m, moment of the strands about their own axes
-    isotropic_share : fraction of that moment that hardens isotropically, above 0 and at most 1
-
-    Raises
-    ------
-    ValueError
-        If the share is outside its range.
+    corners : shape (plays + 1,), 1/m, curvatures at the half-widths of `plays` and at its largest
+        moment
+    growing_slider : part of the moment of the strands about their own axes that hardens
+        isotropically
     """
     moment = np.append(plays.half_widths, plays.largest_moment)
-    corners = curvature[: len(moment)]
-    growing_slider = make_growing_slider(curvature, strand_moment, isotropic_share)
     masing_moment = moment - growing_slider.compute_first_loading(corners)
     slopes = np.diff(masing_moment, prepend=0.0) / np.diff(corners, prepend=0.0)
     slope_drops = -np.diff(np.minimum.accumulate(slopes))
@@ -574,10 +565,8 @@ def make_mixed_law(
         float(corners[-1]),
         growing=(growing_slider,),
     )
-    return MixedLaw(
-        *(plays.stiffness, plays.half_widths, plays.compliances, plays.largest_moment),
-        sliders=sliders,
-    )
+    numbers = plays.stiffness, plays.half_widths, plays.compliances, plays.largest_moment
+    return MixedLaw(*numbers, sliders=sliders)
 
 
 MAX_SCALAR_SLIDERS = 16

@@ -47,13 +47,13 @@ from labpipe.mechanics.rod.rotations import (
 )
 from labpipe.mechanics.studies.calibration_file import StoredCalibration, read_calibration
 from labpipe.mechanics.studies.wire_sheets import build_wire_error, read_wire_sheet
+from labpipe.mechanics.wire.bending_law import make_strand_slider
 from labpipe.mechanics.wire.cross_section import compute_stretch_torsion
 from labpipe.mechanics.wire.wire_table import (
     DEFAULT_SHARE_RANGE,
     build_wire,
     compute_chord_ratio,
     compute_hull_slopes,
-    make_strand_slider,
     set_parameters,
     tabulate_wire,
 )
@@ -504,7 +504,10 @@ def make_section_function(spec: WireSpec, values: Mapping[str, float]) -> Sectio
         stiffnesses = np.maximum(-np.diff(slopes), min_slider_stiffness * slopes[0])
         law = replace(base_law, stiffness=float(slopes[-1]), stiffnesses=stiffnesses)
         share = inputs.get(ISOTROPIC_SHARE, spec.isotropic_share or 0.0)
-        strands = make_strand_slider(wire.section, law, chord_scale) if share > 0.0 else None
+        strands = None
+        if share > 0.0:
+            layers, corners = wire.section.layers, curvatures[1:]
+            strands = make_strand_slider(layers, corners, factor=chord_scale)
         matrix = compute_stretch_torsion(wire.section)
         other_stiffnesses = matrix.torsional, matrix.axial, matrix.coupling
         section = Section(law, *other_stiffnesses, wire.mass_per_length, spec.wire_diameter)
