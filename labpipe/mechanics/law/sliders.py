@@ -337,9 +337,16 @@ def slide(law: SliderLaw, curvature: Floats, rests: Floats) -> SliderResponse:
     For a curvature of NaN, moment and history are NaN. If a slider just begins to slide, the
     stiffness is that of a slider that sticks.
     """
-    response = slide_vector(law, curvature[:, None], rests[:, :, None])
-    moment, stiffness = response.moment[:, 0], response.stiffness[:, 0, 0]
-    return SliderResponse(moment, stiffness, response.rests[:, :, 0])
+    trial_curvature = curvature[:, None] - rests[:, : len(law.stiffnesses)]
+    slider_curvature = np.clip(trial_curvature, -law.slip_curvatures, law.slip_curvatures)
+    moment = law.stiffness * curvature + slider_curvature @ law.stiffnesses
+    stiffness = law.stiffness + (slider_curvature == trial_curvature) @ law.stiffnesses
+    new_rests = [curvature[:, None] - slider_curvature]
+    for slider, history in _split_history(law, rests):
+        response = slider.slide(curvature[:, None], history[:, :, None])
+        moment, stiffness = moment + response.moment[:, 0], stiffness + response.stiffness[:, 0, 0]
+        new_rests.append(response.rests[:, :, 0])
+    return SliderResponse(moment, stiffness, np.concatenate(new_rests, axis=1))
 
 
 def slide_vector(law: SliderLaw, curvature: Floats, rests: Floats) -> SliderResponse:
