@@ -111,7 +111,7 @@ def tabulate_wire(spec: WireSpec) -> WireTable:
         lowest_moment=np.minimum(min_moment, curve.moment),
         highest_moment=np.maximum(max_moment, curve.moment),
         tip_deflection=cantilever.deflection,
-        tip_force=cantilever.force,
+        tip_force=cantilever.load,
         mass_per_length=wire.mass_per_length,
         rest=cantilever.rest,
         doubtful_curvature=insulation_limit,
