@@ -61,7 +61,6 @@ from labpipe.mechanics.law.plays import (
 )
 from labpipe.mechanics.law.sliders import (
     GrowingSlider,
-    MixedLaw,
     make_growing_slider,
     make_mixed_law,
 )
@@ -668,7 +667,7 @@ def fit_play_law(
         section, contacts, corners, tension=tension, orientation=orientation
     ).moment
     plays = make_polygon_law(corners, moment)
-    return plays if isotropic_share == 0.0 else harden_plays(plays, section.layers, isotropic_share)
+    return harden_plays(plays, section.layers, isotropic_share)
 
 
 LOOP_RANGE = 8.0
@@ -677,16 +676,24 @@ LOOP_RANGE = 8.0
 
 def harden_plays(
     plays: PlayLaw, layers: Sequence[Layer], isotropic_share: float, *, factor: float = 1.0
-) -> MixedLaw:
+) -> PlayLaw:
     """Make a law with partly isotropic hardening of the strands from a law with Masing loops.
 
     Parameters
     ----------
     plays : law of the wire with the same first loading
     layers : layers of strands
-    isotropic_share : fraction of the hardening that is isotropic, above 0 and at most 1
+    isotropic_share : fraction of the hardening that is isotropic, from 0 to 1; with 0 the law is
+        returned unchanged
     factor : factor on the moments of the strands about their own axes; the same as in `plays`
+
+    Raises
+    ------
+    ValueError
+        If the isotropic share is out of its range.
     """
+    if isotropic_share == 0.0:
+        return plays
     corners = compute_first_curvature(plays, np.append(plays.half_widths, plays.largest_moment))
     slider = make_strand_slider(layers, corners, factor=factor, isotropic_share=isotropic_share)
     return make_mixed_law(plays, corners, slider)

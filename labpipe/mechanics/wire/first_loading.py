@@ -73,7 +73,6 @@ class LoadingCurve(ArrayRecord):
     tension : N, tension of the string, which the load cell reads; without a string, the end load
     shear_force : N, force normal to the wire at its tip; if it decreases, so do the moments near
         the tip
-    tip_x : m, position of the tip along the undeformed axis
     tip_angle : rad, angle of the tangent at the tip from the undeformed axis
     clamp_curvature : 1/m, curvature at the clamp
     stiffness : N/m, derivative of the tension with respect to deflection; at rest, the secant to
@@ -88,7 +87,6 @@ class LoadingCurve(ArrayRecord):
     moment: Annotated[Floats, "n", "stations"]
     tension: Vector
     shear_force: Vector
-    tip_x: Vector
     tip_angle: Vector
     clamp_curvature: Vector
     stiffness: Vector
@@ -285,7 +283,6 @@ def _make_curve(
         moment=moment,
         tension=load,
         shear_force=force_y * cos - force_x * sin,
-        tip_x=bent.tip[:, 0],
         tip_angle=np.arctan2(sin, cos),
         clamp_curvature=bent.curvature[:, 0],
         stiffness=change[0],
