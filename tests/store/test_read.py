@@ -71,7 +71,7 @@ def test_what_a_report_draws_is_part_of_the_result(tmp_path: Path) -> None:
     path, frames = tmp_path / "result.h5", np.array([0, 3, 5])
     result = replace(build_result(half_cycle=1.0), bending=some_bending())
     write_result(result, path)
-    outcome, shapes, law = read_reported(path, lambda _, time: (frames, time[frames]))
+    outcome, shapes, drawn_law = read_reported(path, lambda _, time: (frames, time[frames]))
     assert differences(read_outcome(path), outcome) == []
     assert shapes is not None
     assert result.shape is not None
@@ -79,8 +79,8 @@ def test_what_a_report_draws_is_part_of_the_result(tmp_path: Path) -> None:
     np.testing.assert_array_equal(shapes.positions, result.shape.positions[frames][:, :, :2])
     law = some_bending().law
     assert law is not None
-    assert law is not None
-    np.testing.assert_array_equal(law.moment_upper, law.moment_upper)
+    assert drawn_law is not None
+    np.testing.assert_array_equal(drawn_law.moment_upper, law.moment_upper)
 
 
 def foreign(path: Path) -> None:
