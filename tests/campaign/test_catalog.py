@@ -206,15 +206,10 @@ def test_name_that_is_not_utf8_is_reported(campaign_folders: CampaignFolders) ->
     )
 
 
-def claim_of(catalog: Catalog) -> Claim:
-    """Return a claim of this process."""
-    catalog.claim_test("T1")
-    return catalog.read_claims()["T1"]
-
-
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux tells when a process began")
 def test_claim_ends_with_its_process(catalog: Catalog) -> None:
-    own_claim = claim_of(catalog)
+    catalog.claim_test("T1")
+    own_claim = catalog.read_claims()["T1"]
     ended = subprocess.Popen([sys.executable, "-c", ""])
     os.waitid(os.P_PID, ended.pid, os.WEXITED | os.WNOWAIT)  # it is a zombie from here on
     claim = own_claim._replace(pid=ended.pid, process="")
@@ -225,8 +220,8 @@ def test_claim_ends_with_its_process(catalog: Catalog) -> None:
     assert not is_alive(own_claim._replace(process="another boot 1"))
 
 
-def test_old_claims_of_other_hosts_are_ignored(catalog: Catalog) -> None:
-    claim = claim_of(catalog)._replace(host="elsewhere", pid=1)
+def test_old_claims_of_other_hosts_are_ignored() -> None:
+    claim = Claim("elsewhere", 1, "", time.time())
     assert is_alive(claim)
     for age in (MAX_CLAIM_AGE + 1, -MAX_CLAIM_AGE - 1):  # the second: a clock that was set back
         assert not is_alive(claim._replace(since=time.time() - age))
