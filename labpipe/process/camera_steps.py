@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from labpipe.errors import ProcessingError, sort_by_likeness
 from labpipe.markers.specimen_frame import SpecimenFrame, find_specimen_frame
 from labpipe.markers.specimen_shape import Offsets, ShapeFit, compute_deflection, fit_shape
-from labpipe.markers.three_point_axis import Sections, SpanShape, find_sections, fit_span
+from labpipe.markers.three_point_axis import Sections, SpanShape, find_sections, fit_specimen_shape
 from labpipe.markers.track_repair import compute_ring_centres, group_rings, repair_tracks
 from labpipe.markers.tracklets import find_frozen_samples, is_unlabelled
 from labpipe.messages import format_sentence
@@ -326,12 +326,12 @@ def fit_three_point_shape(
         return _reject_span(prepared, Failure.of("process.no_span"))
     is_at_rest = np.asarray(time <= time[0] + step.over)
     try:
-        sections = find_sections(repaired.positions, rest=is_at_rest, min_distance=step.section)
+        sections = find_sections(repaired.positions, is_at_rest, min_distance=step.section)
         deflections = np.abs(sections.markers[..., 1] - sections.rest_xyz[:, 1])
         max_deflections = np.max(np.nan_to_num(deflections), axis=1)  # of each frame
         is_bent = np.asarray(max_deflections > bent_fraction * max_deflections.max())
         radius, side = settings.centre_offset, step.facing
-        shape = fit_span(sections, span=span, radius=radius, side=side, is_bent=is_bent)
+        shape = fit_specimen_shape(sections, span=span, radius=radius, side=side, is_bent=is_bent)
     except ValueError as error:
         return _reject_span(prepared, Failure("too_few_markers", str(error)))
     deflection = shape.axis.deflection
@@ -346,7 +346,7 @@ def fit_three_point_shape(
     signals = prepared.signals.add_signal("mid_span", mid_span)
     span_shape = _make_span_shape(sections, shape, time, repaired.flags)
     bend = SpanBend(shape, time, is_at_rest)
-    n_around, noise = int((shape.lever > 0.0).sum()), 1e6 * shape.axis.noise
+    n_around, noise = int((shape.lever_arm > 0.0).sum()), 1e6 * shape.axis.noise
     facts: dict[str, Any] = {"count": sections.count, "n_around": n_around, "noise": noise}
     note = Finding.of("process.three_point_shape", take.role, **facts)
     return replace(prepared, signals=signals, shape=span_shape, span=bend), [note]
@@ -363,11 +363,10 @@ def _make_span_shape(
 ) -> Shape:
     """Make the shape from the section centres, with a power series of the axis for figures."""
     degree, n_fitted = 9, 61  # degree of the power series; number of points to which it is fitted
-    section_flags = flags[:, sections.columns]
+    section_flags = flags[:, sections.marker_columns]
     is_finite = np.isfinite(shape.centres).all(axis=2)
-    flags_of_sections = np.stack(
-        [section_flags[:, sections.section == k].max(axis=1) for k in range(sections.count)], axis=1
-    )
+    in_sections = [sections.section_index == index for index in range(sections.count)]
+    flags_of_sections = np.stack([section_flags[:, x].max(axis=1) for x in in_sections], axis=1)
     x = sections.x - shape.mid_span
     relative_x = np.linspace(0.0, 1.0, n_fitted)
     y = shape.axis.compute_y(x[0] + relative_x * (x[-1] - x[0]))

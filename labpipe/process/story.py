@@ -204,10 +204,17 @@ def _build_reduced_test(
     section = {} if specimen.section is None else vars(specimen.section)
     lengths = (("length", specimen.length), ("gauge_length", specimen.gauge_length))
     sizes = {**dict(lengths), "span": specimen.span, **section}
+    # An uncertainty in the block `specimen` has priority over that of a result.
+    uncertainties = {
+        entry.length: entry.length_uncertainty
+        for entry in protocol.results
+        if isinstance(entry, BendingStiffness) and entry.length_uncertainty is not None
+    }
+    uncertainties |= {} if specimen.uncertainty is None else specimen.uncertainty.by_key
     setup = Setup(
         sizes={name: size for name, size in sizes.items() if size is not None},
         mass_per_length=specimen.mass_per_length,
-        uncertainties=_collect_uncertainties(protocol),
+        uncertainties=uncertainties,
         string=None if string is None else LoadString(**dict(string)),
         has_markers=markers is not None,
         centre_offset=0.0 if markers is None else markers.centre_offset,
@@ -226,22 +233,6 @@ def _build_reduced_test(
         span=prepared.span,
         findings=findings,
     )
-
-
-def _collect_uncertainties(protocol: Protocol) -> dict[str, float]:
-    """Collect the standard uncertainties of sizes.
-
-    An uncertainty in the block ``specimen`` has priority over that of a result.
-    """
-    specimen_uncertainties = protocol.specimen.uncertainty
-    uncertainties_of_results = {
-        entry.length: entry.length_uncertainty
-        for entry in protocol.results
-        if isinstance(entry, BendingStiffness) and entry.length_uncertainty is not None
-    }
-    if specimen_uncertainties is None:
-        return uncertainties_of_results
-    return uncertainties_of_results | specimen_uncertainties.by_key
 
 
 def add_results(test: ReducedTest, protocol: Protocol) -> Reduction:

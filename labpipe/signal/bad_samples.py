@@ -345,6 +345,7 @@ def find_spikes(force: Floats) -> Ints:
     """
     mad_factor, resolution_factor = 8.0, 2.5
     max_medians = 20_000  # number of evenly spaced medians for range and deviation
+    block_size = 8  # samples, more than half a window
     is_valid = ~np.isnan(force)
     f = force if is_valid.all() else force[is_valid]
     if len(f) < 2 * _SPIKE_WINDOW:
@@ -360,7 +361,14 @@ def find_spikes(force: Floats) -> Ints:
         _MIN_SPIKE_FRACTION * float(np.ptp(levels)),
         resolution_factor * compute_step_quantile(f, 0.1),  # steps of a coarse signal
     )
-    uneven = np.flatnonzero(_flag_uneven_samples(f, min_deviation))
+    # Only samples near a large range of three blocks may deviate from the median of their window.
+    starts = np.arange(0, len(f), block_size)
+    high = np.pad(np.maximum.reduceat(f, starts), 1, mode="edge")
+    low = np.pad(np.minimum.reduceat(f, starts), 1, mode="edge")
+    highest = np.maximum(np.maximum(high[:-2], high[1:-1]), high[2:])
+    lowest = np.minimum(np.minimum(low[:-2], low[1:-1]), low[2:])
+    is_uneven = np.repeat(highest - lowest > min_deviation, block_size)[: len(f)]
+    uneven = np.flatnonzero(is_uneven)
     window_rows = np.clip(uneven[:, None] + np.arange(-half_window, half_window + 1), 0, len(f) - 1)
     deviation = f[uneven] - np.partition(f[window_rows], half_window, axis=1)[:, half_window]
     is_far = np.abs(deviation) > min_deviation
@@ -376,17 +384,6 @@ def find_spikes(force: Floats) -> Ints:
     spikes.append(ends[distance > max(float(np.ptp(levels)), min_deviation)])
     samples = np.sort(np.concatenate(spikes))
     return samples if is_valid.all() else np.flatnonzero(is_valid)[samples]
-
-
-def _flag_uneven_samples(f: Floats, min_deviation: float) -> Flags:
-    """Flag samples that may deviate by more than `min_deviation` from their neighbours."""
-    block_size = 8  # samples, more than half a window
-    starts = np.arange(0, len(f), block_size)
-    high = np.pad(np.maximum.reduceat(f, starts), 1, mode="edge")
-    low = np.pad(np.minimum.reduceat(f, starts), 1, mode="edge")
-    highest = np.maximum(np.maximum(high[:-2], high[1:-1]), high[2:])
-    lowest = np.minimum(np.minimum(low[:-2], low[1:-1]), low[2:])
-    return np.repeat(highest - lowest > min_deviation, block_size)[: len(f)]
 
 
 def bridge_spikes(force: Floats, spikes: Ints) -> Floats:
