@@ -192,20 +192,18 @@ def _check_steps(
     """Join and calibrate the exports, run the steps on single channels, and report their faults."""
 
     def join_and_calibrate() -> PreparedTest:
-        recordings: dict[str, Recording] = {
-            role: join_exports(recordings_by_role[role], sheet.files[role], path.parent)
-            for role in protocol.sources
-        }
+        recordings = dict[str, Recording]()
+        for role in protocol.sources:
+            parts = recordings_by_role[role]
+            recordings[role] = join_exports(parts, sheet.files[role], path.parent)
         return calibrate(recordings, protocol)[0]
 
     place = f"{path}, "
     prepared = report.attempt(join_and_calibrate, place=place)
     for step in protocol.steps:
-        if (
-            prepared is not None
-            and isinstance(step, Zero | Smooth | LowPass | Decimate)
-            and step.channel in prepared.signals.filtered
-        ):
+        if prepared is None or not isinstance(step, Zero | Smooth | LowPass | Decimate):
+            continue
+        if step.channel in prepared.signals.filtered:
             run = partial(run_step, prepared, step, protocol)
             prepared, _ = report.attempt(run, place=place) or (prepared, [])
 
@@ -268,8 +266,7 @@ def _find_duplicate_names(sheets: Mapping[Path, TestSheet]) -> Iterator[Protocol
     """Yield an error for each test with the name of another test of its campaign."""
     first_paths: dict[tuple[Path, str], Path] = {}
     for path, sheet in sheets.items():
-        campaign = path.resolve().parent.parent
-        first = first_paths.setdefault((campaign, sheet.test.casefold()), path)
+        campaign, name = path.resolve().parent.parent, sheet.test
+        first = first_paths.setdefault((campaign, name.casefold()), path)
         if first != path:
-            name = sheet.test
             yield ProtocolError.about("process.name_taken", path, "(test)", name=name, first=first)

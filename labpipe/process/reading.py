@@ -59,16 +59,14 @@ def _check_unit(channel: Channel, source: ChannelSource, path: Path) -> None:
         is_same = _are_equal_units(likely_unit, source.unit, si_unit)
         if is_same or not is_known or file_unit == source.wrong_unit_in_file:
             return
-        other_channel = f"Name another channel with {other_channel}"
-        raise ReadError.about(
-            "process.unit_contradicts",
-            path,
-            place,
-            file_unit=file_unit,
-            key=f"{unit_key}: {source.unit}",
-            correction=f"Write {likely_unit} there" if has_dimension else other_channel,
-            wrong=format_overrides(f"{key}.wrong_unit_in_file", file_unit),
-        )
+        facts = {
+            "file_unit": file_unit,
+            "key": f"{unit_key}: {source.unit}",
+            "correction": f"Name another channel with {other_channel}",
+            "wrong": format_overrides(f"{key}.wrong_unit_in_file", file_unit),
+        }
+        facts |= {"correction": f"Write {likely_unit} there"} if has_dimension else {}
+        raise ReadError.about("process.unit_contradicts", path, place, **facts)
     if not file_unit:
         unit = format_overrides(unit_key, source.target_unit)
         raise ReadError.about("process.no_unit", path, place, unit=unit)
@@ -76,21 +74,17 @@ def _check_unit(channel: Channel, source: ChannelSource, path: Path) -> None:
         return
     calibration = f"{key}.calibration"
     if source.target_unit == "N" and has_dimension_of(file_unit, "kg"):
-        unit = format_overrides(unit_key, file_unit)
-        remedy = format_sentence(
-            "process.unit_of_mass", file_unit=file_unit, unit=unit, calibration=calibration
-        )
+        facts = {"file_unit": file_unit, "unit": format_overrides(unit_key, file_unit)}
+        remedy = format_sentence("process.unit_of_mass", calibration=calibration, **facts)
     elif is_known and likely_unit == file_unit:
-        remedy = format_sentence(
-            "process.unit_of_another_quantity", channel=other_channel, calibration=calibration
-        )
+        facts = {"channel": other_channel, "calibration": calibration}
+        remedy = format_sentence("process.unit_of_another_quantity", **facts)
     else:
         is_likely = _are_equal_units(likely_unit, likely_unit, source.target_unit)
         unit = format_overrides(unit_key, likely_unit if is_likely else "...")
         remedy = format_sentence("process.unit_unknown", unit=unit)
-    raise ReadError.about(
-        "process.wrong_unit", path, place, si_unit=si_unit, file_unit=file_unit, remedy=remedy
-    )
+    facts = {"si_unit": si_unit, "file_unit": file_unit, "remedy": remedy}
+    raise ReadError.about("process.wrong_unit", path, place, **facts)
 
 
 def _choose_si_unit(source: ChannelSource, unit: str) -> str:
@@ -136,14 +130,10 @@ def read_inputs(
         fingerprints = [
             executor.submit(fingerprint, folder / name, role, name) for role, name in files
         ]
-        recordings: dict[str, Recording] = {
-            role: join_exports(
-                [read_role(folder / name, source) for name in sheet.files[role]],
-                sheet.files[role],
-                folder,
-            )
-            for role, source in protocol.sources.items()
-        }
+        recordings = dict[str, Recording]()
+        for role, source in protocol.sources.items():
+            parts = [read_role(folder / name, source) for name in sheet.files[role]]
+            recordings[role] = join_exports(parts, sheet.files[role], folder)
         inputs = tuple(future.result() for future in fingerprints)
     return recordings, (*inputs, *fingerprint_dialect_cards(protocol))
 
@@ -216,9 +206,8 @@ def join_exports(parts: Sequence[Recording], names: Sequence[str], folder: Path)
     for (path, part), (next_path, next_part) in pairwise(parts_with_samples):
         end, start = float(part.clocks[0].time[-1]), float(next_part.clocks[0].time[0])
         if start <= end:
-            raise ReadError.about(
-                "process.parts_overlap", next_path, "time", end=end, part=path, start=start
-            )
+            facts = {"end": end, "part": path, "start": start}
+            raise ReadError.about("process.parts_overlap", next_path, "time", **facts)
     ordered_parts = [part for _, part in parts_with_samples]
     notes = [note for part in (*ordered_parts, *filter(is_empty, parts)) for note in part.notes]
     recording = replace(ordered_parts[0], notes=tuple(notes))
@@ -226,11 +215,11 @@ def join_exports(parts: Sequence[Recording], names: Sequence[str], folder: Path)
         return recording
     clock = recording.clocks[0].name
     time = np.concatenate([part.clocks[0].time for part in ordered_parts])
-    channels = []
-    for index, channel in enumerate(recording.channels):
-        values = np.concatenate([part.channels[index].values for part in ordered_parts])
-        channels.append(replace(channel, clock=clock, values=values))
-    return replace(recording, clocks=(Clock(clock, time),), channels=tuple(channels))
+    channels = tuple(
+        replace(channels[0], clock=clock, values=np.concatenate([x.values for x in channels]))
+        for channels in zip(*(part.channels for part in ordered_parts), strict=True)
+    )
+    return replace(recording, clocks=(Clock(clock, time),), channels=channels)
 
 
 def _require_time(path: Path, part: Recording) -> None:

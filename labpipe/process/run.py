@@ -285,13 +285,12 @@ def find_day_and_operator(
     day : day of the test; None if neither the sheet nor a recording states it
     operator : operator of the test; empty if the sheet does not name one
     """
-    sheet_data = parse_yaml(sheet, "test.yaml").data
-    entries = sheet_data if isinstance(sheet_data, Mapping) else {}
-    dates = [entries.get("date")]
-    dates += [recording.metadata.get(key) for recording in recordings.values() for key in _DAY_KEYS]
+    data = parse_yaml(sheet, "test.yaml").data
+    entries = data if isinstance(data, Mapping) else {}
     operator = entries.get("operator")
     operator = operator if isinstance(operator, str) else ""
-    for text in dates:
+    metadata = [recording.metadata for recording in recordings.values()]
+    for text in (entries.get("date"), *(x.get(key) for x in metadata for key in _DAY_KEYS)):
         with suppress(ValueError):
             return date.fromisoformat(str(text)[:10]), operator
     return None, operator
@@ -334,21 +333,16 @@ def _read_stored(result_path: Path) -> tuple[RawTest, Protocol]:
     """Read a test from the raw group of an earlier result, and check its channels."""
     raw = read_raw(result_path)
     if not is_test_name(raw.test):
-        expected, found = "the name of a test, such as A2-085-1", repr(raw.test)
-        raise StoreError.about(
-            "process.bad_result", result_path, "test", expected=expected, found=found
-        )
+        facts = {"expected": "the name of a test, such as A2-085-1", "found": repr(raw.test)}
+        raise StoreError.about("process.bad_result", result_path, "test", **facts)
     protocol = parse_protocol(raw.protocol_yaml, f"{result_path}, protocol_yaml")
     for role, source in protocol.sources.items():
-        recording, group = raw.recordings.get(role, Recording("")), f"raw/{role}"
-        names = [channel.name for channel in recording.channels]
+        names = [channel.name for channel in raw.recordings.get(role, Recording("")).channels]
         missing = sorted(set(source.all_channels) - set(names))
         if missing or role not in raw.recordings:
             expected = " ".join(["the channels of its protocol,", *missing]).strip(", ")
-            found = ", ".join(map(repr, names)) or "none"
-            raise StoreError.about(
-                "process.bad_result", result_path, group, expected=expected, found=found
-            )
+            facts = {"expected": expected, "found": ", ".join(map(repr, names)) or "none"}
+            raise StoreError.about("process.bad_result", result_path, f"raw/{role}", **facts)
     return raw, protocol
 
 
@@ -472,15 +466,15 @@ def _add_inputs(failure: FailedTest, task: Task) -> FailedTest:
             return failure
         sheet, text = load_test_sheet(task.sheet), task.sheet.read_text(encoding="utf-8")
         protocol = resolve_protocol(sheet, task.sheet, follow_links=task.follow_links)
-        protocol_text = dump_protocol(protocol)
-        texts = {"sheet": text, "protocol": protocol_text}
+        texts = {"sheet": text, "protocol": dump_protocol(protocol)}
         hashes = {name: sha256(text.encode()).hexdigest() for name, text in texts.items()}
         failure = replace(failure, made_of=hashes)  # kept if an export cannot be read
-        exports_by_role, folder = list_named_exports(sheet, protocol), task.sheet.parent
-        exports = [fingerprint(folder / name, role, name) for role, name in exports_by_role]
+        named_exports, folder = list_named_exports(sheet, protocol), task.sheet.parent
+        exports = [fingerprint(folder / name, role, name) for role, name in named_exports]
         inputs = (*exports, *fingerprint_dialect_cards(protocol))
-        run = make_input_key([(file.role, file.sha256) for file in inputs], text, protocol_text)
-        return replace(failure, inputs=inputs, run=failure.run or run)
+        files = [(file.role, file.sha256) for file in inputs]
+        run = failure.run or make_input_key(files, texts["sheet"], texts["protocol"])
+        return replace(failure, inputs=inputs, run=run)
     except Exception:  # noqa: BLE001  the fault that is being reported may occur here again
         return failure
 
@@ -494,9 +488,7 @@ def _describe_fault(code: str, test: Path, error: Exception) -> str:
     frames = traceback.extract_tb(error.__traceback__)
     labpipe_frames = [frame for frame in frames if "labpipe" in Path(frame.filename).parts]
     frame = (labpipe_frames or frames)[-1]
-    place = f"{Path(frame.filename).name}, line {frame.lineno}"
-    kind, message = type(error).__name__, " ".join(str(error).split())
-    fault = LabpipeError.about(
-        "process.fault_of_labpipe", test, kind=kind, message=message, place=place
-    )
+    location = f"{Path(frame.filename).name}, line {frame.lineno}"
+    facts = {"kind": type(error).__name__, "message": " ".join(str(error).split())}
+    fault = LabpipeError.about("process.fault_of_labpipe", test, place=location, **facts)
     return str(fault)
