@@ -257,29 +257,25 @@ def match_protocols(
     best_matches = {match.protocol.name: match for match in matches if match.score == best_score}
     texts = [str(text) for export in exports.values() for text in export.metadata.values()]
     standards = [name for name in best_matches if re.search(r"\d{3,}", name)]
+    nominal_lengths = {name: best_matches[name].protocol.specimen.length for name in best_matches}
+    named_by_length = [
+        name
+        for name, nominal in nominal_lengths.items()
+        if length and nominal and abs(length - nominal) <= 0.05 * nominal
+    ]
     criteria = [
         (format_sentence("process.reason_namesake"), _find_named_protocols(names, best_matches)),
         (format_sentence("process.reason_standard"), _find_named_protocols(texts, standards)),
-        (
-            format_sentence("process.reason_length"),
-            [name for name in best_matches if _has_length(best_matches[name].protocol, length)],
-        ),
+        (format_sentence("process.reason_length"), named_by_length),
     ]
     for counts in protocol_counts:
-        name, total = find_majority(counts), sum(counts.values())
-        count = counts.get(name, 0)
-        sentence = format_sentence("process.reason_siblings", count=count, total=total)
+        name, facts = find_majority(counts), {"total": sum(counts.values())}
+        sentence = format_sentence("process.reason_siblings", count=counts.get(name, 0), **facts)
         criteria.append((sentence, [name] if name in best_matches else []))
     for reason, chosen_names in criteria if len(best_matches) > 1 else ():
         if len(chosen_names) == 1:
             return [replace(best_matches[chosen_names[0]], reason=reason)]
     return [best_matches[name] for name in sorted(best_matches)]
-
-
-def _has_length(protocol: Protocol, length: float | None) -> bool:
-    """Return whether the free length in a protocol agrees with a length, m, within 5 %."""
-    nominal = protocol.specimen.length
-    return length is not None and nominal is not None and abs(length - nominal) <= 0.05 * nominal
 
 
 def _find_named_protocols(texts: Sequence[str], protocols: Iterable[str]) -> list[str]:
@@ -316,10 +312,8 @@ def _match_protocol(
     """
     if set(stated_files) - set(protocol.sources):
         return None
-    files: dict[str, tuple[str, ...]] = {}
-    choices: dict[str, tuple[str, ...]] = {}
-    unused = dict(exports)
-    recordings, is_complete = list[Recording](), True
+    files, choices = dict[str, tuple[str, ...]](), dict[str, tuple[str, ...]]()
+    unused, recordings, is_complete = dict(exports), list[Recording](), True
     for role, source in protocol.sources.items():
         parts = {
             path: _read_channels(path, recording, source)
@@ -329,20 +323,20 @@ def _match_protocol(
             and (source.dialect is None or recording.metadata.get("dialect") in source.dialect)
         }
         valid_parts = {path: part for path, part in parts.items() if part is not None}
-        paths = [*(valid_parts or parts)]
-        names = tuple(path.name for path in paths)
-        if not paths and not source.optional:
+        names = tuple(path.name for path in valid_parts or parts)
+        if not names and not source.optional:
             return None
-        for path in paths:
+        for path in valid_parts or parts:
             del unused[path]
-        if paths:
+        try:
+            recordings += [join_exports([*valid_parts.values()], names, Path())] if names else []
+            is_joined = True
+        except ReadError:
+            is_joined = is_complete = False
+        if names and (is_joined or len(names) == 1):
             files[role] = names
-            try:
-                recordings.append(join_exports([*valid_parts.values()], names, Path()))
-            except ReadError:
-                is_complete = False
-                if len(paths) > 1:
-                    choices[role] = files.pop(role)
+        elif names:
+            choices[role] = names
     clamp = None if protocol.markers is None else protocol.markers.clamp
     takes = [recording.markers for recording in recordings if recording.markers is not None]
     has_clamp = any(body.name == clamp for take in takes for body in take.bodies)
@@ -387,9 +381,10 @@ def list_test_folders(folder: Path) -> list[Path]:
     """
     if (folder / SHEET_NAME).exists() or not folder.is_dir():
         return []
-    subfolders = [path for path in sorted(folder.iterdir()) if path.is_dir()]
     return [
-        path for path in subfolders if not path.name.startswith(".") and list_possible_exports(path)
+        path
+        for path in sorted(folder.iterdir())
+        if path.is_dir() and not path.name.startswith(".") and list_possible_exports(path)
     ]
 
 
@@ -514,29 +509,28 @@ def infer_test(
         role: split_file_names(stated_values[role]) for role in ROLES if role in stated_values
     }
     matches = _match_folder(folder, exports, stated_values, stated_files, campaign_tests)
+    protocol = matches[0].protocol if len(matches) == 1 else None
     inferred_files = _assign_files(exports, matches)
     files = inferred_files | stated_files
-    choices = dict[str, tuple[str, ...]]()
-    for match in matches:
-        choices |= match.choices
-    choices = {role: names for role, names in choices.items() if role not in stated_files}
-    ambiguous_names = {name for names in choices.values() for name in names}
+    choices = {role: names for match in matches for role, names in match.choices.items()}
+    for role in stated_files:
+        inferred_files.pop(role, None)
+        choices.pop(role, None)
+    ambiguous_names = set(chain.from_iterable(choices.values()))
     certain_exports = {x.name: exports[x] for x in exports if x.name not in ambiguous_names}
     all_facts = collect_facts(folder.name, certain_exports)
     facts = {key: fact for key, fact in all_facts.items() if key not in stated_values}
     copied_facts = {key: facts[key] for key in _COPIED_FACTS if len(facts.get(key, ())) == 1}
     values = {"test": make_test_name(folder.resolve().name)}
-    values |= {"protocol": matches[0].protocol.name} if len(matches) == 1 else {}
+    values |= {} if protocol is None else {"protocol": protocol.name}
     values |= {key: next(iter(fact)) for key, fact in copied_facts.items()} | dict(stated_values)
-    sizes = find_missing_sizes(matches[0].protocol, values) if len(matches) == 1 else {}
+    sizes = {} if protocol is None else find_missing_sizes(protocol, values)
     if "section.area" in sizes and {"width", "thickness"} <= values.keys():
         values |= {f"section.{key}": values[key] for key in ("width", "thickness")}
         del sizes["section.area"]
     required_keys = ["protocol", "type", "spool", "sample", *sizes]
     open_keys = [key for key in required_keys if not values.get(key)]
     open_keys += sorted(choices) or ([] if files else ["files"])
-    for role in stated_files:
-        inferred_files.pop(role, None)
     remarks = [
         *([] if "protocol" in stated_values else [_describe_matches(exports, matches)]),
         *_describe_files(inferred_files, choices, kinds),
@@ -610,16 +604,14 @@ def _match_folder(
 
 def _assign_files(exports: Exports, matches: Sequence[ProtocolMatch]) -> dict[str, tuple[str, ...]]:
     """Assign exports to the roles on which all matches agree; without matches, use the format."""
+    if matches:
+        first, *others = (match.files for match in matches)
+        return {x: first[x] for x in first if all(files.get(x) == first[x] for files in others)}
     files: dict[str, tuple[str, ...]] = {}
-    if not matches:
-        for path, export in exports.items():
-            role = "frame" if export.reader == "load-frame" else "force"
-            role = "markers" if export.reader in MARKER_READERS else role
-            files[role] = (*files.get(role, ()), path.name)
-        return files
-    for role, names in matches[0].files.items():
-        if all(match.files.get(role) == names for match in matches):
-            files[role] = names
+    for path, export in exports.items():
+        role = "frame" if export.reader == "load-frame" else "force"
+        role = "markers" if export.reader in MARKER_READERS else role
+        files[role] = (*files.get(role, ()), path.name)
     return files
 
 
@@ -637,14 +629,15 @@ def _describe_matches(exports: Exports, matches: Sequence[ProtocolMatch]) -> str
 
 def _describe_files(files: Files, choices: Files, kinds: Mapping[str, str]) -> Iterator[str]:
     """Describe the exports of each role, and the roles with several possible exports."""
-    if files:
-        texts = {
-            role: [f"{_escape(name)} ({kinds[name]})" for name in files[role]] for role in files
-        }
-        yield "; ".join(f"{role}: {', '.join(names)}" for role, names in texts.items())
+    texts = []
+    for role, names in files.items():
+        exports = ", ".join(f"{_escape(name)} ({kinds[name]})" for name in names)
+        texts.append(f"{role}: {exports}")
+    if texts:
+        yield "; ".join(texts)
     for role, candidates in sorted(choices.items()):
-        names = ", ".join(map(_escape, candidates))
-        yield format_sentence("process.role_ambiguous", role=role, names=names)
+        listed_names = ", ".join(map(_escape, candidates))
+        yield format_sentence("process.role_ambiguous", role=role, names=listed_names)
 
 
 def _describe_facts(copied_facts: Facts, facts: Facts) -> Iterator[str]:

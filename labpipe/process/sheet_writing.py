@@ -162,9 +162,8 @@ def write_table_sheets(file: Path, folder: Path, *, overwrite: bool = False) -> 
         data, test = _arrange_sheet(values), values.get("test", "")
         faults += _list_faults(data, values, places, file, test_folder=folder / test)
         if test and test.casefold() in rows:  # A1 and a1 are one folder in some file systems
-            faults.append(
-                str(ReadError.about("process.row_twice", file, places["test"], test=test))
-            )
+            error = ReadError.about("process.row_twice", file, places["test"], test=test)
+            faults.append(str(error))
         exports = [name for role in ROLES for name in split_file_names(values.get(role, ""))]
         rows[test.casefold()] = (data, exports)
     if faults:
@@ -175,10 +174,10 @@ def write_table_sheets(file: Path, folder: Path, *, overwrite: bool = False) -> 
         if path.exists() and not overwrite:
             sheets.append(WrittenSheet(path, is_kept=True))
             continue
-        missing = [name for name in exports if not (path.parent / name).exists()]
-        remark = format_sentence("process.not_there_yet", names=", ".join(missing))
+        missing = ", ".join(name for name in exports if not (path.parent / name).exists())
+        remarks = (format_sentence("process.not_there_yet", names=missing),) if missing else ()
         _write_sheet(path, data)
-        sheets.append(WrittenSheet(path, remarks=(remark,) if missing else ()))
+        sheets.append(WrittenSheet(path, remarks=remarks))
     return sheets
 
 
@@ -255,10 +254,8 @@ def _check_column(name: str, heading: str, file: Path, place: str) -> Iterator[R
     """Yield an error if a column is neither known nor a dotted key."""
     if name not in TABLE_COLUMNS and "." not in name:
         names = sort_by_likeness(heading, list(TABLE_COLUMNS))
-        similar, likely = ", ".join(map(repr, names)), names[0]
-        yield ReadError.about(
-            "process.column_unknown", file, place, similar=similar, name=heading, likely=likely
-        )
+        facts = {"similar": ", ".join(map(repr, names)), "likely": names[0], "name": heading}
+        yield ReadError.about("process.column_unknown", file, place, **facts)
 
 
 def _list_faults(
