@@ -336,11 +336,14 @@ def check_start(signals: Signals, motion: Motion, *, has_slack: bool) -> Iterato
     -----
     A record that begins at rest is not doubtful, because its load cell may have an offset. A test
     is also not doubtful if its cycles return to the load at its beginning, within half of that
-    load. A small force counts as a load if it is proportional to the displacement within a factor
-    of three. A record begins with an unloading if its first force is above half of the range of the
-    force, and falls below half of its value in the first branch.
+    load. A force below a tenth of the range counts as a load only if the displacement begins above
+    a hundredth of its range. A record begins with an unloading if its first force is above half of
+    the range of the force, and falls below half of its value in the first branch.
     """
     noise_factor = 5.0  # standard deviations of the force
+    # A load of medium size must have displaced the specimen. Otherwise it is an offset of the load
+    # cell. Loads are fractions of the range of the force, the displacement one of its range.
+    min_load, certain_load, min_path = 0.02, 0.1, 0.01
     branch_data = _read_first_branch(signals, motion) if motion.branches else None
     if branch_data is None:
         return
@@ -354,7 +357,8 @@ def check_start(signals: Signals, motion: Motion, *, has_slack: bool) -> Iterato
     end_forces = np.interp([branch.stop_time for branch in motion.branches[1::2]], time, force)
     returns = len(end_forces) > 0 and (np.abs(end_forces - load) <= 0.5 * load).all()
     is_zero = not load > noise_factor * estimate_noise_level(force)
-    is_loaded = _is_loaded(branch_force, branch_path, float(np.ptp(path)), relative_load)
+    is_displaced = branch_path[0] >= min_path * np.ptp(path)
+    is_loaded = relative_load >= (min_load if is_displaced else certain_load)
     if is_zero or returns or not is_loaded:
         yield from _check_first_sample(signals.displacement, force, path)
         return
@@ -421,22 +425,6 @@ def _check_first_sample(channel: str, force: Floats, path: Floats) -> Iterator[F
         facts: dict[str, Any] = {"travel": 1e3 * travel_below, "force": force_below}
         quantities = "displacement", "force", "start"
         yield Finding.of("process.zeroed_in_mid_stroke", channel, *quantities, **facts)
-
-
-def _is_loaded(force: Floats, path: Floats, path_range: float, relative_load: float) -> bool:
-    """Return whether the first force of a branch is a load, not an offset of the load cell.
-
-    A load of medium size must agree with the slope of the force at the beginning of the branch.
-    """
-    min_load, certain_load, line_factor = 0.02, 0.1, 3.0  # fractions of the force; force over line
-    min_path, fitted_path, min_samples = 0.01, 0.05, 4  # fractions of the path; samples of the fit
-    size = max(min_samples, int(np.sum(np.abs(path - path[0]) <= fitted_path * path_range)))
-    deviations = path[:size] - path[:size].mean()
-    slope = float(deviations @ force[:size]) / max(float(deviations @ deviations), 1e-300)
-    is_on_line = force[0] / line_factor <= slope * path[0] <= line_factor * force[0]
-    if relative_load >= certain_load:
-        return True
-    return bool(relative_load >= min_load and path[0] >= min_path * path_range and is_on_line)
 
 
 _CUT_FILE_CODES = {"truncated", "rows_differ"}
