@@ -21,7 +21,7 @@ from labpipe.markers.tracklets import find_frozen_samples, is_unlabelled
 from labpipe.messages import format_sentence
 from labpipe.process.consistency import compute_rms
 from labpipe.process.motion import Motion, find_motion_turns
-from labpipe.process.steps import MIN_SAMPLES_NOISE_UNKNOWN, PreparedTest, Take, average_level
+from labpipe.process.steps import MIN_ZERO_SAMPLES_NOISE_UNKNOWN, PreparedTest, Take, average_level
 from labpipe.protocol.schema import Markers
 from labpipe.records import declarations
 from labpipe.records.arrays import Flags, Floats, drop_missing, find_run_times
@@ -128,7 +128,7 @@ def find_specimen_axes(prepared: PreparedTest, step: declarations.SpecimenFrame)
     find_frame = partial(find_specimen_frame, clamp_path, positions, out_of_plane_limit=limit)
     frame = find_frame(rest=is_at_rest)
     is_before_motion = _flag_before_motion(tracks.time, frame, clamp_path)
-    if MIN_SAMPLES_NOISE_UNKNOWN <= (is_at_rest & is_before_motion).sum() < is_at_rest.sum():
+    if MIN_ZERO_SAMPLES_NOISE_UNKNOWN <= (is_at_rest & is_before_motion).sum() < is_at_rest.sum():
         is_at_rest &= is_before_motion
         frame = find_frame(rest=is_at_rest)
         duration = float(np.ptp(tracks.time[is_at_rest]))

@@ -55,12 +55,15 @@ from labpipe.store.summaries import (
 )
 
 _DAY_KEYS = ("date", "start_time", "Capture Start Time")
-"""Metadata keys of the date or time of a recording, in ISO 8601."""
+"""Metadata keys whose values begin with an ISO 8601 date."""
 _FIGURE_FILES = [f"{FIGURES_FOLDER}/{name}.{kind}" for name in FIGURES for kind in ("svg", "png")]
 """Paths of all figures that a test may have, relative to its results folder."""
 PROCESSING_VERSION = 3
-"""Incremented whenever the same exports, sheet and protocol give different numbers."""
-Say = Callable[[str], None]
+"""Version of the processing.
+
+It is incremented whenever the same exports, sheet and protocol give different numbers.
+"""
+StageCallback = Callable[[str], None]
 """Function that is called with the name of each stage when the stage begins."""
 
 
@@ -71,7 +74,7 @@ class ProcessedTest:
     Parameters
     ----------
     folder : folder with result.h5, summary.json and figures
-    result : results of the test, with recordings and stages after `process`
+    result : result of the test; `attempt` removes recordings, curve and shape from it
     figures : paths of the figures
     has_finished_files : whether files that a killed process had left unfinished were completed
     """
@@ -83,7 +86,7 @@ class ProcessedTest:
 
     @property
     def n_failed(self) -> int:
-        """Return the number of results that are not available."""
+        """Return the number of results that failed."""
         return sum(result.status is Status.FAILED for result in self.result.results)
 
 
@@ -109,13 +112,13 @@ class Task:
     run: str = ""
 
 
-def process(task: Task, say: Say = lambda _: None) -> ProcessedTest:
+def process(task: Task, on_stage: StageCallback = lambda _: None) -> ProcessedTest:
     """Process one test.
 
     Parameters
     ----------
     task : test to be processed, and its output
-    say : function that is called with the name of each stage when the stage begins
+    on_stage : function that is called with the name of each stage when the stage begins
 
     Returns
     -------
@@ -124,16 +127,16 @@ def process(task: Task, say: Say = lambda _: None) -> ProcessedTest:
     Raises
     ------
     LabpipeError
-        If an input is not valid; earlier results are then unchanged.
+        If an input is not valid. Earlier results are then unchanged.
     """
-    say("read")
+    on_stage("read")
     source, has_finished_files = task.sheet, False
     is_in_place = source.suffix == ".h5" and task.results_folder in (None, source.parent)
-    if is_in_place and is_unfinished(source.parent):  # a process was killed
+    if is_in_place and is_unfinished(source.parent):  # an earlier process was killed
         with lock(source.parent), map_errors(source.parent):
             has_finished_files = finish_moves(source.parent)
     raw, protocol = read_source(source, follow_links=task.follow_links)
-    say("process")
+    on_stage("process")
     result = reduce_test(raw, protocol)
     folder = task.results_folder or choose_results_folder(source, None, lambda: result.test)
     outdated_figures = _FIGURE_FILES
@@ -142,17 +145,17 @@ def process(task: Task, say: Say = lambda _: None) -> ProcessedTest:
             outdated_figures = []
     outdated_files = [FAILURE_FILE, *outdated_figures]
     with lock(folder), replace_files(folder, owned=outdated_files) as new_folder:
-        say("write")
+        on_stage("write")
         with ThreadPoolExecutor(max_workers=1) as compressor:  # compression releases the GIL
-            writing = compressor.submit(write_result, result, new_folder / RESULT_FILE)
+            write_future = compressor.submit(write_result, result, new_folder / RESULT_FILE)
             write_summary(result, new_folder / SUMMARY_FILE)
             paths = list[Path]()
             if task.figures:
-                say("draw")
+                on_stage("draw")
                 from labpipe.report.figures import save_figures
 
                 paths = save_figures(result, new_folder / FIGURES_FOLDER, png=task.png)
-            writing.result()
+            write_future.result()
     figures = tuple(folder / path.relative_to(new_folder) for path in paths)
     return ProcessedTest(folder, result, figures, has_finished_files)
 
@@ -203,8 +206,8 @@ def read_source(source: Path, *, follow_links: bool = False) -> tuple[RawTest, P
         return _read_stored(source)
     sheet = load_test_sheet(source)
     protocol = resolve_protocol(sheet, source, follow_links=follow_links)
-    if missing := find_missing_exports(sheet, source):
-        raise missing
+    if error := find_missing_exports(sheet, source):
+        raise error
     recordings, inputs = read_inputs(source.parent, sheet, protocol)
     raw = RawTest(
         test=sheet.test,
@@ -220,7 +223,7 @@ def read_source(source: Path, *, follow_links: bool = False) -> tuple[RawTest, P
 
 
 def reduce_test(raw: RawTest, protocol: Protocol) -> TestResult:
-    """Reduce one test in memory.
+    """Compute the results of a test without writing files.
 
     Parameters
     ----------
@@ -236,10 +239,12 @@ def reduce_test(raw: RawTest, protocol: Protocol) -> TestResult:
     ProcessingError
         If a recording lacks data that a step needs.
     """
-    tested, operator = find_day_and_operator(raw.test_yaml, raw.recordings)
-    exports = [(file.role, file.sha256) for file in raw.inputs]
+    test_date, operator = find_day_and_operator(raw.test_yaml, raw.recordings)
+    input_hashes = [(file.role, file.sha256) for file in raw.inputs]
     try:
-        reduced = reduce_recordings(raw.recordings, protocol, tested=tested, specimen=raw.specimen)
+        reduced = reduce_recordings(
+            raw.recordings, protocol, tested=test_date, specimen=raw.specimen
+        )
     except ProcessingError as error:
         message = f"{raw.test}, {error}"
         raise ProcessingError(message) from error
@@ -263,8 +268,8 @@ def reduce_test(raw: RawTest, protocol: Protocol) -> TestResult:
         figures=protocol.report.figures,
         slips=test.slips,
         lines=reduced.lines,
-        run=make_input_key(exports, raw.test_yaml, raw.protocol_yaml),
-        date=tested,
+        run=make_input_key(input_hashes, raw.test_yaml, raw.protocol_yaml),
+        date=test_date,
         operator=operator,
         instruments=list_certified_instruments(protocol),
     )
@@ -278,7 +283,7 @@ def find_day_and_operator(
     Parameters
     ----------
     sheet : text of the test sheet, whose date has priority
-    recordings : recordings, keyed by role; the first one with a date is used
+    recordings : recordings, keyed by role; the first recording with a date is used
 
     Returns
     -------
@@ -322,8 +327,8 @@ def make_input_key(inputs: Iterable[tuple[str, str]], test_yaml: str, protocol_y
 
     Returns
     -------
-    SHA-256 (hexadecimal) of the inputs and of `PROCESSING_VERSION`, which does not depend on time
-    and machine.
+    SHA-256 (hexadecimal) of the inputs and of `PROCESSING_VERSION`, which does not depend on the
+    time or the machine.
     """
     contents = [PROCESSING_VERSION, [list(file) for file in inputs], test_yaml, protocol_yaml]
     return sha256(json.dumps(contents).encode()).hexdigest()
@@ -357,9 +362,10 @@ def choose_results_folder(source: Path, out: Path | None, name: Callable[[], str
 
     Returns
     -------
-    ``out/<test>`` if `out` is given. Otherwise the folder of a result.h5 itself; for
-    ``raw/<path>/test.yaml`` the folder ``processed/<path>`` beside ``raw``; for a sheet elsewhere
-    ``processed/<test>`` in the working folder.
+    - ``out/<test>`` if `out` is given;
+    - the folder of a result.h5 itself;
+    - for ``raw/<path>/test.yaml`` the folder ``processed/<path>`` beside ``raw``;
+    - for a sheet elsewhere ``processed/<test>`` in the working folder.
     """
     if out is not None:
         return out / name()
@@ -393,28 +399,28 @@ class RefusedTest:
 
 
 def attempt(
-    task: Task, say: Say = lambda _: None, *, is_alone: bool = False
+    task: Task, on_stage: StageCallback = lambda _: None, *, is_alone: bool = False
 ) -> ProcessedTest | RefusedTest:
     """Process a test; if it cannot be processed, write failure.json beside its earlier results.
 
     Parameters
     ----------
     task : test to be processed, and its output
-    say : function that is called with the name of each stage when the stage begins
-    is_alone : whether no other test is processed, so that a fault of labpipe itself is raised
+    on_stage : function that is called with the name of each stage when the stage begins
+    is_alone : whether no other test is processed; an internal error of labpipe is then raised
 
     Returns
     -------
-    The processed test, or the reason why it could not be processed. Recordings and stages are
-    removed to save memory; they are in the result.h5 of the test.
+    The processed test, or the reason why it could not be processed. Recordings, curve and shape are
+    removed from the returned result to save memory; they are in the result.h5 of the test.
 
     Raises
     ------
     Exception
-        If labpipe itself has a fault and `is_alone` is True; failure.json reports it as well.
+        For an internal error of labpipe if `is_alone` is True; failure.json reports it as well.
     """
     try:
-        processed = process(task, say)
+        processed = process(task, on_stage)
     except LabpipeError as error:
         return record_refusal(task, error.code, str(error))
     except Exception as error:
@@ -437,7 +443,7 @@ def record_refusal(task: Task, code: str, reason: str, *, reads_inputs: bool = T
     task : test that could not be processed
     code, reason : see `RefusedTest`
     reads_inputs : whether to read sheet and exports for the key of the inputs; False if reading
-        them may have killed a process
+        them may crash the process
 
     Returns
     -------
@@ -449,7 +455,7 @@ def record_refusal(task: Task, code: str, reason: str, *, reads_inputs: bool = T
         folder = folder or choose_results_folder(
             task.sheet, None, partial(read_test_name, task.sheet)
         )
-    failure = FailedTest("", code, reason, task.run)
+    failure = FailedTest(test="", code=code, reason=reason, run=task.run)
     if reads_inputs:
         failure = _add_inputs(failure, task)
     if folder is not None and code != "in_use":
@@ -468,14 +474,14 @@ def _add_inputs(failure: FailedTest, task: Task) -> FailedTest:
         protocol = resolve_protocol(sheet, task.sheet, follow_links=task.follow_links)
         texts = {"sheet": text, "protocol": dump_protocol(protocol)}
         hashes = {name: sha256(text.encode()).hexdigest() for name, text in texts.items()}
-        failure = replace(failure, made_of=hashes)  # kept if an export cannot be read
+        failure = replace(failure, made_of=hashes)  # they remain if an export cannot be read
         named_exports, folder = list_named_exports(sheet, protocol), task.sheet.parent
         exports = [fingerprint(folder / name, role, name) for role, name in named_exports]
         inputs = (*exports, *fingerprint_dialect_cards(protocol))
         files = [(file.role, file.sha256) for file in inputs]
         run = failure.run or make_input_key(files, texts["sheet"], texts["protocol"])
         return replace(failure, inputs=inputs, run=run)
-    except Exception:  # noqa: BLE001  the fault that is being reported may occur here again
+    except Exception:  # noqa: BLE001  the error that is being reported may be raised here again
         return failure
 
 

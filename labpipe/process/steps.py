@@ -61,15 +61,15 @@ if TYPE_CHECKING:
 MAX_SI_VALUE = {"channel": 1e15, "marker": 1e6}
 """Largest absolute values of channels and of marker positions, in SI units.
 
-Larger values come from damaged files.
+A file with a larger value is taken as damaged.
 """
 
 
-MIN_SAMPLES_NOISE_UNKNOWN = 8
+MIN_ZERO_SAMPLES_NOISE_UNKNOWN = 8
 """Smallest number of samples of a zero if the other samples are too few to estimate the noise."""
-MIN_SAMPLES_NOISE_KNOWN = 3
+MIN_ZERO_SAMPLES_NOISE_KNOWN = 3
 """Smallest number of samples of a zero if the noise is estimated from the other samples."""
-SHORT_STRETCH = 100
+MIN_SELF_NOISE_SAMPLES = 100
 """Number of samples below which the noise of a stretch is estimated from the other samples."""
 _MIN_BLOCKS = 1000
 """Smallest number of block means to which a long stretch is reduced, to save time."""
@@ -86,9 +86,9 @@ class Take:
     clamp_positions : shape (frames, 3), m, pivot of the clamp as exported; None without a clamp
     repaired : repaired tracks of the markers along the specimen; None before that step
     frame : coordinate frame of the specimen; None before that step
-    is_at_rest : shape (frames,), whether a frame was used to find the specimen frame; None before
-        that step
-    scale_error : relative standard uncertainty of the scale of the cameras
+    is_at_rest : shape (frames,), whether the specimen is at rest in a camera frame; the specimen
+        frame is found from these camera frames. None before that step
+    scale_uncertainty : relative standard uncertainty of the scale of the cameras
     """
 
     tracks: MarkerTracks | None = None
@@ -97,11 +97,11 @@ class Take:
     repaired: RepairedTracks | None = None
     frame: SpecimenFrame | None = None
     is_at_rest: Flags | None = None
-    scale_error: float = 0.0
+    scale_uncertainty: float = 0.0
 
     def make_signal(self, time: Floats, values: Floats) -> Signal:
         """Make a signal of lengths (m) on the clock of the cameras, with their scale error."""
-        return Signal(time, values, "m", self.role, relative_error=self.scale_error)
+        return Signal(time, values, "m", self.role, relative_error=self.scale_uncertainty)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -147,7 +147,7 @@ def calibrate(
     curve, findings = protocol.curve, list[Finding]()
     signals = Signals() if curve is None else Signals(curve.force, curve.displacement)
     take = Take()
-    scale_errors: dict[str, float] = {
+    scale_uncertainties: dict[str, float] = {
         role: source.gain_uncertainty for role, source in protocol.sources.items()
     }
     reversed_channels = [getattr(curve, name) for name in (curve and curve.reverse) or ()]
@@ -162,10 +162,10 @@ def calibrate(
             _check_clock(recording.markers.time, role, min_samples=min_frames)
             tracks = recording.markers
             for index, name in enumerate(tracks.names):
-                _check_size(tracks.positions[:, index], "marker", role, f"marker {name!r}")
+                _check_magnitude(tracks.positions[:, index], "marker", role, f"marker {name!r}")
             for body in tracks.bodies:
-                _check_size(body.position, "marker", role, f"rigid body {body.name!r}")
-            take = Take(tracks, role, scale_error=scale_errors[role])
+                _check_magnitude(body.position, "marker", role, f"rigid body {body.name!r}")
+            take = Take(tracks, role, scale_uncertainty=scale_uncertainties[role])
         for channel in recording.channels:
             clock, source = recording.get_clock(channel.clock), protocol.channels[channel.name]
             _check_clock(clock.time, role, min_samples=min_samples)
@@ -182,7 +182,7 @@ def calibrate(
 def _calibrate_channel(
     channel: Channel, source: ChannelSource, clock: Clock, role: str, gauge_length: float | None
 ) -> Signal:
-    """Convert a strain to an extension, and apply the calibration of the protocol."""
+    """Convert a strain, if any, to an extension, and apply the calibration of the protocol."""
     values, place = channel.values, f"channel {channel.path!r}"
     if source.is_extension and channel.unit == "1":
         if gauge_length is None:
@@ -193,7 +193,7 @@ def _calibrate_channel(
         values += source.offset
     if not np.isfinite(values[:1]).all() and not np.isfinite(values).any():
         raise ProcessingError.about("process.no_numbers", role, place)
-    _check_size(values, "channel", role, place)
+    _check_magnitude(values, "channel", role, place)
     return Signal(
         time=clock.time,
         values=values,
@@ -208,7 +208,7 @@ def _calibrate_channel(
 def _check_peak(
     name: str, signal: Signal, quantity: str, peak_range: tuple[float, float] | None
 ) -> Iterator[Finding]:
-    """Report a channel whose peak is implausible, so that its unit may be wrong."""
+    """Report an implausible peak of a channel, which may result from a wrong unit."""
     if peak_range is None:
         return
     peak = float(np.nanmax(np.abs(signal.values)))
@@ -217,7 +217,7 @@ def _check_peak(
         yield Finding.of("process.implausible_peak", name, quantity, **facts)
 
 
-def _check_size(values: Floats, kind: str, role: str, source: str) -> None:
+def _check_magnitude(values: Floats, kind: str, role: str, source: str) -> None:
     """Raise an error for values that are too large to be measurements.
 
     Parameters
@@ -328,8 +328,8 @@ def compute_travel_from_speed(
 
     Returns
     -------
-    The signals with the computed channel, and the findings, which are a note and, if the loading
-    began before the record of the force, a doubt.
+    The signals with the computed channel, and the findings: a note on the computed displacement
+    and, if the loading began significantly before the force record, that the force is doubtful.
 
     Raises
     ------
@@ -346,7 +346,7 @@ def compute_travel_from_speed(
     if rig.crosshead_speed is None or rig.stroke is None:
         raise ValueError(format_sentence("process.speed_needs_rig"))
     force, duration = orient_force(signals.raw[step.force]), rig.stroke / rig.crosshead_speed
-    corner = _find_turn(force, step)
+    corner = _fit_reversal_corner(force, step)
     start, speed = corner.time - duration, rig.crosshead_speed
     time = np.arange(force.time[0], force.time[-1], 1.0 / step.rate)
 
@@ -373,11 +373,17 @@ def compute_travel_from_speed(
     return signals.add_signal(step.channel, signal), findings
 
 
-def _find_turn(force: Signal, step: declarations.TravelFromSpeed) -> Corner:
-    """Fit the corner of a force where the motion turns; raise an error without a clear corner."""
+def _fit_reversal_corner(force: Signal, step: declarations.TravelFromSpeed) -> Corner:
+    """Fit the corner of a force where the motion turns.
+
+    Raises
+    ------
+    ValueError
+        If there is no corner whose time has a standard error below 0.5 s.
+    """
     max_time_error = 0.5  # s
-    _require_time(force, step.force, "a speed")
-    record, corner = (force.time, force.values), None
+    _require_time(force, step.force, setting="a speed")
+    corner, record = None, (force.time, force.values)
     turn_time = find_sharpest_turn(*record, width=step.window)
     if turn_time is not None:
         corner = fit_reversal(*record, guess=turn_time, window=step.window)
@@ -404,7 +410,7 @@ def run_step(
     Raises
     ------
     ProcessingError
-        If the step cannot be run on the data; the message has its key and a remedy.
+        If the step cannot be run on the data; the message contains its key and a remedy.
     """
     signals = prepared.signals
     try:
@@ -430,7 +436,7 @@ def run_step(
 
 
 def zero_signal(signals: Signals, step: declarations.Zero) -> tuple[Signals, list[Finding]]:
-    """Run ``zero``: subtract the level of a signal at rest, and record the stretch of that zero.
+    """Run ``zero``: subtract the level of a signal at rest, and store the time interval used.
 
     Parameters
     ----------
@@ -452,10 +458,10 @@ def zero_signal(signals: Signals, step: declarations.Zero) -> tuple[Signals, lis
     time, last = signal.time, len(signal.time)
     if is_at_start:
         stop = int(np.searchsorted(time, time[0] + step.over, side="right"))
-        first, last = 0, min(max(stop, MIN_SAMPLES_NOISE_KNOWN), last)
+        first, last = 0, min(max(stop, MIN_ZERO_SAMPLES_NOISE_KNOWN), last)
     else:
         start_sample = int(np.searchsorted(time, time[-1] - step.over))
-        first = max(min(start_sample, last - MIN_SAMPLES_NOISE_KNOWN), 0)
+        first = max(min(start_sample, last - MIN_ZERO_SAMPLES_NOISE_KNOWN), 0)
     duration = max(step.over, float(time[last - 1] - time[first]))
     start = float(time[0] if is_at_start else time[-1] - duration)
     values = drop_missing(signal.values[first:last])
@@ -477,20 +483,20 @@ def zero_signal(signals: Signals, step: declarations.Zero) -> tuple[Signals, lis
         stretches = {**signals.moving_zero_stretches, **stretch}
         signals = replace(signals, moving_zero_stretches=stretches)
         outermost_first = slice(None, None, 1 if is_at_start else -1)
-        level, error, n_rest = measure_moving_zero(values[outermost_first], other_values)
+        level, error, n_rest = estimate_level_before_motion(values[outermost_first], other_values)
         method = f"the outer end of a line over {duration:.4g} s"
         if n_rest:
             rest_duration = duration * n_rest / len(values)
             method = f"the mean over the {rest_duration:.3g} s before the motion"
     facts = {"level": round(level, 12), "unit": signal.unit, "method": method}
     facts |= {"end": step.at, "count": len(values)}
-    is_short = len(values) < MIN_SAMPLES_NOISE_UNKNOWN
+    is_short = len(values) < MIN_ZERO_SAMPLES_NOISE_UNKNOWN
     note = Finding.of("process.zeroed_on_few" if is_short else "process.zeroed", name, **facts)
     return signals.subtract_level(name, level, error), [note]
 
 
 def _require_time(signal: Signal, name: str, setting: str) -> None:
-    """Raise an error for a setting that needs times, such as a cutoff in Hz, without times."""
+    """Raise an error if a setting, such as a cutoff in Hz, needs times that a signal lacks."""
     if not signal.has_time:
         raise ValueError(format_sentence("process.needs_times", channel=name, setting=setting))
 
@@ -502,8 +508,8 @@ def _filter_signal(
 ) -> tuple[Signals, list[Finding]]:
     """Run ``smooth``, ``low-pass`` or ``decimate`` on a signal.
 
-    ``smooth`` is only added to the filters of a signal of the curve. `curve_corrections` smooths
-    that signal in each branch, when the ends of the branches are known.
+    For a force or displacement of the curve, ``smooth`` is recorded but not applied here, because
+    `curve_corrections` applies it to each branch.
     """
     name = step.channel
     signal, findings = signals.filtered[name], list[Finding]()
@@ -544,7 +550,7 @@ def _convert_span(span: declarations.Span, signal: Signal, protocol: Protocol) -
 
 
 def count_required_samples(other_values: Floats) -> int:
-    """Return the smallest number of samples from which a zero can be computed.
+    """Compute the smallest number of samples from which a zero can be computed.
 
     Parameters
     ----------
@@ -552,16 +558,17 @@ def count_required_samples(other_values: Floats) -> int:
 
     Notes
     -----
-    Three samples suffice if at least 100 of the other samples are finite, or at least 25 if there
-    are fewer than 100 of them. Otherwise eight are needed. With 3 to 6 samples, the 95 % intervals
-    of `average_level` and `fit_end_level` then cover the true value in 94 to 96 % of cases, in
-    white noise and in noise with a correlation length of ten samples. With only 25 other samples
-    the coverage is the same for a correlation length of two samples. It is 73 % for one of ten
-    samples, because so short a record does not separate such noise from its curve.
+    Three samples suffice if the noise can be estimated from the other samples. At least 100 of them
+    must be finite, or at least 25 if the record has fewer than 100 other samples. Otherwise eight
+    are needed. With 3 to 6 samples, the 95 % intervals of `average_level` and `fit_end_level` then
+    cover the true value in 94 to 96 % of cases, in white noise and in noise with a correlation
+    length of ten samples. With only 25 other samples the coverage is the same for a correlation
+    length of two samples. For a correlation length of ten samples it is 73 %, because so short a
+    record does not separate such noise from its curve.
     """
     count = len(other_values) - np.count_nonzero(np.isnan(other_values))
-    shows_noise = count >= _choose_stretch_width(other_values)
-    return MIN_SAMPLES_NOISE_KNOWN if shows_noise else MIN_SAMPLES_NOISE_UNKNOWN
+    has_noise_estimate = count >= _choose_stretch_width(other_values)
+    return MIN_ZERO_SAMPLES_NOISE_KNOWN if has_noise_estimate else MIN_ZERO_SAMPLES_NOISE_UNKNOWN
 
 
 def average_level(values: Floats, other_values: Floats) -> tuple[float, float]:
@@ -571,7 +578,7 @@ def average_level(values: Floats, other_values: Floats) -> tuple[float, float]:
     ----------
     values : shape (n,), evenly spaced samples of the stretch without NaN
     other_values : shape (m,), all other samples of the record, from which the noise is estimated
-        if the stretch is shorter than `SHORT_STRETCH`
+        if the stretch is shorter than `MIN_SELF_NOISE_SAMPLES`
 
     Returns
     -------
@@ -603,12 +610,12 @@ def fit_end_level(values: Floats, other_values: Floats) -> tuple[float, float]:
     positions = np.arange(len(blocks)) + 0.5 * (block_size - 1) / block_size
     design = np.column_stack([np.ones(len(blocks)), positions])
     fit = fit_linear(design, blocks, other_stretches=_select_noise_stretches(values, other_values))
-    # A zero has few samples. This standard error gives an interval as wide as by Student's t.
+    # 1.96 of the returned standard errors are as wide as the interval from Student's t.
     return float(fit.coefficients[0]), float(fit.half_widths[0]) / NORMAL_95
 
 
-def measure_moving_zero(values: Floats, other_values: Floats) -> tuple[float, float, int]:
-    """Measure the level before a machine moved, from a stretch in which it begins to move.
+def estimate_level_before_motion(values: Floats, other_values: Floats) -> tuple[float, float, int]:
+    """Estimate the level before a motion, from a stretch that includes the start of the motion.
 
     Parameters
     ----------
@@ -617,36 +624,36 @@ def measure_moving_zero(values: Floats, other_values: Floats) -> tuple[float, fl
 
     Returns
     -------
-    level, error : mean of the rest at the beginning of the stretch, and its standard error. If the
-        rest is too short, they are results of `fit_end_level` for the samples after it, or for all
-        samples if fewer than `MIN_SAMPLES_NOISE_UNKNOWN` follow
-    n_rest : number of samples in that rest; 0 if the level is from a line
+    level, error : mean over the period at rest at the beginning of the stretch, and its standard
+        error. If that period is too short, they are results of `fit_end_level` for the samples
+        after it, or for all samples if fewer than `MIN_ZERO_SAMPLES_NOISE_UNKNOWN` follow
+    n_rest : number of samples in the period at rest; 0 if the level is from a line
     """
     n_rest = count_rest_samples(values)
     rest_values, moving_values = values[:n_rest], values[n_rest:]
     if n_rest >= count_required_samples(other_values):
         other_values = np.concatenate([moving_values, other_values])
         return *average_level(rest_values, other_values), n_rest
-    if len(moving_values) < MIN_SAMPLES_NOISE_UNKNOWN:
+    if len(moving_values) < MIN_ZERO_SAMPLES_NOISE_UNKNOWN:
         moving_values = values
     return *fit_end_level(moving_values, other_values), 0
 
 
 def _select_noise_stretches(values: Floats, other_values: Floats) -> Sequence[Floats]:
-    """Select smooth stretches of the other samples, which show the noise of a short stretch."""
-    if len(values) >= SHORT_STRETCH:
+    """Select smooth stretches of the other samples, from which the noise is estimated."""
+    if len(values) >= MIN_SELF_NOISE_SAMPLES:
         return ()
     return cut_smooth_stretches(other_values, width=_choose_stretch_width(other_values))
 
 
 def _choose_stretch_width(other_values: Floats) -> int:
-    """Choose the number of samples in a stretch that shows the noise."""
+    """Choose the number of samples of a stretch from which the noise is estimated."""
     short_width = 25
-    return SHORT_STRETCH if len(other_values) >= SHORT_STRETCH else short_width
+    return MIN_SELF_NOISE_SAMPLES if len(other_values) >= MIN_SELF_NOISE_SAMPLES else short_width
 
 
 def rezero_at_rest(signals: Signals, motion: Motion) -> tuple[Signals, list[Finding]]:
-    """Recompute each mean zero whose stretch includes a part of the motion, from the rest alone.
+    """Recompute each zero that is a mean over a stretch with motion, from its samples at rest.
 
     Parameters
     ----------
@@ -659,8 +666,9 @@ def rezero_at_rest(signals: Signals, motion: Motion) -> tuple[Signals, list[Find
 
     Notes
     -----
-    The standard error is that of the rest alone. With fewer than `MIN_SAMPLES_NOISE_UNKNOWN`
-    samples at rest the zero is not recomputed, and `check_zeros` reports it as doubtful.
+    The standard error is that of the samples at rest. With fewer than
+    `MIN_ZERO_SAMPLES_NOISE_UNKNOWN` of them the zero is not recomputed, and `check_zeros` reports it
+    as doubtful.
     """
     findings: list[Finding] = []
     branches = motion.branches
@@ -671,18 +679,18 @@ def rezero_at_rest(signals: Signals, motion: Motion) -> tuple[Signals, list[Find
             for end in (branches[0].start_time, branches[-1].stop_time)
         )
         if start < motion_start < stop:
-            rest_stretch = (start, motion_start)
+            rest_period = (start, motion_start)
         elif start < motion_end < stop:
-            rest_stretch = (motion_end, stop)
+            rest_period = (motion_end, stop)
         else:
             continue
-        is_at_rest = (raw.time >= rest_stretch[0]) & (raw.time <= rest_stretch[1])
+        is_at_rest = (raw.time >= rest_period[0]) & (raw.time <= rest_period[1])
         rest_values = drop_missing(raw.values[is_at_rest])
-        if len(rest_values) >= MIN_SAMPLES_NOISE_UNKNOWN:
+        if len(rest_values) >= MIN_ZERO_SAMPLES_NOISE_UNKNOWN:
             level, error = average_level(rest_values, raw.values[~is_at_rest])
-            stretches = {**signals.zero_stretches, name: rest_stretch}
+            stretches = {**signals.zero_stretches, name: rest_period}
             signals = replace(signals.subtract_level(name, level, error), zero_stretches=stretches)
-            duration, stated = rest_stretch[1] - rest_stretch[0], stop - start
-            note = Finding.of("process.short_rest", name, duration=duration, stated=stated)
-            findings.append(note)
+            facts: dict[str, Any] = {"duration": rest_period[1] - rest_period[0]}
+            facts |= {"stated": stop - start}
+            findings.append(Finding.of("process.short_rest", name, **facts))
     return signals, findings

@@ -67,7 +67,7 @@ def done(
     mend, turn, fit = steps(protocol)
     settings = words(protocol, **changes)
     prepared, first = run_marker_step(
-        PreparedTest(Signals(), Take(tracks, scale_error=scale_error)), mend, settings
+        PreparedTest(Signals(), Take(tracks, scale_uncertainty=scale_error)), mend, settings
     )
     prepared, second = run_marker_step(prepared, turn, settings)
     prepared, third = run_marker_step(prepared, fit, settings)

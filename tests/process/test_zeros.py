@@ -14,8 +14,8 @@ from labpipe.process.reading import name_channels
 from labpipe.process.steps import (
     average_level,
     count_required_samples,
+    estimate_level_before_motion,
     fit_end_level,
-    measure_moving_zero,
     rezero_at_rest,
 )
 from labpipe.process.story import reduce_recordings
@@ -148,7 +148,7 @@ def test_a_line_over_rest_and_motion(rest: int, beside: int) -> None:
     number: Floats = np.arange(200.0 + beside)
     noise = np.random.default_rng(8).normal(0.0, 1e-3, len(number))
     values: Floats = 0.7 + 0.01 * np.clip(number - rest, 0.0, None) + noise
-    level, error, rested = measure_moving_zero(values[:200], values[200:])
+    level, error, rested = estimate_level_before_motion(values[:200], values[200:])
     assert rested == (pytest.approx(rest, abs=2) if rest >= 20 and rest < 199 else rested)
     assert abs(level - 0.7) < 4.0 * error
     assert error < 2e-3
