@@ -667,8 +667,8 @@ def rezero_at_rest(signals: Signals, motion: Motion) -> tuple[Signals, list[Find
     Notes
     -----
     The standard error is that of the samples at rest. With fewer than
-    `MIN_ZERO_SAMPLES_NOISE_UNKNOWN` of them the zero is not recomputed, and `check_zeros` reports it
-    as doubtful.
+    `MIN_ZERO_SAMPLES_NOISE_UNKNOWN` of them the zero is not recomputed, and `check_zeros` reports
+    it as doubtful.
     """
     findings: list[Finding] = []
     branches = motion.branches

@@ -11,7 +11,6 @@ import numpy as np
 from labpipe.records.arrays import Flags, Floats, Ints, median
 from labpipe.signal.turning_points import (
     compute_step_quantile,
-    convert_to_noise,
     estimate_noise_level,
 )
 
@@ -307,16 +306,13 @@ def _compute_longest_noise_run(values: Floats, count: int, resolution: float) ->
     resolution : quantisation step of the channel
     """
     false_alarm_rate, min_differences = 1e-6, 20  # per record; third differences
-    # Ratio of the median third to the median second difference, which is 1.8 for white noise, and
-    # far below 1 for a smooth curve.
-    min_white_ratio = 1.2
-    second = np.diff(values, n=2)
-    third = np.diff(second)
+    # Smallest median third difference over the noise. White noise has 0.6745 sqrt(20) = 3.0, and a
+    # smooth curve far less than 1.
+    min_white_ratio = 2.0
+    third, noise = np.diff(values, n=3), estimate_noise_level(values)
     if len(third) < min_differences:
         return float("inf")
-    median_second = median(np.abs(second, out=second))
-    noise, min_third = convert_to_noise(median_second), min_white_ratio * median_second
-    if not noise > resolution or median(np.abs(third, out=third)) < min_third:
+    if not noise > resolution or median(np.abs(third, out=third)) < min_white_ratio * noise:
         return float("inf")  # no noise, or a smooth curve
     # The probability that two neighbours have the same value in spite of noise.
     equal_probability = resolution / (2.0 * sqrt(pi) * noise)

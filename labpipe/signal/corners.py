@@ -14,6 +14,7 @@ import numpy as np
 from scipy.special import log_ndtr, ndtr
 
 from labpipe.records.arrays import Floats, Ints, average_blocks
+from labpipe.signal.turning_points import estimate_noise_level
 from labpipe.uncertainty.autocorrelation import estimate_long_run_variance
 
 
@@ -314,10 +315,9 @@ def _estimate_white_noise(y: Floats) -> float:
 
     If most second differences are zero, as with coarse quantisation, their mean square is used.
     """
-    differences, min_level = np.diff(y, 2), 1e-9 * float(np.ptp(y))
-    level = float(np.median(np.abs(differences))) / (0.6745 * np.sqrt(6.0))
+    level, min_level = estimate_noise_level(y), 1e-9 * float(np.ptp(y))
     if level <= min_level:
-        level = float(np.sqrt(np.mean(differences**2) / 6.0))
+        level = float(np.sqrt(np.mean(np.diff(y, 2) ** 2) / 6.0))
     return float(max(level, min_level) ** 2)
 
 

@@ -72,19 +72,10 @@ def estimate_noise_level(values: Floats) -> float:
     It is the median absolute second difference divided by 0.6745 sqrt(6), which is independent of
     slopes and hardly affected by corners and jumps. NaN are ignored.
     """
-    differences = np.diff(values, n=2)
-    differences = differences[~np.isnan(differences)]
-    return convert_to_noise(median(np.abs(differences))) if len(differences) > 2 else 0.0
-
-
-def convert_to_noise(median_difference: float) -> float:
-    """Convert a median absolute second difference to the standard deviation of white noise.
-
-    Parameters
-    ----------
-    median_difference : median absolute second difference of a signal, in any unit
-    """
-    return median_difference / (0.6745 * sqrt(6.0))
+    differences = drop_missing(np.diff(values, n=2))
+    if len(differences) < 3:
+        return 0.0
+    return median(np.abs(differences)) / (0.6745 * sqrt(6.0))
 
 
 def compute_step_quantile(values: Floats, quantile: float) -> float:
