@@ -17,8 +17,8 @@ from labpipe.messages import get_code, list_subpackages, read_templates
 NAME = re.compile(r"[a-z_]+(\.[a-z_]+)*\.[a-z0-9_]+")
 TAKES_A_TEMPLATE = {"about", "of", "build_refusal", "format_sentence", "format_error_parts"}
 """Functions whose first argument names a template, or chooses one of several."""
-FORWARDS = {"_make_stretch_notes": {"name", "span"}, "report": set[str]()}
-FORWARDS["_make_span_note"] = FORWARDS["_make_stretch_notes"]
+FORWARDS = {"self._make_stretch_notes": {"name", "span"}, "report": set[str]()}
+FORWARDS["self._make_span_note"] = FORWARDS["self._make_stretch_notes"]
 """Function that gives a template on -> the facts that it adds."""
 OTHER_ARGUMENTS = {"period", "clock", "blocks", "at", "missing", "channel", "segment"}
 
