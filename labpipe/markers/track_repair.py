@@ -317,8 +317,8 @@ class Repair:
                     exchanges.setdefault((start, stop), []).append((name, text))
                     continue
                 track = self.measured[start:stop, column]
-                facts = {"gap": _describe_distance(self.measured[:, label], track, start, stop)}
-                facts |= {"text": text, "span": span}
+                gap = _describe_distance(self.measured[:, label], track, start, stop)
+                facts = {"text": text, "span": span, "gap": gap}
                 yield QualityNote.of("markers.unlabelled_merged", f"{name}, {span}", **facts)
         for (start, stop), markers in sorted(exchanges.items()):
             names, texts = (", ".join(items) for items in zip(*markers, strict=True))
