@@ -17,7 +17,7 @@ from labpipe.messages import get_code, list_subpackages, read_templates
 NAME = re.compile(r"[a-z_]+(\.[a-z_]+)*\.[a-z0-9_]+")
 TAKES_A_TEMPLATE = {"about", "of", "build_refusal", "format_sentence", "format_error_parts"}
 """Functions whose first argument names a template, or chooses one of several."""
-FORWARDS = dict.fromkeys(("_make_stretch_notes", "_make_span_note"), {"name", "span"})
+FORWARDS = {name: {"name", "span"} for name in ("_make_stretch_notes", "_make_span_note")}
 FORWARDS["report"] = set()
 """Function that gives a template on -> the facts that it adds."""
 NOTED = {"Finding.of", "QualityNote.of", "record.report", *FORWARDS}
