@@ -179,11 +179,16 @@ def test_intervals_of_the_law_cover(repository: Path) -> None:
             drawn = nominal + 0.1 * rng.standard_normal()
             text = text.replace(f"{key}: {nominal:g} mm", f"{key}: {drawn:.6f} mm")
         plan, seen = parse_protocol(text, "p.yaml"), recordings_of(observe(scenario, seed))
-        seen["force"] = name_channels(seen["force"], plan.sources["force"], Path("force.mat"))
-        bending: Any = reduce_recordings(seen, plan).reduced_test.bending
-        law = bending.law
-        compliance = law.compliance, law.compliance_covariance
-        points = evaluate_law(law.knots, *compliance, CURVATURES, scale_error=law.scale_error)
+        force = name_channels(seen["force"], plan.sources["force"], Path("force.mat"))
+        done: Any = reduce_recordings({"force": force, "markers": seen["markers"]}, plan)
+        law = done.reduced_test.bending.law
+        points = evaluate_law(
+            law.knots,
+            law.compliance,
+            law.compliance_covariance,
+            CURVATURES,
+            scale_error=law.scale_error,
+        )
         moment, error = points["moment"]
         hits += np.abs(moment - true) <= 1.96 * error
     chances = [binomtest(int(count), LAWS, 0.95).pvalue for count in hits]
