@@ -269,8 +269,9 @@ def match_protocols(
         (format_sentence("process.reason_length"), named_by_length),
     ]
     for counts in protocol_counts:
-        name, facts = find_majority(counts), {"total": sum(counts.values())}
-        sentence = format_sentence("process.reason_siblings", count=counts.get(name, 0), **facts)
+        name = find_majority(counts)
+        facts = {"count": counts.get(name, 0), "total": sum(counts.values())}
+        sentence = format_sentence("process.reason_siblings", **facts)
         criteria.append((sentence, [name] if name in best_matches else []))
     for reason, chosen_names in criteria if len(best_matches) > 1 else ():
         if len(chosen_names) == 1:
