@@ -463,21 +463,6 @@ def find_reasons(path: RodPath, material: Material) -> tuple[Reason, ...]:
     return tuple(reasons)
 
 
-def find_doubts(
-    path: RodPath, coarse_line: PreparedLine, intervals: Mapping[str, Interval]
-) -> list[Doubt]:
-    """Find the doubts about some numbers of a complete path.
-
-    Parameters
-    ----------
-    path : complete path of the line
-    coarse_line : the same line with half as many elements
-    intervals : intervals of numbers, keyed by name; a number may have none
-    """
-    doubts = [find_jump_doubt(path), find_unloading_doubt(path)]
-    return [*filter(None, doubts), *find_convergence_doubts(path, coarse_line, intervals)]
-
-
 def find_jump_doubt(path: RodPath) -> Doubt | None:
     """Find the doubt about numbers that depend on history if much energy was lost in jumps.
 

@@ -23,15 +23,18 @@ from labpipe.mechanics.studies.harness_numbers import (
     RADIUS_ON_PATH,
     Bend,
     BendLimit,
+    Doubt,
     build_results,
     choose_bend_limit,
     collect_fields,
     estimate_sizes,
     evaluate_numbers,
-    find_doubts,
+    find_convergence_doubts,
+    find_jump_doubt,
     find_reasons,
     find_share_doubts,
     find_sharpest_bend,
+    find_unloading_doubt,
     get_unit,
     list_unloading_numbers,
 )
@@ -60,7 +63,7 @@ class HarnessSolution:
     limit : allowed bend radius
     folder : folder of the result files
     files : files that were written
-    sweep : solutions for the lengths of the sweep; their reasons are those of the shown results
+    sweep : solutions of `solve_sweep` for the lengths of the sweep
     bands : bands of the shown steps; None if the uncertainty of the line is unknown
     """
 
@@ -81,6 +84,11 @@ class HarnessSolution:
     def steps(self) -> tuple[int, ...]:
         """Numbers of the shown steps: those that the file names, and the last step."""
         return tuple(sorted({*self.harness.show, self.harness.steps}))
+
+    @property
+    def intervals(self) -> Mapping[str, Interval]:
+        """Intervals of the numbers, keyed by name; empty if the uncertainty is unknown."""
+        return {} if self.bands is None else self.bands.intervals
 
     @property
     def bands_by_step(self) -> Mapping[int, StateBands]:
@@ -118,7 +126,7 @@ def solve_harness(
     folder: Path,
     on_step: Callable[[], object] = lambda: None,
     *,
-    has_bands: bool = True,
+    is_variant: bool = False,
 ) -> HarnessSolution:
     """Solve a harness without its sweep.
 
@@ -129,13 +137,15 @@ def solve_harness(
     material : material of the line
     folder : folder of the result files, which are not written here
     on_step : function that is called after each step of the line
-    has_bands : whether bands and intervals are computed
+    is_variant : whether the harness is a variant of a sweep: without bands of the isotropic share,
+        on which shapes hardly depend, and without a check of convergence
 
     Raises
     ------
     ProcessingError
         If the line does not fit its boundaries.
     """
+    has_bands = not (is_variant and material.varies_only_share)
     paths: list[RodPath] = []
 
     def solve(index: int, inputs: Inputs) -> RodPath:
@@ -159,18 +169,27 @@ def solve_harness(
     )
     if path.status is Status.FAILED:
         return solution
-    status = Status.DOUBTFUL if reasons else Status.OK
-    return replace(solution, status=status, results=_build_results(solution))
+    solution = replace(solution, status=Status.DOUBTFUL if reasons else Status.OK)
+    doubts = [] if is_variant else _check_convergence(solution)
+    return replace(solution, results=_build_results(solution, doubts))
 
 
-def _build_results(solution: HarnessSolution) -> tuple[Result, ...]:
-    """Build the results of a solved harness with their doubts and intervals."""
-    harness, material, path = solution.harness, solution.material, solution.path
-    intervals = {} if solution.bands is None else solution.bands.intervals
+def _check_convergence(solution: HarnessSolution) -> list[Doubt]:
+    """Find the doubts about numbers of a solved harness that depend on its discretisation."""
+    harness, material = solution.harness, solution.material
     line = harness.line.model_copy(update={"elements": harness.line.elements // 2})
     coarse_harness, section = harness.model_copy(update={"line": line}), material.sections[0]
     coarse_line = prepare_line(coarse_harness, section(material.best_inputs), material.best_inputs)
-    doubts = find_doubts(path, coarse_line, intervals)
+    return list(find_convergence_doubts(solution.path, coarse_line, solution.intervals))
+
+
+def _build_results(
+    solution: HarnessSolution, convergence_doubts: Sequence[Doubt]
+) -> tuple[Result, ...]:
+    """Build the results of a solved harness with their doubts and intervals."""
+    material, path, intervals = solution.material, solution.path, solution.intervals
+    doubts = [*filter(None, (find_jump_doubt(path), find_unloading_doubt(path)))]
+    doubts += convergence_doubts
     names = list_unloading_numbers(path)
     if material.share_range:
         doubts += find_share_doubts(intervals, names, material.share_range)
@@ -192,28 +211,62 @@ def _collect_reasons(
     return reasons + tuple(note for note in notes if note.code not in codes)
 
 
-def solve_sweep_length(
-    solution: HarnessSolution, length: float, on_step: Callable[[], object] = lambda: None
-) -> HarnessSolution:
-    """Solve a harness with another length of its line; only its last step is shown.
+def solve_sweep(
+    solution: HarnessSolution,
+    lengths: Sequence[float],
+    begin_length: Callable[[float], object] = lambda _: None,
+    on_step: Callable[[], object] = lambda: None,
+) -> tuple[HarnessSolution, ...]:
+    """Solve a harness with other lengths of its line; only their last step is shown.
 
     Parameters
     ----------
     solution : solution for the length in the file, which is not solved again
-    length : length of the line, m
+    lengths : lengths of the line, m
+    begin_length : function that is called with each other length before it is solved
     on_step : function that is called after each step of the line
+
+    Returns
+    -------
+    The solution for each length. Their reasons are those of the shown results.
 
     Raises
     ------
     ProcessingError
         If the line does not fit its boundaries.
+
+    Notes
+    -----
+    Convergence is checked from the sharpest bend, relative to the length of an element, to the
+    first length that has converged. All lengths with less sharp bends then count as converged.
     """
     file, material, folder = solution.file, solution.material, solution.folder
-    if length != solution.harness.line.length:
-        line = solution.harness.line.model_copy(update={"length": length})
-        harness = solution.harness.model_copy(update={"line": line, "show": ()})
-        has_bands = not material.varies_only_share  # shapes hardly depend on the isotropic share
-        solution = solve_harness(harness, file, material, folder, on_step, has_bands=has_bands)
+    solutions = []
+    for length in lengths:
+        variant = solution
+        if length != solution.harness.line.length:
+            begin_length(length)
+            line = solution.harness.line.model_copy(update={"length": length})
+            harness = solution.harness.model_copy(update={"line": line, "show": ()})
+            variant = solve_harness(harness, file, material, folder, on_step, is_variant=True)
+        solutions.append(variant)
+    variants = [
+        variant
+        for variant in solutions
+        if variant is not solution and variant.status is not Status.FAILED
+    ]
+    variants.sort(key=lambda variant: variant.sharpest_bend.radius / variant.path.line.length)
+    for variant in variants:
+        doubts = _check_convergence(variant)
+        if not doubts:
+            break
+        results = _build_results(variant, doubts)
+        solutions[solutions.index(variant)] = replace(variant, results=results)
+    return tuple(map(_select_shown_reasons, solutions))
+
+
+def _select_shown_reasons(solution: HarnessSolution) -> HarnessSolution:
+    """Replace reasons and status of a solution by those of the results that a sweep shows."""
     if solution.status is Status.FAILED:
         return solution
     shown_reasons = [

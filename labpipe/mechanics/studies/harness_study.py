@@ -31,7 +31,7 @@ from labpipe.mechanics.studies.harness_numbers import (
 from labpipe.mechanics.studies.harness_solution import (
     HarnessSolution,
     solve_harness,
-    solve_sweep_length,
+    solve_sweep,
 )
 from labpipe.mechanics.studies.study_files import FIGURES_FOLDER, write_study
 from labpipe.messages import format_sentence
@@ -114,19 +114,20 @@ def follow_harness(
     folder = Path("processed/harness") / file.stem if out is None else out
     lengths = harness.sweep.length if harness.sweep else ()
     progress = progress or Progress()
-    other_lengths = [length for length in lengths if length != harness.line.length]
-    progress.begin(len(other_lengths) + 1, harness.steps + 1)
+    n_others = sum(length != harness.line.length for length in lengths)
+    progress.begin(1 + n_others, harness.steps + 1)
     progress.begin_line("as stated")
     solution = solve_harness(harness, file, material, folder, progress.end_step)
     if solution.status is Status.FAILED:
         _write_failure(solution)
         return solution
-    sweep = []
-    for length in lengths:
-        if length in other_lengths:
-            progress.begin_line(f"length {1e3 * length:.6g} mm")
-        sweep.append(solve_sweep_length(solution, length, progress.end_step))
-    return _write_solution(replace(solution, sweep=tuple(sweep)), figures=figures, png=png)
+    sweep = solve_sweep(
+        solution,
+        lengths,
+        lambda length: progress.begin_line(f"length {1e3 * length:.6g} mm"),
+        progress.end_step,
+    )
+    return _write_solution(replace(solution, sweep=sweep), figures=figures, png=png)
 
 
 def _write_failure(solution: HarnessSolution) -> None:
