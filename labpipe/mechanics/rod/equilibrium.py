@@ -91,7 +91,7 @@ def find_equilibrium(
     The equilibrium; None if Newton's method does not converge to an equilibrium nearby.
     """
     max_iterations = 10
-    max_idle_iterations = 3  # without progress; Newton's method may cycle at corners of the law
+    max_idle_iterations = 2  # without progress; Newton's method may cycle at corners of the law
     progress = 0.8  # ratio of an iteration's turn to the smallest turn before
     min_fraction = 0.1  # of an iteration step; shorter steps do not converge
     start, target = imposed

@@ -65,7 +65,7 @@ class RodSettings:
     checks_stability : whether the stability of equilibria is checked
     """
 
-    min_step_fraction: float = 2.0**-14
+    min_step_fraction: float = 2.0**-12
     max_turn: float = 0.5
     max_strain: float = 0.05
     checks_stability: bool = True
