@@ -20,7 +20,7 @@ from labpipe.mechanics.rod.boundaries import Gravity, Held, Load, Plane, Ring, S
 from labpipe.mechanics.rod.input_distributions import build_stated_distribution, join_distributions
 from labpipe.mechanics.rod.line import Line, Section
 from labpipe.mechanics.rod.rotations import from_rotation_vectors, multiply, skew
-from labpipe.mechanics.rod.supports import split_cells_at_clamps
+from labpipe.mechanics.rod.supports import compute_turns, split_cells_at_clamps
 from labpipe.records.arrays import Floats
 from tests.builders.rods import (
     LENGTH,
@@ -120,8 +120,8 @@ def test_the_tangent_is_that_of_differences(section: Section, dragged: bool) -> 
     drag = None
     if dragged:
         place = replace(case.shape, positions=case.shape.positions + 0.01)
-        earlier_turns = case.assembly.compute_turns(case.shape, case.imposed) - 0.02
-        drag = ArtificialDrag(10.0, place, earlier_turns)
+        frames = case.assembly.select_frames(case.shape, case.imposed)
+        drag = ArtificialDrag(10.0, place, compute_turns(frames) - 0.02)
     free = ~case.assembly.band.fixed
     free = np.ones_like(free) if not case.assembly.is_rigid else free
     weigh = (case.assembly.band.scale[:, None] * case.assembly.band.scale)[np.ix_(free, free)]

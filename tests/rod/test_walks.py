@@ -362,7 +362,7 @@ def test_what_ends_a_walk_or_makes_it_doubtful(approved: Approve) -> None:
     line = straight_line(LENGTH, 5, section)
     pulled = Held(-1, line.positions[-1] + ramp((0.08, 0.0, 0.0), 8))
     # 4 % in step 2, 6 % in step 3
-    ends.append((ended(line, 8, clamp(line), pulled), ("failed", 3, "torn", 3, 1)))
+    ends.append((ended(line, 8, clamp(line), pulled), ("failed", 3, "torn", 3, 0)))
     assert [facts for (_, facts), _ in ends] == [expected for _, expected in ends]
     approved(sentence for (sentence, _), _ in ends)
 

@@ -127,8 +127,9 @@ def _extrapolate_to_clamps(supports: Supports, curvatures: Floats) -> Floats:
     next cell.
     """
     extrapolated, lengths = curvatures.copy(), supports.lengths
-    for neighbours, offset in ((supports.after, -1), (supports.before, 1)):
-        cells = np.flatnonzero(neighbours < 0)  # half cells with a clamp on that side
+    n = supports.n_nodes - 1
+    for frames, offset in zip(supports.sides.T[::-1], (-1, 1), strict=True):
+        cells = np.flatnonzero(frames >= n)  # half cells with a clamp on that side
         cells = cells[(cells + offset >= 0) & (cells + offset < len(lengths))]
         distance = CLAMP_WEIGHT * 2.0 * lengths[cells]
         factor = distance / (lengths[cells] + 0.5 * lengths[cells + offset] - distance)
@@ -142,15 +143,14 @@ def _compute_moments(assembly: Assembly, current: SolverState) -> Floats:
     In a half cell at a clamp it is the moment at the node, not at the middle of the half cell.
     """
     supports, cells = assembly.supports, current.balance.cells
-    frames = np.concatenate([current.shape.frames, current.imposed.clamps[::-1]])
-    moments = np.einsum("nxy,ny->nx", to_matrices(frames[supports.after]), cells.gradients[1])
-    for (row, clamp), clamp_moment in zip(
-        supports.clamp_pairs, current.balance.directions.clamp_moments, strict=True
-    ):
-        element, clamp_code = supports.clamped_elements[row], -1 - clamp
-        moments[(supports.before == clamp_code) & (supports.after == element)] -= clamp_moment
-        moments[(supports.after == clamp_code) & (supports.before == element)] += clamp_moment
-    return np.asarray(moments)
+    frames_after = assembly.select_frames(current.shape, current.imposed)[:, 1]
+    moments = np.asarray(np.matvec(to_matrices(frames_after), cells.gradients[:, 3:]))
+    clamp_moments = current.balance.directions.clamp_moments
+    for (element, clamp), moment in zip(supports.clamp_pairs, clamp_moments, strict=True):
+        sides = np.array([assembly.n + clamp, element])
+        moments[np.all(supports.sides == sides, axis=1)] -= moment
+        moments[np.all(supports.sides == sides[::-1], axis=1)] += moment
+    return moments
 
 
 def compute_lost_energy(assembly: Assembly, start_rests: Floats, end_rests: Floats) -> float:

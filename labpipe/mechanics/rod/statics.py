@@ -47,7 +47,7 @@ from labpipe.mechanics.rod.states import (
     merge_rests,
     split_sides,
 )
-from labpipe.mechanics.rod.supports import split_cells_at_clamps
+from labpipe.mechanics.rod.supports import compute_turns, split_cells_at_clamps
 from labpipe.records.quality import Reason
 from labpipe.records.result import Status
 
@@ -355,7 +355,8 @@ class _PathSolver:
     ) -> Equilibrium | None:
         """Find a stable equilibrium near a shape with a given drag; None if there is none."""
         current = self.current
-        drag = ArtificialDrag(size, shape, self.assembly.compute_turns(shape, current.imposed))
+        frames = self.assembly.select_frames(shape, current.imposed)
+        drag = ArtificialDrag(size, shape, compute_turns(frames))
         equilibrium = find_equilibrium(
             *(self.assembly, shape, current.history, (current.imposed, target)),
             force=self.force,
