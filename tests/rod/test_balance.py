@@ -70,6 +70,7 @@ class Case:
             forces=0.01 * random.normal(size=(N + 1, 3)),
             anchors=self.line.positions[[2]] + (0.0, 0.0, 0.07),
             rings=self.line.positions[[4]] + (1e-3, 2e-3, 1e-3),
+            time=0.0,
         )
         stretches = np.zeros(N) if self.assembly.is_rigid else 0.01 * random.normal(size=N)
         self.shape = Shape(

@@ -255,7 +255,7 @@ def column(grips: tuple[Grip, ...], *, load: float) -> tuple[StabilityCheck, Bal
     forces, none = np.zeros((N + 1, 3)), np.zeros((0, 3))
     forces[-1, 0] = -load
     clamps = LINE.frames[-np.arange(len(supports.clamps))]
-    asked = ImposedValues(LINE.positions[supports.held_nodes], clamps, forces, none, none)
+    asked = ImposedValues(LINE.positions[supports.held_nodes], clamps, forces, none, none, 0.0)
     history = LineHistory(
         np.zeros((len(supports.nodes), 0, 2)), np.zeros((0, N + 1, 3)), np.zeros(0)
     )

@@ -101,6 +101,7 @@ class ImposedValues:
     forces : shape (n + 1, 3), N, loads and weight at the nodes
     anchors : shape (strings, 3), m, positions of the anchors of strings
     rings : shape (rings, 3), m, positions of the rings
+    time : steps, with fractions; -1 for the initial shape, 0 for the first state
     """
 
     held: Floats
@@ -108,6 +109,7 @@ class ImposedValues:
     forces: Floats
     anchors: Floats
     rings: Floats
+    time: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -199,6 +201,7 @@ class Assembly:
         # regular for a straight line between two supports.
         min_stretch = 1e-10
         self.line, self.supports, self.planes, self.strings = line, supports, planes, strings
+        self.force = force
         self.n = len(line.lengths)
         self._has_rings = n_rings > 0
         self.indices: UnknownIndices = number_unknowns(self.n)

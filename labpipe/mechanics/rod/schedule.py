@@ -162,6 +162,7 @@ class Schedule:
                 [_interpolate(string.anchor, time) for string in self.strings.values()]
             ).reshape(-1, 3),
             np.array(rings).reshape(-1, 3),
+            time,
         )
 
 

@@ -2,40 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from labpipe.mechanics.law.sliders import find_current_sliders
-from labpipe.mechanics.rod.assembly import Assembly, Balance, ImposedValues, LineHistory, Shape
+from labpipe.mechanics.rod.assembly import Assembly, Balance, Shape
+from labpipe.mechanics.rod.equilibrium import Equilibrium
 from labpipe.mechanics.rod.path import RodState
 from labpipe.mechanics.rod.rotations import to_matrices
 from labpipe.mechanics.rod.schedule import Schedule, format_boundary
 from labpipe.mechanics.rod.supports import CLAMP_WEIGHT, Supports
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import Reason
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SolverState:
-    """Equilibrium at a time.
-
-    Parameters
-    ----------
-    time : steps, with fractions; -1 for the initial shape, 0 for the first state
-    shape : shape of the line
-    balance : residual and tangent
-    imposed : positions and forces imposed by the boundaries
-    history : history at this time
-    previous_history : history at the previous equilibrium; None at the start and after a release
-    """
-
-    time: float
-    shape: Shape
-    balance: Balance
-    imposed: ImposedValues
-    history: LineHistory
-    previous_history: LineHistory | None
 
 
 def merge_rests(supports: Supports, rests: Floats) -> Floats:
@@ -76,7 +53,7 @@ def split_sides(supports: Supports, values: Floats) -> Floats:
 
 
 def build_state(
-    assembly: Assembly, schedule: Schedule, grips: tuple[int, ...], current: SolverState, step: int
+    assembly: Assembly, schedule: Schedule, grips: tuple[int, ...], current: Equilibrium, step: int
 ) -> RodState:
     """Build the state of a step, with all forces and moments in space axes.
 
@@ -137,7 +114,7 @@ def _extrapolate_to_clamps(supports: Supports, curvatures: Floats) -> Floats:
     return extrapolated
 
 
-def _compute_moments(assembly: Assembly, current: SolverState) -> Floats:
+def _compute_moments(assembly: Assembly, current: Equilibrium) -> Floats:
     """Return the moments that the line after a cell exerts on the line before it, N m, (cells, 3).
 
     In a half cell at a clamp it is the moment at the node, not at the middle of the half cell.
