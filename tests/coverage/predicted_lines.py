@@ -10,12 +10,14 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from labpipe.mechanics.rod.bands import Band, LineBands, predict_line_bands
-from labpipe.mechanics.rod.input_distributions import (
+from labpipe.mechanics.rod.bands import (
+    Band,
     InputDistribution,
+    LineBands,
     build_calibrated_distributions,
     build_stated_distribution,
     join_distributions,
+    predict_line_bands,
 )
 from labpipe.mechanics.rod.path import RodPath
 from labpipe.mechanics.studies.harness_line import (

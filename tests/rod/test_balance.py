@@ -15,9 +15,14 @@ from labpipe.mechanics.rod.assembly import (
     Shape,
 )
 from labpipe.mechanics.rod.banded import Band
-from labpipe.mechanics.rod.bands import Fields, compute_band, compute_response
+from labpipe.mechanics.rod.bands import (
+    Fields,
+    build_stated_distribution,
+    compute_band,
+    compute_response,
+    join_distributions,
+)
 from labpipe.mechanics.rod.boundaries import Gravity, Held, Load, Plane, Ring, String
-from labpipe.mechanics.rod.input_distributions import build_stated_distribution, join_distributions
 from labpipe.mechanics.rod.line import Line, Section
 from labpipe.mechanics.rod.rotations import from_rotation_vectors, multiply, skew
 from labpipe.mechanics.rod.supports import compute_turns, split_cells_at_clamps

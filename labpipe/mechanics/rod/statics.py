@@ -32,11 +32,10 @@ from labpipe.mechanics.rod.banded import join_unknowns, split_unknowns
 from labpipe.mechanics.rod.boundaries import Boundary
 from labpipe.mechanics.rod.equilibrium import Equilibrium, StabilityCheck, find_equilibrium
 from labpipe.mechanics.rod.line import Line
-from labpipe.mechanics.rod.path import RodPath, RodState
-from labpipe.mechanics.rod.rotations import conjugate, multiply, to_rotation_vectors
-from labpipe.mechanics.rod.schedule import Schedule
-from labpipe.mechanics.rod.states import (
+from labpipe.mechanics.rod.path import (
     NoEquilibriumError,
+    RodPath,
+    RodState,
     build_state,
     check_line,
     check_planes,
@@ -46,6 +45,8 @@ from labpipe.mechanics.rod.states import (
     merge_rests,
     split_sides,
 )
+from labpipe.mechanics.rod.rotations import conjugate, multiply, to_rotation_vectors
+from labpipe.mechanics.rod.schedule import Schedule
 from labpipe.mechanics.rod.supports import compute_turns, split_cells_at_clamps
 from labpipe.records.quality import Reason
 from labpipe.records.result import Status

@@ -11,8 +11,14 @@ from pathlib import Path
 import numpy as np
 
 from labpipe.errors import ProcessingError
-from labpipe.mechanics.rod.bands import Band, LineBands, StateBands, join_bands, predict_line_bands
-from labpipe.mechanics.rod.input_distributions import InputDistribution
+from labpipe.mechanics.rod.bands import (
+    Band,
+    InputDistribution,
+    LineBands,
+    StateBands,
+    join_bands,
+    predict_line_bands,
+)
 from labpipe.mechanics.rod.path import RodPath
 from labpipe.mechanics.rod.statics import follow
 from labpipe.mechanics.studies.harness_line import Inputs, Material, prepare_line
