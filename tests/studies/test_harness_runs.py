@@ -184,7 +184,7 @@ def test_a_line_within_its_law_is_ok(tmp_path: Path) -> None:
     assert (longer.harness.line.length, longer.bands) == (0.25, None)
     assert longer.sharpest_bend.radius <= longer.final_sharpest_bend.radius
     assert longer.final_sharpest_bend.step == 8
-    failed = replace(longer, status=Status.FAILED)
+    failed = replace(longer, path=replace(longer.path, status=Status.FAILED))
     assert math.isnan(failed.final_sharpest_bend.radius)
     assert math.isnan(failed.sharpest_bend.radius)
 

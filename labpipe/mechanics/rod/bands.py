@@ -471,13 +471,31 @@ class LineBands:
     responses: tuple[Response, ...]
 
 
+_STEP_FIELDS = ("positions", "reaction_forces", "reaction_moments", "curvature_vectors")
+"""Attributes of `RodState` that are fields of a path."""
+
+
+def collect_step_fields(path: RodPath) -> dict[str, Floats]:
+    """Collect the fields of all steps, keyed by name and index of the step, such as `positions 3`.
+
+    Parameters
+    ----------
+    path : path of the line
+    """
+    return {
+        f"{name} {step}": getattr(state, name)
+        for step, state in enumerate(path.states)
+        for name in _STEP_FIELDS
+    }
+
+
 def predict_line_bands(
     solvers: Sequence[PathSolver],
     distributions: Sequence[InputDistribution],
     *,
     steps: Sequence[int] = (-1,),
     tested_curvature: float = np.inf,
-    collect: Callable[[RodPath], Fields] = lambda _: {},
+    collect: Callable[[RodPath], Fields] = collect_step_fields,
 ) -> LineBands | None:
     """Predict a line with pointwise 95 % bands.
 
@@ -489,7 +507,8 @@ def predict_line_bands(
         first
     steps : indices of the steps for which bands are computed; negative indices count from the end
     tested_curvature : 1/m, largest curvature in the tests of the calibration
-    collect : function that returns further fields of a path, for `LineBands.responses`
+    collect : function that returns the fields of a path: those of `collect_step_fields`, and others
+        for `LineBands.responses`
 
     Returns
     -------
@@ -513,7 +532,7 @@ def predict_line_bands(
         if path.status is Status.FAILED:
             return None
         paths_by_distribution[index].append(path)
-        return {**_collect_step_fields(path, steps), **collect(path)}
+        return collect(path)
 
     responses = []
     for index, distribution in enumerate(distributions):
@@ -527,19 +546,6 @@ def predict_line_bands(
     step_indices = [range(len(best_path.states))[step] for step in steps]
     states = tuple(_compute_step_bands(responses, step) for step in step_indices)
     return LineBands(best_path, states, tuple(notes), tuple(responses))
-
-
-_STEP_FIELDS = ("positions", "reaction_forces", "reaction_moments", "curvature_vectors")
-
-
-def _collect_step_fields(path: RodPath, steps: Sequence[int]) -> dict[str, Floats]:
-    """Collect the fields of steps, keyed by field and index of the step, such as `positions 3`."""
-    step_indices = [range(len(path.states))[step] for step in steps]
-    return {
-        f"{name} {step}": getattr(path.states[step], name)
-        for step in step_indices
-        for name in _STEP_FIELDS
-    }
 
 
 def compute_node_curvature(curvature_vectors: Floats) -> Floats:

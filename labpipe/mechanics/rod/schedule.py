@@ -23,6 +23,7 @@ from labpipe.mechanics.rod.boundaries import (
     String,
     evaluate_curve,
     find_nearest_parameter,
+    list_paths,
 )
 from labpipe.mechanics.rod.line import Line
 from labpipe.mechanics.rod.rotations import (
@@ -189,9 +190,8 @@ def _interpolate(path: Floats, time: float, *, is_frame: bool = False) -> Floats
 def _require_rows(boundaries: tuple[Boundary, ...], steps: int) -> None:
     """Refuse paths whose number of rows is neither one nor the number of steps plus one."""
     for boundary in boundaries:
-        for name in ("position", "frame", "anchor", "force", "vector"):
-            path = getattr(boundary, name, None)
-            if path is not None and path.ndim == 2 and len(path) not in (1, steps + 1):
+        for name, path in list_paths(boundary).items():
+            if len(path) not in (1, steps + 1):
                 raise ValueError(
                     format_sentence(
                         "mechanics.rod.path_rows",

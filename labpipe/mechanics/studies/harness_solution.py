@@ -24,7 +24,6 @@ from labpipe.mechanics.rod.statics import follow
 from labpipe.mechanics.studies.harness_line import Inputs, Material, prepare_line
 from labpipe.mechanics.studies.harness_numbers import (
     LOWEST_POINT,
-    POSITIONS,
     RADIUS,
     RADIUS_ON_PATH,
     Bend,
@@ -105,24 +104,34 @@ class HarnessSolution:
     @property
     def sharpest_bend(self) -> Bend:
         """Sharpest bend of all steps; NaN for a failed line."""
-        return self._find_sharpest_bend(range(len(self.path.states)))
+        return find_sharpest_bend(self.path, range(len(self.path.states)))
 
     @property
     def final_sharpest_bend(self) -> Bend:
         """Sharpest bend at the last step; NaN for a failed line."""
-        return self._find_sharpest_bend([len(self.path.states) - 1])
-
-    def _find_sharpest_bend(self, steps: Sequence[int]) -> Bend:
-        """Find the sharpest bend in some steps; NaN for a failed line."""
-        if self.status is Status.FAILED:
-            return Bend(math.nan, -1, math.nan)
-        return find_sharpest_bend(self.path, steps)
+        return find_sharpest_bend(self.path, [len(self.path.states) - 1])
 
     @property
     def is_bend_doubtful(self) -> bool:
         """Whether the sharpest bend of all steps is doubtful."""
         numbers = [result for result in self.results if result.name == RADIUS_ON_PATH]
         return any(result.status is Status.DOUBTFUL for result in numbers)
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """Functions that report progress.
+
+    Parameters
+    ----------
+    begin : function that is called with the number of lines and the number of steps of each line
+    begin_line : function that is called with the name of each line before it is solved
+    end_step : function that is called after each step
+    """
+
+    begin: Callable[[int, int], object] = lambda _lines, _steps: None
+    begin_line: Callable[[str], object] = lambda _: None
+    end_step: Callable[[], object] = lambda: None
 
 
 def solve_harness(
@@ -220,8 +229,7 @@ def _collect_reasons(
 def solve_sweep(
     solution: HarnessSolution,
     lengths: Sequence[float],
-    begin_length: Callable[[float], object] = lambda _: None,
-    on_step: Callable[[], object] = lambda: None,
+    progress: Progress = Progress(),
 ) -> tuple[HarnessSolution, ...]:
     """Solve a harness with other lengths of its line; only their last step is shown.
 
@@ -229,8 +237,7 @@ def solve_sweep(
     ----------
     solution : solution for the length in the file, which is not solved again
     lengths : lengths of the line, m
-    begin_length : function that is called with each other length before it is solved
-    on_step : function that is called after each step of the line
+    progress : functions that report progress
 
     Returns
     -------
@@ -251,10 +258,12 @@ def solve_sweep(
     for length in lengths:
         variant = solution
         if length != solution.harness.line.length:
-            begin_length(length)
+            progress.begin_line(f"length {1e3 * length:.6g} mm")
             line = solution.harness.line.model_copy(update={"length": length})
             harness = solution.harness.model_copy(update={"line": line, "show": ()})
-            variant = solve_harness(harness, file, material, folder, on_step, is_variant=True)
+            variant = solve_harness(
+                harness, file, material, folder, progress.end_step, is_variant=True
+            )
         solutions.append(variant)
     variants = [
         variant
@@ -356,7 +365,8 @@ def _evaluate(field: Callable[[str], Floats], path: RodPath) -> dict[str, Floats
     field : function that returns the field of a name
     path : path of the line at the best inputs
     """
-    return {**evaluate_numbers(field, path), _SHAPE: field(POSITIONS)}
+    last_positions = field(f"positions {len(path.states) - 1}")
+    return {**evaluate_numbers(field, path), _SHAPE: last_positions}
 
 
 def _make_interval(name: str, band: Band) -> Interval:
