@@ -148,7 +148,6 @@ def test_clamps_part_cells() -> None:
     assert free.side_weights[0] == pytest.approx([0.05 / 0.15, 0.1 / 0.15])
     assert free.held_nodes.tolist() == [0, 4]
     assert len(free.clamp_pairs) == 0
-    assert free.own_weights.tolist() == [1.0] * 4
     supports = split_cells_at_clamps(uneven(), ((2, True), (0, True)))
     assert supports.nodes.tolist() == [0, 1, 2, 2, 3]
     assert supports.sides.tolist() == [[5, 0], [0, 1], [1, 4], [4, 2], [2, 3]]

@@ -221,9 +221,8 @@ def _collect_reasons(
     if bands is None:
         return reasons
     codes = {reason.code for reason in reasons} | {"beyond_tested"}
-    notes = [Reason(note.code, note.message) for note in bands.line.notes]
-    notes += [] if bands.doubt is None else [bands.doubt]
-    return reasons + tuple(note for note in notes if note.code not in codes)
+    doubts = [*(Reason(note.code, note.message) for note in bands.line.notes), bands.doubt]
+    return reasons + tuple(doubt for doubt in doubts if doubt and doubt.code not in codes)
 
 
 def solve_sweep(
@@ -265,11 +264,7 @@ def solve_sweep(
                 harness, file, material, folder, progress.end_step, is_variant=True
             )
         solutions.append(variant)
-    variants = [
-        variant
-        for variant in solutions
-        if variant is not solution and variant.status is not Status.FAILED
-    ]
+    variants = [item for item in solutions if item is not solution and item.results]
     variants.sort(key=lambda variant: variant.sharpest_bend.radius / variant.path.line.length)
     for variant in variants:
         doubts = _check_convergence(variant)
@@ -371,11 +366,10 @@ def _evaluate(field: Callable[[str], Floats], path: RodPath) -> dict[str, Floats
 
 def _make_interval(name: str, band: Band) -> Interval:
     """Make the interval of a number; that of a radius is made from the band of its curvature."""
-    level = 0.95
     lower, upper = float(band.lower), float(band.upper)
     if name in (RADIUS, RADIUS_ON_PATH):
         lower, upper = (1.0 / end if end > 0.0 else math.inf for end in (upper, lower))
-    return Interval(lower, upper, level)
+    return Interval(lower, upper)
 
 
 def choose_draws(distribution: InputDistribution) -> tuple[int, ...]:

@@ -140,7 +140,7 @@ def _write_solution(solution: HarnessSolution, *, figures: bool, png: bool) -> H
         SUMMARY_FILE: _format_json(build_json(solution)),
     }
     if solution.sweep:
-        texts[SWEEP_FILE] = _format_csv(_build_sweep_table(solution))
+        texts[SWEEP_FILE] = _format_csv(list(map(_build_sweep_row, solution.sweep)))
     earlier_files, pages = [SWEEP_FILE, FAILURE_FILE], []
     if figures:
         earlier_files += [f"{FIGURES_FOLDER}/{SWEEP_FIGURE}.{ending}" for ending in ("svg", "png")]
@@ -173,11 +173,6 @@ def _build_sweep_row(solution: HarnessSolution) -> dict[str, object]:
         "code": reason.code,
         "reason": reason.message,
     }
-
-
-def _build_sweep_table(solution: HarnessSolution) -> pd.DataFrame:
-    """Build the table of ``sweep.csv`` with a row for each length."""
-    return pd.DataFrame([_build_sweep_row(length_solution) for length_solution in solution.sweep])
 
 
 def _build_header(solution: HarnessSolution) -> dict[str, object]:
@@ -490,8 +485,8 @@ def build_drawn_sweep(solution: HarnessSolution) -> DrawnSweep | None:
     """
     if not solution.sweep:
         return None
-    sweep = sorted(solution.sweep, key=lambda length_solution: length_solution.harness.line.length)
-    table = _build_sweep_table(replace(solution, sweep=tuple(sweep)))
+    sweep = sorted(solution.sweep, key=lambda variant: variant.harness.line.length)
+    table = pd.DataFrame(map(_build_sweep_row, sweep))
     lower, upper = table["lower [m]"].to_numpy(), table["upper [m]"].to_numpy()
     return DrawnSweep(
         name=solution.file.stem,
@@ -501,8 +496,8 @@ def build_drawn_sweep(solution: HarnessSolution) -> DrawnSweep | None:
         radius_over_steps=table[_RADIUS_ON_PATH].to_numpy(),
         radius_band=None if np.isnan(lower).all() else (lower, upper),
         shapes=tuple(
-            np.empty((0, 3)) if run.status is Status.FAILED else run.path.last.positions
-            for run in sweep
+            np.empty((0, 3)) if variant.status is Status.FAILED else variant.path.last.positions
+            for variant in sweep
         ),
         allowed_radius=solution.limit.radius,
         is_doubtful=table["status"].to_numpy() == str(Status.DOUBTFUL),
