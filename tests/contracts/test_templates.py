@@ -48,14 +48,10 @@ def _with_facts_named(module: ast.Module) -> ast.Module:
         keys: dict[str, list[Any]] = {}
         parts: list[Any] = sorted(ast.walk(function), key=lambda part: getattr(part, "lineno", 0))
         for x in parts:
-            value, targets = (
-                getattr(x, "value", 0),
-                getattr(x, "targets", [getattr(x, "target", 0)]),
-            )
-            if isinstance(value, ast.Dict) and isinstance(targets[0], ast.Name):
-                name = targets[0].id
+            if isinstance(x, ast.stmt) and isinstance(getattr(x, "value", 0), ast.Dict):
+                name = ast.unparse(x).split()[0].strip(":")
                 earlier = keys.get(name, []) if isinstance(x, ast.AugAssign) else []
-                keys[name] = earlier + [getattr(key, "value", "**") for key in value.keys]
+                keys[name] = earlier + [getattr(key, "value", "**") for key in x.value.keys]
             for old in [y for y in getattr(x, "keywords", ()) if y.arg is None]:
                 names = keys.get(ast.unparse(old.value), ["**"])
                 x.keywords += [ast.keyword(name, old.value) for name in names]
