@@ -48,7 +48,7 @@ def _with_facts_named(module: ast.Module) -> ast.Module:
         keys: dict[str, list[Any]] = {}
         parts: list[Any] = sorted(ast.walk(function), key=lambda part: getattr(part, "lineno", 0))
         for x in parts:
-            if isinstance(x, ast.stmt) and isinstance(getattr(x, "value", 0), ast.Dict):
+            if isinstance(getattr(x, "value", 0), ast.Dict) and not isinstance(x, ast.keyword):
                 name = ast.unparse(x).split()[0].strip(":")
                 earlier = keys.get(name, []) if isinstance(x, ast.AugAssign) else []
                 keys[name] = earlier + [getattr(key, "value", "**") for key in x.value.keys]
