@@ -121,12 +121,13 @@ def fit_dahl(curvature: Floats, moment: Floats) -> DahlLaw:
     """
     n_values, n_grids = 15, 24
     narrowing = 0.6  # ratio of the widths of successive grids
+    compliance = curvature / moment
     ends = np.log([[1e-4, 1e4], [0.3 * curvature[0], 3.0 * curvature[-1]]])
     for _ in range(n_grids):
         grid = np.linspace(ends[:, 0], ends[:, 1], n_values)
         ratio, decay = np.exp(grid).T
-        slider = -decay[:, None] * np.expm1(-curvature / decay[:, None])
-        moment_ratio = (curvature + ratio[:, None, None] * slider) / moment
+        slider = -decay[:, None] * np.expm1(-curvature / decay[:, None]) / moment
+        moment_ratio = compliance + ratio[:, None, None] * slider
         lowest, highest = moment_ratio.min(axis=2), moment_ratio.max(axis=2)
         errors = (highest - lowest) / (highest + lowest)
         row, column = np.unravel_index(np.argmin(errors), errors.shape)

@@ -351,11 +351,17 @@ def place_rings(layers: tuple[Layer, ...], insulation: Insulation | None = None)
     return place_strands("concentric", layers, _spread_rings(layers, radii), insulation)
 
 
-def _spread_rings(layers: tuple[Layer, ...], radii: Sequence[float]) -> Floats:
-    """Space the strands of each ring evenly from angle 0; return centres, shape (strands, 2)."""
-    fractions = np.concatenate([np.arange(layer.count) / layer.count for layer in layers])
-    radius = np.repeat(radii, [layer.count for layer in layers])
-    angle = 2.0 * np.pi * fractions
+def _spread_rings(
+    layers: tuple[Layer, ...], radii: Sequence[float], turns: Sequence[float] | Floats | None = None
+) -> Floats:
+    """Space the strands of each ring evenly from angle 0, or from an angle of each ring in turns.
+
+    Return the centres, shape (strands, 2).
+    """
+    counts = [layer.count for layer in layers]
+    fractions = np.concatenate([np.arange(count) / count for count in counts])
+    fractions += np.repeat(np.zeros(len(layers)) if turns is None else turns, counts)
+    radius, angle = np.repeat(radii, counts), 2.0 * np.pi * fractions
     return np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])
 
 
@@ -510,6 +516,7 @@ def pack_strands(
         bore too much; the message states the overlap.
     """
     energy_tolerance = 1e-16  # squared strand radii, which allows overlaps of 1e-8 strand radii
+    offset_deviation = 0.1  # standard deviation of strands from perturbed rings, strand radii
     _require_equal_strands(layers)
     n_strands, strand_radius = sum(layer.count for layer in layers), layers[0].diameter / 2.0
     # Lengths are in strand radii, because the tolerances of the optimiser are absolute.
@@ -524,7 +531,10 @@ def pack_strands(
 
     for start_number in range(n_starts if n_strands > 1 else 0):
         if start_number % 2:
-            start = _perturb_rings(layers, rng) / strand_radius
+            turns, offsets = rng.uniform(size=len(layers)), rng.normal(size=best_centres.shape)
+            ring_numbers = np.arange(len(layers)) + int(layers[0].count > 1)
+            rings = _spread_rings(layers, (2.0 * ring_numbers).tolist(), turns)
+            start = rings + offset_deviation * offsets
         else:
             radius = (bore_radius - 1.0) * np.sqrt(rng.uniform(size=n_strands))
             angle = rng.uniform(0.0, 2.0 * np.pi, n_strands)
@@ -542,17 +552,6 @@ def pack_strands(
         if lowest_energy < energy_tolerance:
             break
     return place_strands("packed", layers, _sort_strands(best_centres, layers), insulation)
-
-
-def _perturb_rings(layers: tuple[Layer, ...], rng: np.random.Generator) -> Floats:
-    """Place strands on concentric rings at random angles, and move each by a random offset."""
-    rings = []
-    first_ring_number = 0 if layers[0].count == 1 else 1
-    for ring_number, layer in enumerate(layers, start=first_ring_number):
-        angle = 2.0 * np.pi * (np.arange(layer.count) / layer.count + rng.uniform())
-        rings.append(ring_number * np.column_stack([np.cos(angle), np.sin(angle)]))
-    centres = np.concatenate(rings) * layers[0].diameter
-    return centres + rng.normal(scale=0.05 * layers[0].diameter, size=centres.shape)
 
 
 def _sort_strands(centres: Floats, layers: tuple[Layer, ...]) -> Floats:

@@ -306,15 +306,23 @@ def make_layers(spec: WireSpec) -> tuple[Layer, ...]:
     )
 
 
+def make_insulation(spec: WireSpec) -> Insulation:
+    """Make the insulation of a wire, with the stress table of the sheet if it has one.
+
+    Raises
+    ------
+    ValueError
+        If the stress table is not concave, or a number is out of range.
+    """
+    curve = None if spec.insulation_table is None else StressTable(*spec.insulation_table)
+    modulus = spec.insulation_modulus if curve is None else curve.modulus
+    wall, poisson = spec.insulation_thickness, spec.insulation_poisson
+    return Insulation(spec.wire_diameter / 2.0 - wall, wall, modulus, poisson, curve)
+
+
 def _place_strands(spec: WireSpec) -> tuple[CrossSection, list[QualityNote]]:
     """Return the cross-section, and a note if the default layout, a hexagon, does not fit."""
-    wall, modulus = spec.insulation_thickness, spec.insulation_modulus
-    bore_radius, curve = spec.wire_diameter / 2.0 - wall, None
-    if spec.insulation_table is not None:
-        curve = StressTable(*spec.insulation_table)
-        modulus = curve.modulus
-    tube = Insulation(bore_radius, wall, modulus, spec.insulation_poisson, curve)
-    layers = make_layers(spec)
+    tube, layers = make_insulation(spec), make_layers(spec)
     if spec.layout == "compressed":
         return place_sectors(layers, tube, radii=spec.layer_radii), []
     if spec.layout != AUTO:

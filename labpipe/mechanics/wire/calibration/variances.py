@@ -263,19 +263,17 @@ def compute_quantiles(
     error = np.maximum(error, 1e-9 * error.max(axis=1, keepdims=True) + 1e-300)
     half_range = stdtrit(mixture.freedom, 1.0 - 1e-4 * mixture.chance.min()) * error
     lower, upper = (centre - half_range).min(axis=1), (centre + half_range).max(axis=1)
-    rows = np.arange(len(lower), dtype=np.float64)
+    rows = np.tile(np.arange(len(lower), dtype=np.float64), 2)
+    probabilities = np.repeat([tail, 1.0 - tail], len(lower))
 
     def compute_excess(value: Floats, row: Floats, probability: Floats) -> Floats:
         numbers = row.astype(np.int64)
         t = (value[:, None] - centre[numbers]) / error[numbers]
         return np.asarray(stdtr(mixture.freedom, t) @ mixture.chance - probability)
 
-    def find_quantile(probability: float) -> Floats:
-        inputs = rows, np.full_like(rows, probability)
-        root = elementwise.find_root(compute_excess, (lower, upper), args=inputs)
-        return np.asarray(root.x)
-
-    return find_quantile(tail), find_quantile(1.0 - tail)
+    ends, inputs = (np.tile(lower, 2), np.tile(upper, 2)), (rows, probabilities)
+    quantiles = elementwise.find_root(compute_excess, ends, args=inputs).x
+    return quantiles[: len(lower)], quantiles[len(lower) :]
 
 
 def make_mixture(fit: Fit) -> ScatterMixture:
