@@ -432,10 +432,13 @@ def find_tested_curvature(wire: Wire, values: Floats, curves: Sequence[MeasuredC
     if not curves:
         message = "curves: expected at least one"
         raise ValueError(message)
-    curvatures = []
+    ends: dict[tuple[float, StringRig | None], float] = {}
     for curve in curves:
         end = float(np.nanmax(np.abs(curve.deflection)))
-        loading = compute_calibrated_curve(wire, values, curve.length, curve.rig, end)
+        ends[curve.length, curve.rig] = max(end, ends.get((curve.length, curve.rig), 0.0))
+    curvatures = []
+    for (length, rig), end in ends.items():
+        loading = compute_calibrated_curve(wire, values, length, rig, end)
         curvatures.append(float(np.interp(end, loading.deflection, loading.clamp_curvature)))
     return max(curvatures)
 

@@ -21,6 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import groupby
 
 import numpy as np
@@ -54,7 +55,7 @@ P = len(PARAMETERS)
 """Number of parameters."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Wire:
     """A wire with the nominal values of its sheet.
 
@@ -73,9 +74,9 @@ class Wire:
     self_weight: float = 0.0
     linear_range: float = np.inf
 
-    @property
+    @cached_property
     def law(self) -> WireLaw:
-        """Split the law of the wire into its components, and tabulate them."""
+        """Law of the wire, split into its components."""
         return split_law(self.section, self.contacts, orientation=self.orientation)
 
 
