@@ -30,8 +30,8 @@ from labpipe.mechanics.decks.deck_law import (
     compute_first_frequency,
     describe_masing_losses,
     fill_template,
-    find_mass,
     format_percent,
+    get_mass_per_length,
     list_facts,
 )
 from labpipe.mechanics.decks.lookup import describe_missing_sliders
@@ -230,7 +230,7 @@ def _write_chain(
     length = table.spec.length if length is None else length
     require_positive("length", length)
     radius, torsional_stiffness = table.layout.wire_radius, table.torsional_stiffness
-    chain = Chain(law, length, radius, find_mass(table), torsional_stiffness)
+    chain = Chain(law, length, radius, get_mass_per_length(table), torsional_stiffness)
     return fill_template(
         "wire_chain.xml",
         name=table.name,

@@ -352,15 +352,15 @@ def place_rings(layers: tuple[Layer, ...], insulation: Insulation | None = None)
 
 
 def _spread_rings(
-    layers: tuple[Layer, ...], radii: Sequence[float], turns: Sequence[float] | Floats | None = None
+    layers: tuple[Layer, ...], radii: Sequence[float], turns: Floats | float = 0.0
 ) -> Floats:
-    """Space the strands of each ring evenly from angle 0, or from an angle of each ring in turns.
+    """Space the strands of each ring evenly from an angle in turns, by default 0.
 
     Return the centres, shape (strands, 2).
     """
     counts = [layer.count for layer in layers]
     fractions = np.concatenate([np.arange(count) / count for count in counts])
-    fractions += np.repeat(np.zeros(len(layers)) if turns is None else turns, counts)
+    fractions += np.repeat(np.broadcast_to(turns, len(counts)), counts)
     radius, angle = np.repeat(radii, counts), 2.0 * np.pi * fractions
     return np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])
 
@@ -491,9 +491,11 @@ def compute_overlap_energy(
 
 
 def pack_strands(
-    layers: tuple[Layer, ...], insulation: Insulation, *, seed: int = 0, n_starts: int = 12
+    layers: tuple[Layer, ...], insulation: Insulation, *, seed: int = 0
 ) -> CrossSection:
     """Pack equal strands by minimising their overlap energy from several seeded starts.
+
+    The starts are alternately random and on perturbed rings.
 
     Parameters
     ----------
@@ -501,8 +503,6 @@ def pack_strands(
         their distance from the axis. A first layer of one strand stays on the axis
     insulation : tube around the strands
     seed : seed of the starts; the same seed gives the same packing
-    n_starts : largest number of starts, at least 1, alternately random and on perturbed rings; the
-        search ends with the first packing without overlap
 
     Returns
     -------
@@ -515,6 +515,7 @@ def pack_strands(
         If the diameters differ, or if the strands of the best packing overlap each other or the
         bore too much; the message states the overlap.
     """
+    n_starts = 12  # at most; the search ends with the first packing without overlap
     energy_tolerance = 1e-16  # squared strand radii, which allows overlaps of 1e-8 strand radii
     offset_deviation = 0.1  # standard deviation of strands from perturbed rings, strand radii
     _require_equal_strands(layers)

@@ -37,7 +37,7 @@ from labpipe.mechanics.wire.cross_section import (
     place_hexagon,
     place_sectors,
 )
-from labpipe.mechanics.wire.first_loading import compute_cantilever
+from labpipe.mechanics.wire.first_loading import bend_cantilever
 from labpipe.mechanics.wire.materials import Material, RambergOsgood, StressTable
 from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats
@@ -95,7 +95,7 @@ def tabulate_wire(spec: WireSpec) -> WireTable:
         wire.section, wire.contacts, curve, tension=spec.tension
     )
     stretch_torsion = compute_stretch_torsion(wire.section)
-    cantilever = compute_cantilever(spec, curve, GRAVITY * wire.mass_per_length)
+    cantilever = bend_cantilever(spec, curve, GRAVITY * wire.mass_per_length)
     law_notes = _find_law_notes(spec, onsets, curve, insulation_limit)
     return WireTable(
         name=spec.name,

@@ -25,7 +25,7 @@ from labpipe.mechanics.wire.calibration.local_minima import LocalMinimum, Minima
 from labpipe.mechanics.wire.calibration.measured_curves import (
     MeasuredCurve,
     compare_with_model,
-    select_usable,
+    select_usable_curves,
     whiten,
 )
 from labpipe.mechanics.wire.calibration.objective import (
@@ -74,11 +74,11 @@ def calibrate(
 
     Returns
     -------
-    The calibration; or a failure ``model_cannot_follow``, or one of `select_usable` and
+    The calibration; or a failure ``model_cannot_follow``, or one of `select_usable_curves` and
     `set_up_problem`.
     """
     settings = settings or Settings()
-    usable = select_usable(tuple(curves))
+    usable = select_usable_curves(tuple(curves))
     if isinstance(usable, CalibrationFailure):
         return usable
     setup = set_up_problem(wire.law, usable, settings)
@@ -168,7 +168,7 @@ def _make_parameter(
     if not problem.law.is_active[index]:
         text = f"{identification.NAMES[name]} does not act on this wire"
         return CalibratedParameter(name, UNITS[name], np.nan, explanation=text)
-    if not problem.free[index]:
+    if not problem.is_free[index]:
         fixed = CalibratedParameter(name, UNITS[name], value, source=choice.source)
         return replace(fixed, explanation=identification.describe_parameter(fixed))
     traces = local_minima.follow_profiles(minima, index)
@@ -192,14 +192,15 @@ def _make_parameter(
         ),
         conflict=_fit_without_prior(minima, index, choice) if choice.factor is not None else None,
     )
-    others = tuple(
+    alternatives = tuple(
         (float(solution.values[index]), solution.likelihood)
         for solution in solutions
         if not solution.is_allowed
     )
     ends = _find_interval_at_99(minima, index, parameter)
-    parameter = replace(parameter, verdict=identification.find_verdict(parameter, others, ends))
-    text = identification.describe_parameter(parameter, others, ends)
+    verdict = identification.find_verdict(parameter, alternatives, ends)
+    parameter = replace(parameter, verdict=verdict)
+    text = identification.describe_parameter(parameter, alternatives, ends)
     return replace(parameter, explanation=text)
 
 
@@ -256,8 +257,8 @@ def _fit_without_prior(minima: Minima, index: int, choice: ParameterChoice) -> P
 
 
 def _compute_correlations(minima: Minima) -> Floats:
-    """Compute the correlations of the free parameters, shape (3, 3); NaN for others."""
-    covariance, free = minima.lowest.uncertainty.covariance[:P, :P], minima.fit.problem.free
+    """Compute the correlations of the free parameters, shape (3, 3); NaN for alternatives."""
+    covariance, free = minima.lowest.uncertainty.covariance[:P, :P], minima.fit.problem.is_free
     errors = np.sqrt(np.diag(covariance))
     correlations = np.full((P, P), np.nan)
     free_pairs = np.ix_(free, free)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import TypeAlias
 
 import numpy as np
 from scipy.special import stdtrit
@@ -30,26 +31,29 @@ NAMES: Mapping[str, str] = {
     COPPER_SCALE: "the strength of the copper",
 }
 
+Alternatives: TypeAlias = Sequence[tuple[float, float]]
+"""Value of a parameter, and relative likelihood, of each solution outside of the 95 % set."""
+
 MAX_WELL_SPAN = 2.0
 """Ratio of the ends of an interval below which a parameter is well identified."""
 
 
 def find_verdict(
     parameter: CalibratedParameter,
-    others: Sequence[tuple[float, float]] = (),
+    alternatives: Alternatives = (),
     ends: tuple[float, float] | None = None,
 ) -> Identifiability:
     """Find the verdict on a fitted parameter.
 
     Parameters
     ----------
-    parameter, others, ends : fitted parameter, its values in other solutions, and ends of its
-        interval at 99 %, as for `describe_parameter`
+    parameter, alternatives, ends : fitted parameter, its values in other solutions, and ends of
+        its interval at 99 %, as for `describe_parameter`
     """
     max_span = 100.0  # ratio of the ends of an interval above which nothing is identified
     min_error_ratio = 0.9  # error relative to that of the prior, above which the prior decides
     low, high = parameter.intervals[0].lower, parameter.intervals[-1].upper
-    possible_values = [low, high, *(ends or ()), *(value for value, _ in others)]
+    possible_values = [low, high, *(ends or ()), *(value for value, _ in alternatives)]
     conflict = parameter.conflict
     if parameter.at_bound:
         return Identifiability.AT_BOUND
@@ -63,7 +67,7 @@ def find_verdict(
         return Identifiability.NOT
     if max(possible_values) < MAX_WELL_SPAN * min(possible_values):
         return Identifiability.WELL
-    is_split = len(parameter.intervals) > 1 or _has_other_value(parameter, others)
+    is_split = len(parameter.intervals) > 1 or _has_other_value(parameter, alternatives)
     return Identifiability.TWO if is_split else Identifiability.WEAKLY
 
 
@@ -86,17 +90,17 @@ def format_value(name: str, *values: float) -> str:
     return f"{numbers} {unit}".rstrip()
 
 
-def _has_other_value(parameter: CalibratedParameter, others: Sequence[tuple[float, float]]) -> bool:
+def _has_other_value(parameter: CalibratedParameter, alternatives: Alternatives) -> bool:
     """Return whether another solution lies outside of all intervals."""
     return any(
         not any(interval.lower <= value <= interval.upper for interval in parameter.intervals)
-        for value, _ in others
+        for value, _ in alternatives
     )
 
 
 def describe_parameter(
     parameter: CalibratedParameter,
-    others: Sequence[tuple[float, float]] = (),
+    alternatives: Alternatives = (),
     ends: tuple[float, float] | None = None,
 ) -> str:
     """Describe the result for a parameter in a sentence.
@@ -104,7 +108,7 @@ def describe_parameter(
     Parameters
     ----------
     parameter : parameter without an explanation
-    others : value of the parameter and relative likelihood of each solution outside of the 95 % set
+    alternatives : values of the parameter in other solutions
     ends : ends of the interval at 99 %; None without such an interval
     """
     key, interval, verdict = parameter.name, parameter.interval, parameter.verdict
@@ -123,10 +127,10 @@ def describe_parameter(
     statement, ending = f"is {verdict.value}", ""
     if verdict is Identifiability.TWO:
         statement = "has two solutions"
-        if _has_other_value(parameter, others):
+        if _has_other_value(parameter, alternatives):
             ending = "".join(
                 f", or near {format_value(key, value)}, by a solution {chance:.2g} times as likely"
-                for value, chance in others
+                for value, chance in alternatives
             )
     is_short = interval.upper < MAX_WELL_SPAN * interval.lower
     if ends is not None and verdict is Identifiability.WEAKLY and is_short:

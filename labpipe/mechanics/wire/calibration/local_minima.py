@@ -140,14 +140,13 @@ def find_minima(problem: Problem, logs: Floats) -> Minima:
         [best, *(point for point in line if _is_separate(point, best))], key=_get_strength
     )
     rises = [0.0 if fit is best else max(fit.objective - lowest.objective, 0.0) for fit in line]
-    local_minima = []
-    for fit in fits:
-        rise = max(fit.objective - best.objective, 0.0)
-        if rise <= _MAX_RISE:
-            uncertainty, mixture = variances.estimate_uncertainty(fit), variances.make_mixture(fit)
-            local_minima.append(LocalMinimum(fit, rise, uncertainty, mixture))
+    local_minima = tuple(
+        LocalMinimum(fit, rise, variances.estimate_uncertainty(fit), variances.make_mixture(fit))
+        for fit in fits
+        if (rise := max(fit.objective - best.objective, 0.0)) <= _MAX_RISE
+    )
     unknowns = np.array([fit.unknowns[: P + 1] for fit in line])
-    return Minima(tuple(local_minima), unknowns, np.array(rises), compute_widening(line, best))
+    return Minima(local_minima, unknowns, np.array(rises), compute_widening(line, best))
 
 
 def _is_separate(first: Fit, second: Fit) -> bool:
@@ -213,7 +212,7 @@ def _drop_offsets(unknowns: Floats, levels: Levels) -> Floats:
 
 def _has_trade_off(problem: Problem) -> bool:
     """Return whether insulation and copper are both free, so that one can replace the other."""
-    return bool(problem.free[_TUBE] and problem.free[_COPPER])
+    return bool(problem.is_free[_TUBE] and problem.is_free[_COPPER])
 
 
 def _yield_starts(problem: Problem, logs: Floats) -> Iterator[Floats]:
@@ -223,7 +222,7 @@ def _yield_starts(problem: Problem, logs: Floats) -> Iterator[Floats]:
     if not _has_trade_off(problem):
         return
     nominal_values = problem.law.nominal
-    is_nominal = problem.free & (nominal_values > 0.0)
+    is_nominal = problem.is_free & (nominal_values > 0.0)
     nominal = np.where(is_nominal, np.log(np.where(is_nominal, nominal_values, 1.0)), logs)
     models = objective.compute_model_forces(problem.law, np.exp(nominal), problem.curves)
     total = sum(float(np.abs(model.force).sum()) for model in models)
@@ -384,7 +383,7 @@ def compute_differences(line: list[Fit], base: Fit) -> Floats:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Trace:
+class LocalProfile:
     """Profile of a parameter from one minimum, and the ends of its interval.
 
     Parameters
@@ -406,7 +405,7 @@ class Trace:
     threshold_above: float
 
 
-def follow_profiles(minima: Minima, index: int, *, factor: float = 1.0) -> tuple[Trace, ...]:
+def follow_profiles(minima: Minima, index: int, *, factor: float = 1.0) -> tuple[LocalProfile, ...]:
     """Follow the objective from each of its minima within the interval of a parameter.
 
     Parameters
@@ -422,7 +421,7 @@ def follow_profiles(minima: Minima, index: int, *, factor: float = 1.0) -> tuple
     )
 
 
-def unite_intervals(traces: tuple[Trace, ...]) -> tuple[tuple[float, float], ...]:
+def unite_intervals(traces: tuple[LocalProfile, ...]) -> tuple[tuple[float, float], ...]:
     """Return the ends of the union of the intervals of several traces, increasing logarithms."""
     intervals: list[tuple[float, float]] = []
     for lower, upper in sorted((trace.lower, trace.upper) for trace in traces):
@@ -494,7 +493,9 @@ def _compute_quantile_ratio(quantile: Floats, error: Floats) -> Floats:
     return np.asarray(np.maximum(ratio, min_quantile))
 
 
-def _follow_profile(minima: Minima, index: int, minimum: LocalMinimum, factor: float) -> Trace:
+def _follow_profile(
+    minima: Minima, index: int, minimum: LocalMinimum, factor: float
+) -> LocalProfile:
     """Follow the objective to both sides of a minimum, with all other unknowns fitted."""
     fit, start = minimum.fit, float(minimum.fit.logs[index])
     error = float(np.sqrt(minimum.uncertainty.covariance[index, index]))
@@ -510,14 +511,14 @@ def _follow_profile(minima: Minima, index: int, minimum: LocalMinimum, factor: f
         is_single = len(minima.local_minima) == 1
         points |= set(side.points if is_single else _select_uphill(start, side))
     logs, heights = np.array(sorted(points)).T
-    return Trace(
+    return LocalProfile(
         *(logs, heights**2 + minimum.rise, low.end, high.end, low.is_open, high.is_open),
         *(float(root) ** 2 + minimum.rise for root in roots),
     )
 
 
 @dataclass(frozen=True, slots=True)
-class _Side:
+class _ProfileSide:
     """One side of a profile.
 
     Parameters
@@ -532,7 +533,7 @@ class _Side:
     points: list[tuple[float, float]]
 
 
-def _select_uphill(start: float, side: _Side) -> list[tuple[float, float]]:
+def _select_uphill(start: float, side: _ProfileSide) -> list[tuple[float, float]]:
     """Select the points up to the first hill; another minimum beyond it is followed separately."""
     points: list[tuple[float, float]] = []
     for point in sorted(side.points, key=lambda point: abs(point[0] - start)):
@@ -591,7 +592,7 @@ class _ProfileWalk:
         return float(np.sqrt(max(rise, 0.0))), best
 
 
-def _find_end(walk: _ProfileWalk, sign: float, root: float, error: float) -> _Side:
+def _find_end(walk: _ProfileWalk, sign: float, root: float, error: float) -> _ProfileSide:
     """Find where the root of the deviance reaches `root`: extrapolate first, then interpolate."""
     root_tolerance = 0.01  # relative to the root
     max_evaluations = 24
@@ -599,7 +600,7 @@ def _find_end(walk: _ProfileWalk, sign: float, root: float, error: float) -> _Si
     bound = float((problem.lower if sign < 0.0 else problem.upper)[walk.index])
     max_distance = sign * (bound - start)
     if max_distance <= 0.0:
-        return _Side(bound, is_open=True, points=[])
+        return _ProfileSide(bound, is_open=True, points=[])
     low, start_fit, n_kept = (0.0, 0.0), walk.fit, 0
     high: tuple[float, float] | None = None
     points: list[tuple[float, float]] = []
@@ -612,13 +613,13 @@ def _find_end(walk: _ProfileWalk, sign: float, root: float, error: float) -> _Si
         if height >= root:
             high, n_kept = (distance, height), min(n_kept, 0) - 1
         elif distance >= max_distance:
-            return _Side(bound, is_open=True, points=points)
+            return _ProfileSide(bound, is_open=True, points=points)
         else:
             start_fit, low, n_kept = fit, (distance, height), max(n_kept, 0) + 1
         distance = _choose_distance(low, high, n_kept, root, max_distance)
     else:  # not converged: take the wider interval
         distance = high[0] if high else max_distance
-    return _Side(start + sign * distance, high is None and distance >= max_distance, points)
+    return _ProfileSide(start + sign * distance, high is None and distance >= max_distance, points)
 
 
 def _choose_distance(

@@ -114,34 +114,34 @@ class Problem:
     ----------
     law : law of the wire, split into its components
     curves : measured curves with usable points only
-    sample : shape (curves,), index of the sample of each curve
+    sample_index : shape (curves,), index of the sample of each curve
     centre : shape (3,), centres of the priors on the logarithms
     precision : shape (3,), inverse variances of the priors; 0 without a prior
     lower, upper : shape (3,), bounds of the logarithms
     gain : standard uncertainty of the logarithm of the load cell's gain
-    free : shape (3,), which parameters are fitted
+    is_free : shape (3,), whether each parameter is fitted
     scatter : standard deviation of the logarithms of the samples' factors; None to estimate it
     """
 
     law: WireLaw
     curves: tuple[MeasuredCurve, ...]
-    sample: Ints
+    sample_index: Ints
     centre: Floats
     precision: Floats
     lower: Floats
     upper: Floats
     gain: float
-    free: Flags
+    is_free: Flags
     scatter: float | None = None
 
     def hold(self, index: int) -> Problem:
         """Return the problem in which the parameter with this index is fixed."""
-        return replace(self, free=self.free & (np.arange(P) != index))
+        return replace(self, is_free=self.is_free & (np.arange(P) != index))
 
     @property
     def n_samples(self) -> int:
         """Number of samples."""
-        return int(self.sample.max()) + 1
+        return int(self.sample_index.max()) + 1
 
     @property
     def n_points(self) -> int:
@@ -355,7 +355,8 @@ class Fit:
     @property
     def factors(self) -> Floats:
         """Factor of sample and load cell on the model's force of each curve."""
-        return np.asarray(np.exp(self.unknowns[P] + self.unknowns[P + 1 :][self.problem.sample]))
+        offsets = self.unknowns[P + 1 :][self.problem.sample_index]
+        return np.asarray(np.exp(self.unknowns[P] + offsets))
 
 
 def evaluate(
@@ -378,7 +379,7 @@ def compute_products(fit: Fit, correlation: float) -> Floats:
     problem = fit.problem
     grams = np.zeros((problem.n_samples, P + 2, P + 2))
     for curve, model, sample, factor in zip(
-        problem.curves, fit.models, problem.sample, fit.factors, strict=True
+        problem.curves, fit.models, problem.sample_index, fit.factors, strict=True
     ):
         force = factor * model.force
         columns = np.column_stack([factor * model.change.T, force, curve.force - force])
@@ -401,7 +402,7 @@ def make_normal_equations(fit: Fit) -> tuple[Floats, Floats, Flags]:
     precision = np.where(may_move, precision, 0.0)
     matrix[np.diag_indices_from(matrix)] += precision
     right_side -= precision * problem.compute_offsets(fit.unknowns)
-    may_move[:P] = problem.free
+    may_move[:P] = problem.is_free
     may_move[:P] &= ~((fit.logs <= problem.lower) & (right_side[:P] < 0.0))
     may_move[:P] &= ~((fit.logs >= problem.upper) & (right_side[:P] > 0.0))
     return matrix, right_side, may_move
