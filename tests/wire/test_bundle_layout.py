@@ -171,8 +171,7 @@ def test_mixed_bundles(arrangement: str) -> None:
         stiff, soft = (layout.y[layout.kind == kind].mean() for kind in (1, 0))
         assert stiff > 1e-3 > 0.0 > soft
     elif arrangement == "packed":
-        again = arrange_wires(mixed, diameters, STIFFNESS)
-        assert np.array_equal(layout.x, again.x)
+        assert np.array_equal(layout.x, arrange_wires(mixed, diameters, STIFFNESS).x)
 
 
 def test_stated_positions_are_kept_about_their_centroid() -> None:

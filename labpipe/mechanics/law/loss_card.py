@@ -133,9 +133,8 @@ def fit_dahl(curvature: Floats, moment: Floats) -> DahlLaw:
         row, column = np.unravel_index(np.argmin(errors), errors.shape)
         best_point = np.array([[grid[row, 0]], [grid[column, 1]]])
         ends = best_point + narrowing * (ends - ends.mean(axis=1, keepdims=True))
-    stiffness = 2.0 / (lowest + highest)[row, column]
-    slider_moment = stiffness * ratio[row] * decay[column]
-    best = stiffness, slider_moment, decay[column], errors[row, column]
+    stiffness, tau = 2.0 / (lowest + highest)[row, column], decay[column]
+    best = stiffness, stiffness * ratio[row] * tau, tau, errors[row, column]
     return DahlLaw(*map(float, best))
 
 
