@@ -125,11 +125,11 @@ def find_minima(problem: Problem, logs: Floats) -> Minima:
     """
     first_scatter = 0.05  # relative, of the first search
     levels = Levels(1.0, 0.0, first_scatter if problem.scatter is None else problem.scatter)
-    fit = refine(_search_first_fit(problem, levels, _yield_starts(problem, logs)))
+    fit = refine_levels(_search_first_fit(problem, levels, _yield_starts(problem, logs)))
     line = follow_line(fit)
     found_minima = find_local_minima(line, fit)
     lowest = min(found_minima, key=lambda minimum: minimum.objective)
-    fit = lowest if lowest is fit else refine(lowest)
+    fit = lowest if lowest is fit else refine_levels(lowest)
     fits = [fit]
     for other in found_minima:
         if other is not lowest and other.objective - lowest.objective <= _MAX_RISE:
@@ -172,7 +172,7 @@ def _search_from(fit: Fit, start: Fit) -> list[Fit]:
         return []
 
 
-def refine(fit: Fit) -> Fit:
+def refine_levels(fit: Fit) -> Fit:
     """Estimate noise and scatter of a fit, and search again until they converge."""
     max_rounds = 6
     level_tolerance = 0.01
@@ -601,8 +601,8 @@ def _find_end(walk: _ProfileWalk, sign: float, root: float, error: float) -> _Pr
     max_distance = sign * (bound - start)
     if max_distance <= 0.0:
         return _ProfileSide(bound, is_open=True, points=[])
-    low, start_fit, n_kept = (0.0, 0.0), walk.fit, 0
-    high: tuple[float, float] | None = None
+    inner, start_fit, n_kept = (0.0, 0.0), walk.fit, 0
+    outer: tuple[float, float] | None = None
     points: list[tuple[float, float]] = []
     distance = min(root * error, max_distance) if error > 0.0 else max_distance
     for _ in range(max_evaluations):
@@ -611,36 +611,36 @@ def _find_end(walk: _ProfileWalk, sign: float, root: float, error: float) -> _Pr
         if abs(height - root) <= root_tolerance * root:
             break
         if height >= root:
-            high, n_kept = (distance, height), min(n_kept, 0) - 1
+            outer, n_kept = (distance, height), min(n_kept, 0) - 1
         elif distance >= max_distance:
             return _ProfileSide(bound, is_open=True, points=points)
         else:
-            start_fit, low, n_kept = fit, (distance, height), max(n_kept, 0) + 1
-        distance = _choose_distance(low, high, n_kept, root, max_distance)
+            start_fit, inner, n_kept = fit, (distance, height), max(n_kept, 0) + 1
+        distance = _choose_distance(inner, outer, n_kept, root, max_distance)
     else:  # not converged: take the wider interval
-        distance = high[0] if high else max_distance
-    return _ProfileSide(start + sign * distance, high is None and distance >= max_distance, points)
+        distance = outer[0] if outer else max_distance
+    return _ProfileSide(start + sign * distance, outer is None and distance >= max_distance, points)
 
 
 def _choose_distance(
-    low: tuple[float, float],
-    high: tuple[float, float] | None,
+    inner: tuple[float, float],
+    outer: tuple[float, float] | None,
     n_kept: int,
     root: float,
     max_distance: float,
 ) -> float:
     """Choose the next distance: a limited extrapolation, then false position or bisection.
 
-    `low` and `high` are distances and heights inside and outside the interval. The distance is
+    `inner` and `outer` are distances and heights inside and outside the interval. The distance is
     bisected if one of the two was kept twice (`n_kept`), because the deviance is then not
     quadratic.
     """
     max_growth = 2.5  # ratio of successive distances
-    low_distance, height = low
-    if high is None:
-        target = low_distance * root / height if height > 0.0 else np.inf
-        return min(max(target, 1.1 * low_distance), max_growth * low_distance, max_distance)
+    inner_distance, height = inner
+    if outer is None:
+        target = inner_distance * root / height if height > 0.0 else np.inf
+        return min(max(target, 1.1 * inner_distance), max_growth * inner_distance, max_distance)
     if abs(n_kept) > 2:
-        return 0.5 * (low_distance + high[0])
-    fraction = (root - height) / (high[1] - height)
-    return low_distance + min(max(fraction, 0.02), 0.98) * (high[0] - low_distance)
+        return 0.5 * (inner_distance + outer[0])
+    fraction = (root - height) / (outer[1] - height)
+    return inner_distance + min(max(fraction, 0.02), 0.98) * (outer[0] - inner_distance)

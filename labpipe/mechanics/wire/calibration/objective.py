@@ -52,7 +52,7 @@ from labpipe.records.wire import (
 )
 
 P = len(PARAMETERS)
-"""Number of parameters."""
+"""Number of parameters: index of the gain among the unknowns, and of the force in `Fit.grams`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -359,7 +359,7 @@ class Fit:
         return np.asarray(np.exp(self.unknowns[P] + offsets))
 
 
-def evaluate(
+def evaluate_objective(
     problem: Problem, levels: Levels, unknowns: Floats, guess: list[ModelForce] | None = None
 ) -> Fit:
     """Evaluate the objective for a set of unknowns; the model starts from a guess of its forces."""
@@ -455,7 +455,7 @@ def search(
     jitter = 1e-2  # predicted gain below which a step fails because the curves are tabulated
     damping_range = (1e-6, 10.0, 1e8)  # first, growth, last
     max_far_steps, far_rise = 8, 200.0  # no quantile of so few samples is as large as the rise
-    fit = evaluate(problem, levels, start, guess)
+    fit = evaluate_objective(problem, levels, start, guess)
     damping, steps, idle_steps = damping_range[0], 0, 0
     while damping <= damping_range[2] and idle_steps < max_idle_steps:
         is_far = fit.objective - lowest > far_rise
@@ -498,7 +498,7 @@ def _take_step(fit: Fit, step: Floats, gain: float) -> Fit | None:
 def _evaluate_step(fit: Fit, step: Floats) -> Fit | None:
     """Evaluate a step; None if the model cannot follow the curves, so that it is shortened."""
     try:
-        return evaluate(fit.problem, fit.levels, apply_step(fit, step), fit.models)
+        return evaluate_objective(fit.problem, fit.levels, apply_step(fit, step), fit.models)
     except ValueError:
         return None
 
