@@ -183,13 +183,8 @@ def test_intervals_of_the_law_cover(repository: Path) -> None:
         force = name_channels(seen["force"], plan.sources["force"], Path("force.mat"))
         done: Any = reduce_recordings({"force": force, "markers": seen["markers"]}, plan)
         law = done.reduced_test.bending.law
-        points = evaluate_law(
-            law.knots,
-            law.compliance,
-            law.compliance_covariance,
-            CURVATURES,
-            scale_error=law.scale_error,
-        )
+        found = law.knots, law.compliance, law.compliance_covariance
+        points = evaluate_law(*found, CURVATURES, scale_error=law.scale_error)
         moment, error = points["moment"]
         hits += np.abs(moment - true) <= 1.96 * error
     chances = [binomtest(int(count), LAWS, 0.95).pvalue for count in hits]

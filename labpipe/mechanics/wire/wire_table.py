@@ -91,9 +91,7 @@ def tabulate_wire(spec: WireSpec) -> WireTable:
     curvature = make_curvature_grid(largest_curvature, onsets[onsets > 0.0])
     curve = _compute_rising_curve(wire, curvature)
     insulation_limit = find_insulation_limit(spec)
-    min_moment, max_moment = find_orientation_range(
-        wire.section, wire.contacts, curve, tension=spec.tension
-    )
+    moment_range = find_orientation_range(wire.section, wire.contacts, curve, tension=spec.tension)
     stretch_torsion = compute_stretch_torsion(wire.section)
     cantilever = bend_cantilever(spec, curve, GRAVITY * wire.mass_per_length)
     law_notes = _find_law_notes(spec, onsets, curve, insulation_limit)
@@ -108,8 +106,8 @@ def tabulate_wire(spec: WireSpec) -> WireTable:
         free_torsional_stiffness=stretch_torsion.torsional_free,
         stretch_twist_coupling=stretch_torsion.coupling,
         slip_onsets=onsets,
-        lowest_moment=np.minimum(min_moment, curve.moment),
-        highest_moment=np.maximum(max_moment, curve.moment),
+        lowest_moment=np.minimum(moment_range[0], curve.moment),
+        highest_moment=np.maximum(moment_range[1], curve.moment),
         tip_deflection=cantilever.deflection,
         tip_force=cantilever.load,
         mass_per_length=wire.mass_per_length,
