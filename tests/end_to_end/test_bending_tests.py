@@ -178,13 +178,17 @@ def test_intervals_of_the_law_cover(repository: Path) -> None:
             assert f"{key}: {nominal:g} mm" in text
             drawn = nominal + 0.1 * rng.standard_normal()
             text = text.replace(f"{key}: {nominal:g} mm", f"{key}: {drawn:.6f} mm")
-        plan = parse_protocol(text, "wire-cantilever.yaml")
-        seen = recordings_of(observe(scenario, seed))
+        plan, seen = parse_protocol(text, "p.yaml"), recordings_of(observe(scenario, seed))
         force = name_channels(seen["force"], plan.sources["force"], Path("force.mat"))
         done: Any = reduce_recordings({"force": force, "markers": seen["markers"]}, plan)
         law = done.reduced_test.bending.law
-        found = law.knots, law.compliance, law.compliance_covariance
-        points = evaluate_law(*found, CURVATURES, scale_error=law.scale_error)
+        points = evaluate_law(
+            law.knots,
+            law.compliance,
+            law.compliance_covariance,
+            CURVATURES,
+            scale_error=law.scale_error,
+        )
         moment, error = points["moment"]
         hits += np.abs(moment - true) <= 1.96 * error
     chances = [binomtest(int(count), LAWS, 0.95).pvalue for count in hits]
