@@ -225,8 +225,8 @@ def fit_equivalent_material(
     curvature : shape (m,), 1/m, positive and increasing, m >= 2, up to the end of the range
     moment : shape (m,), N m, moment of the wire on first loading, positive
     diameter : m, diameter of the bar
-    elastic_fraction : curvature up to which the bar is elastic, relative to the largest curvature; its
-        stiffness is the secant stiffness of the wire there
+    elastic_fraction : curvature up to which the bar is elastic, relative to the largest curvature;
+        its stiffness is the secant stiffness of the wire there
     n_knots : number of points of the stress-strain curve, logarithmically spaced, at least 2
 
     Returns
