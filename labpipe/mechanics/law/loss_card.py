@@ -215,7 +215,7 @@ def fit_equivalent_material(
     moment: Floats,
     diameter: float,
     *,
-    elastic_share: float = 0.002,
+    elastic_fraction: float = 0.002,
     n_knots: int = 24,
 ) -> EquivalentMaterial:
     """Fit the material of a round bar to the moment-curvature law of a wire.
@@ -225,8 +225,8 @@ def fit_equivalent_material(
     curvature : shape (m,), 1/m, positive and increasing, m >= 2, up to the end of the range
     moment : shape (m,), N m, moment of the wire on first loading, positive
     diameter : m, diameter of the bar
-    elastic_share : curvature up to which the bar is elastic, relative to the largest curvature; its
-        stiffness is the secant stiffness of the wire there
+    elastic_fraction : curvature up to which the bar is elastic, relative to the largest curvature;
+        its stiffness is the secant stiffness of the wire there
     n_knots : number of points of the stress-strain curve, logarithmically spaced, at least 2
 
     Returns
@@ -247,7 +247,7 @@ def fit_equivalent_material(
     cancels to first order.
     """
     radius = 0.5 * diameter
-    limit = elastic_share * float(curvature[-1])
+    limit = elastic_fraction * float(curvature[-1])
     strain = np.geomspace(limit, float(curvature[-1]), n_knots) * radius
     secant = float(np.interp(limit, np.append(0.0, curvature), np.append(0.0, moment))) / limit
     modulus = secant / (0.25 * np.pi * radius**4)

@@ -296,8 +296,8 @@ def find_current_sliders(law: SliderLaw, rests: Floats) -> CurrentSliders:
     count = len(law.stiffnesses)
     slips = [np.broadcast_to(law.slip_curvatures, (*rests.shape[:-2], count))]
     rest_indices = [*range(count), *range(count, rests.shape[-2], 2)]
-    for number, slider in enumerate(law.growing):
-        limit = slider.compute_limit(rests[..., count + 2 * number + 1, 0])
+    for index, slider in enumerate(law.growing):
+        limit = slider.compute_limit(rests[..., count + 2 * index + 1, 0])
         slips.append((limit / slider.stiffness)[..., None])
     stiffnesses = np.append(law.stiffnesses, [slider.stiffness for slider in law.growing])
     return CurrentSliders(stiffnesses, np.concatenate(slips, axis=-1), rests[..., rest_indices, :])

@@ -405,9 +405,9 @@ def compute_end_load_path(
     unloading_grid = length * np.arange(0.5, 1.0, 0.0125)
     table = LoadingTable.of_plays(law)
     is_rising = np.append(np.diff(deflections, prepend=0.0) > 0.0, False)
-    first_rise = deflections[: int(np.argmin(is_rising))]
-    is_below = unloading_grid < np.max(first_rise, initial=0.0)
-    grid = np.union1d(first_rise, unloading_grid[is_below])
+    rising_deflections = deflections[: int(np.argmin(is_rising))]
+    is_below = unloading_grid < np.max(rising_deflections, initial=0.0)
+    grid = np.union1d(rising_deflections, unloading_grid[is_below])
     curve = find_equilibria(table, length, None, self_weight, grid, n_stations=n_stations)
 
     def make_state(row: int, history: Floats) -> WireState:
@@ -419,9 +419,9 @@ def compute_end_load_path(
 
     rest_state = make_state(0, law.make_unbent_history(n_stations))
     state = make_state(-1, law.respond(curve.moment.max(axis=0), rest_state.plays).plays)
-    rows = np.append(0, 1 + np.searchsorted(grid, first_rise))
+    rows = np.append(0, 1 + np.searchsorted(grid, rising_deflections))
     load, clamp_moment = curve.tension[rows], curve.clamp_moment[rows]
-    for deflection in deflections[len(first_rise) :].tolist():
+    for deflection in deflections[len(rising_deflections) :].tolist():
         state = deflect(law, state, length, deflection)
         load, clamp_moment = np.append(load, state.load), np.append(clamp_moment, state.moment[0])
     n = int(np.argmin(np.append(is_within(law, clamp_moment[1:]), False)))

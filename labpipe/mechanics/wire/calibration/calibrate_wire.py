@@ -38,6 +38,7 @@ from labpipe.mechanics.wire.calibration.objective import (
 from labpipe.mechanics.wire.calibration.variances import compute_quantiles, estimate_uncertainty
 from labpipe.mechanics.wire.cantilever import StringRig
 from labpipe.mechanics.wire.first_loading import LoadingCurve, interpolate_force
+from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import NORMAL_95, Interval
 from labpipe.records.quality import QualityNote
@@ -91,11 +92,6 @@ def calibrate(
     return make_calibration(minima, settings)
 
 
-METHOD = (
-    "generalised least squares on the force over logarithms of the parameters; levels of noise, "
-    "samples and load cell; scatter of samples by restricted likelihood; profile likelihood from "
-    "every local minimum of the objective, with quantiles of t averaged over the possible scatter"
-)
 _FACTOR_99 = 1.727
 """Rise of the objective at the ends of a 99 % interval relative to that at 95 %. Other solutions
 are reported up to this rise."""
@@ -139,7 +135,7 @@ def make_calibration(minima: Minima, settings: Settings) -> Calibration:
         sse=sse,
         rmse=rmse,
         rmse_share=rmse / max(curve.peak for curve in problem.curves),
-        method=METHOD,
+        method=format_sentence("mechanics.wire.method"),
         notes=tuple(_find_notes(minima, parameters, solutions, compared)),
     )
 

@@ -259,19 +259,19 @@ def compute_model_forces(
     forces: dict[int, ModelForce] = {}
     order = sorted(range(len(curves)), key=lambda i: curves[i].setup)
     for _, members in groupby(order, key=lambda i: curves[i].setup):
-        numbers = list(members)
-        deflections = np.concatenate([curves[i].deflection for i in numbers])
-        first = curves[numbers[0]]
+        indices = list(members)
+        deflections = np.concatenate([curves[i].deflection for i in indices])
+        first = curves[indices[0]]
         loading = compute_loading_curve(
             *(law, values, first.length, first.rig, float(np.max(np.abs(deflections)))),
             self_weight=first.self_weight,
-            guess=guess[numbers[0]].loading if guess else None,
+            guess=guess[indices[0]].loading if guess else None,
         )
         force, change = interpolate_force(loading, deflections)
         slope = np.interp(np.abs(deflections), loading.deflection, loading.stiffness)
-        ends = np.cumsum([len(curves[i].deflection) for i in numbers])[:-1]
+        ends = np.cumsum([len(curves[i].deflection) for i in indices])[:-1]
         pieces = (np.split(array, ends, axis=-1) for array in (force, change, slope))
-        for index, *piece in zip(numbers, *pieces, strict=True):
+        for index, *piece in zip(indices, *pieces, strict=True):
             forces[index] = ModelForce(piece[0], piece[1], piece[2], loading)
     return [forces[index] for index in range(len(curves))]
 

@@ -267,8 +267,8 @@ def compute_quantiles(
     probabilities = np.repeat([tail, 1.0 - tail], len(lower))
 
     def compute_excess(value: Floats, row: Floats, probability: Floats) -> Floats:
-        numbers = row.astype(np.int64)
-        t = (value[:, None] - centre[numbers]) / error[numbers]
+        indices = row.astype(np.int64)
+        t = (value[:, None] - centre[indices]) / error[indices]
         return np.asarray(stdtr(mixture.freedom, t) @ mixture.chance - probability)
 
     ends, inputs = (np.tile(lower, 2), np.tile(upper, 2)), (rows, probabilities)
