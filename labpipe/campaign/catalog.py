@@ -13,6 +13,7 @@ import os
 import socket
 import sqlite3
 import time
+from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import fields
@@ -399,16 +400,34 @@ class Catalog:
         rows = self._select("folder, content, marks", "seen", folder)
         return {folder: FileState(*state) for folder, *state in rows}
 
-    def read_results(self, folder: str) -> tuple[ResultRow, ...]:
-        """Read the results of a test, in order.
+    def read_group_values(self, folder: str) -> dict[str, list[float]]:
+        """Read the values of each result that is ok in the other tests of the group of a test.
+
+        Tests of a group have the same protocol, and specimens that differ at most in spool, sample
+        and uncertainty.
 
         Parameters
         ----------
         folder : folder of the test
+
+        Returns
+        -------
+        Values, keyed by result; those of rejected tests are left out.
         """
-        columns = ", ".join(RESULT_COLUMNS)
-        sql = f"select {columns} from results where folder = ? order by place"
-        return tuple(ResultRow(*row) for row in self._fetch_all(sql, folder))
+        specimen = "json_remove({}.specimen, '$.spool', '$.sample', '$.uncertainty')"
+        sql = (
+            "select results.name, results.value from tests as own"
+            " join tests as other on other.protocol = own.protocol and other.folder <> own.folder"
+            f" and {specimen.format('other')} = {specimen.format('own')}"
+            " join results on results.folder = other.folder"
+            " where own.folder = ? and other.run <> '' and other.state <> 'rejected'"
+            " and results.status = 'ok' and results.value is not null"
+            " order by other.folder, results.place"
+        )
+        values = defaultdict[str, list[float]](list)
+        for name, value in self._fetch_all(sql, folder):
+            values[name].append(value)
+        return values
 
     def has_failed_results(self) -> bool:
         """Return whether any result failed in a test that is not rejected."""

@@ -5,7 +5,6 @@ The verdict on a test gives its status, a comparison with its group and what to 
 
 from __future__ import annotations
 
-import json
 import time
 import tomllib
 from collections import defaultdict
@@ -21,7 +20,6 @@ from typing import Final, NamedTuple, TypeAlias
 import numpy as np
 
 from labpipe.campaign.campaign_files import CampaignFolders
-from labpipe.campaign.catalog import OK, REJECTED, TestRow
 from labpipe.campaign.executors import Executor, Outcome, Outcomes, await_outcome
 from labpipe.campaign.pairing import (
     Candidate,
@@ -49,19 +47,6 @@ _MAX_RESULTS: Final = 3
 
 Values: TypeAlias = Mapping[str, Sequence[float]]
 """Values of several tests, keyed by result."""
-
-
-def make_group_key(row: TestRow) -> str:
-    """Make the key of the group of a test from its protocol and specimen.
-
-    Parameters
-    ----------
-    row : row of the test; spool, sample and uncertainty of its specimen are ignored
-    """
-    ignored_fields = ("spool", "sample", "uncertainty")  # may differ within a group
-    specimen = json.loads(row.specimen)
-    fields = {key: value for key, value in specimen.items() if key not in ignored_fields}
-    return json.dumps([row.protocol, fields], sort_keys=True)
 
 
 def describe_test(
@@ -240,18 +225,18 @@ class WatchedCampaign:
     """
 
     def __init__(self, folders: CampaignFolders, executor: Executor) -> None:
-        self._folders, self._executor = folders, executor
-        self._rows = read_overview(folders).rows
+        self._folders, self._executor, self.raw = folders, executor, folders.raw
+        rows = read_overview(folders).rows
+        self._processed_folders = {folder for folder, row in rows.items() if not row.is_due}
 
-    @property
-    def raw(self) -> Path:
-        """Folder of the exports."""
-        return self._folders.raw
+    def was_processed(self, sheet: Path) -> bool:
+        """Return whether the files of a test had been processed when the watch began.
 
-    def is_processed(self, sheet: Path) -> bool:
-        """Return whether the present files of a test have been processed."""
-        row = self._rows.get(self._make_label(sheet))
-        return row is not None and not row.is_due
+        Parameters
+        ----------
+        sheet : path of the sheet of the test
+        """
+        return self._get_folder(sheet) in self._processed_folders
 
     def process(self, sheet: Path, *, is_forced: bool = False) -> Outcome | None:
         """Process a test and store its row.
@@ -270,38 +255,25 @@ class WatchedCampaign:
         LabpipeError
             If another labpipe processes the test, or the catalog cannot be written.
         """
-        label = self._make_label(sheet)
-        row, outcome = run_test(self._folders, self._executor, label, is_forced=is_forced)
+        folder = self._get_folder(sheet)
+        row, outcome = run_test(self._folders, self._executor, folder, is_forced=is_forced)
         if row is None:
-            raise ProcessingError.about("campaign.test_in_use", label)
-        self._rows = {**self._rows, label: row}
+            raise ProcessingError.about("campaign.test_in_use", folder)
         return outcome
 
     def read_group_values(self, sheet: Path) -> dict[str, list[float]]:
-        """Read the values of each result that is ok in the other tests of the group of a test.
+        """Read the values of the other tests of a group, as `Catalog.read_group_values` does.
 
         Parameters
         ----------
         sheet : path of the sheet of the test
-
-        Returns
-        -------
-        Values, keyed by result; those of rejected tests are left out.
         """
-        label = self._make_label(sheet)
-        group, values = make_group_key(self._rows[label]), defaultdict[str, list[float]](list)
         with open_campaign(self._folders) as sync:
-            for folder, row in self._rows.items():
-                is_valid = folder != label and row.run and row.state != REJECTED
-                if is_valid and make_group_key(row) == group:
-                    for result in sync.catalog.read_results(folder):
-                        if result.status == OK and result.value is not None:
-                            values[result.name].append(result.value)
-        return values
+            return sync.catalog.read_group_values(self._get_folder(sheet))
 
-    def _make_label(self, sheet: Path) -> str:
-        """Make the label of a test, its folder relative to the campaign."""
-        return sheet.parent.relative_to(self._folders.raw).as_posix()
+    def _get_folder(self, sheet: Path) -> str:
+        """Return the folder of a test relative to the campaign, which identifies the test."""
+        return sheet.parent.relative_to(self.raw).as_posix()
 
 
 Signature: TypeAlias = tuple[int, int] | None
@@ -449,7 +421,7 @@ class Watcher:
         if ready and not self._has_found_ready:
             self._has_found_ready = True
             for candidate in [*ready]:
-                if candidate.sheet.exists() and self._campaign.is_processed(candidate.sheet):
+                if candidate.sheet.exists() and self._campaign.was_processed(candidate.sheet):
                     ready.remove(candidate)
                     test = self._tests[candidate.folder]
                     test.next_attempt, test.handled_at = inf, -self.plan.patience

@@ -62,7 +62,7 @@ def test_put_skips_tests_written_by_another_process(catalog: Catalog) -> None:
     catalog.write_entries([ENTRY])
     assert catalog.read_rows() == catalog.read_rows("T1") == {"T1": ENTRY.row}
     assert (catalog.read_rows("T2"), catalog.read_file_states("T2")) == ({}, {})
-    assert catalog.read_results("T1") == (RESULT,)
+    assert catalog._fetch_all("select name, value from results") == [("peak", 1.5)]
     states = catalog.read_file_states()
     assert states == {"T1": ENTRY.file_state}
     newer = Entry(ENTRY.row._replace(run="newer"), FileState("{}", "newer"))
