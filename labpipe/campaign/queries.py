@@ -10,6 +10,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
+from sqlite3 import SQLITE_DENY, SQLITE_OK
 from typing import IO, Any, Final
 
 from labpipe.campaign.catalog import RESULT_COLUMNS, Catalog
@@ -40,6 +41,7 @@ _MAX_SHEET_ROWS: Final = 1_048_575
 _ALLOWED_ACTIONS: Final = frozenset(
     {sqlite3.SQLITE_SELECT, sqlite3.SQLITE_READ, sqlite3.SQLITE_FUNCTION, sqlite3.SQLITE_RECURSIVE}
 )
+"""Actions that SQLite allows a condition: to select, to read and to call functions."""
 _CONTROL_CHARACTERS = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069]")
 """Characters that control a terminal or change the direction of text."""
 
@@ -89,7 +91,9 @@ def query_results(catalog: Catalog, where: str) -> QueryResult:
         columns = QUERY_COLUMNS | _list_specimen_columns(connection)
         (n_results,) = connection.execute("select count(*) from results").fetchone()
         max_checks, check_numbers = base_checks + checks_per_result * n_results, count(1)
-        connection.set_authorizer(_authorize_reads)
+        connection.set_authorizer(
+            lambda action, *_: SQLITE_OK if action in _ALLOWED_ACTIONS else SQLITE_DENY
+        )
         connection.set_progress_handler(lambda: next(check_numbers) > max_checks, _STEPS_PER_CHECK)
         selection = ", ".join(f'{sql} as "{name}"' for name, sql in columns.items())
         # The condition is on its own line, so that a comment in it ends there.
@@ -118,11 +122,6 @@ def _make_condition_error(where: str, message: str, columns: list[str]) -> Usage
     if "not authorized" in message or "prohibited" in message:
         return UsageError.about("campaign.forbidden_condition", "--where", place, message=message)
     return UsageError.about("campaign.bad_condition", "--where", place, message=message)
-
-
-def _authorize_reads(action: int, *_: str | None) -> int:
-    """Allow SQLite only to select, to read and to call functions."""
-    return sqlite3.SQLITE_OK if action in _ALLOWED_ACTIONS else sqlite3.SQLITE_DENY
 
 
 def _list_specimen_columns(connection: sqlite3.Connection) -> dict[str, str]:
