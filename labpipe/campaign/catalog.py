@@ -24,7 +24,7 @@ from typing import Any, Final, NamedTuple
 
 import psutil
 
-from labpipe.campaign.campaign_files import UNKNOWN, MadeOf, OutcomeFiles
+from labpipe.campaign.campaign_files import UNKNOWN_SOURCES, OutcomeFiles, SourceHashes
 from labpipe.errors import StoreError, UsageError
 from labpipe.messages import format_sentence
 from labpipe.process.output_paths import RESULT_FILE
@@ -113,13 +113,13 @@ class Entry(NamedTuple):
     ----------
     row : row of the table ``tests``
     file_state : state of the files of the test
-    made_of : exports, sheet and protocol of the last attempt
+    source_hashes : exports, sheet and protocol of the last attempt
     results : results of the last successful attempt
     """
 
     row: TestRow
     file_state: FileState = FileState()
-    made_of: MadeOf = UNKNOWN
+    source_hashes: SourceHashes = UNKNOWN_SOURCES
     results: tuple[ResultRow, ...] = ()
 
 
@@ -176,7 +176,7 @@ def read_outcome(folder: str, files: OutcomeFiles) -> Entry:
         labpipe=str(failure.get("labpipe") or entry.row.labpipe),
     )
     try:
-        return entry._replace(row=row, made_of=_parse_made_of(failure))
+        return entry._replace(row=row, source_hashes=_parse_source_hashes(failure))
     except (KeyError, TypeError, AttributeError):
         return entry._replace(row=row)
 
@@ -214,16 +214,16 @@ def _parse_summary(folder: str, content: Mapping[str, Any]) -> Entry:
         specimen=write_json(specimen),
         **{key: str(texts.get(key) or "") for key in _SUMMARY_COLUMNS},
     )
-    return Entry(row, made_of=_parse_made_of(content), results=results)
+    return Entry(row, source_hashes=_parse_source_hashes(content), results=results)
 
 
-def _parse_made_of(content: Mapping[str, Any]) -> MadeOf:
+def _parse_source_hashes(content: Mapping[str, Any]) -> SourceHashes:
     """Parse the exports, sheet and protocol from which an outcome was made."""
     files = tuple(
         (str(file["role"]), str(file["file"]), str(file["sha256"])) for file in content["inputs"]
     )
     hashes = content.get("made_of") or {}
-    return MadeOf(files, str(hashes.get("sheet", "")), str(hashes.get("protocol", "")))
+    return SourceHashes(files, str(hashes.get("sheet", "")), str(hashes.get("protocol", "")))
 
 
 def _parse_result(entry: Mapping[str, Any]) -> ResultRow:

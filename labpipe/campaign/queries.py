@@ -189,6 +189,18 @@ def align_columns(columns: Iterable[Sequence[str]], n_left_aligned: int | None =
     return ["  ".join(row).rstrip() for row in zip(*aligned_columns, strict=True)]
 
 
+def join_names(names: Sequence[str], max_names: int = 4) -> str:
+    """Join the first names by commas, and state how many more there are.
+
+    Parameters
+    ----------
+    names : names in order
+    max_names : largest number of names in the text
+    """
+    suffix = f" and {len(names) - max_names} more" if len(names) > max_names else ""
+    return ", ".join(names[:max_names]) + suffix
+
+
 def _format_cell(value: object) -> str:
     """Format a value for a terminal; control characters are escaped, long text is shortened."""
     if value is None:

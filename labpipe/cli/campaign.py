@@ -45,8 +45,10 @@ def run(options: argparse.Namespace) -> int:
     return int(_ACTIONS[options.action](options, find_campaign(options.folder)))
 
 
-def _run(options: argparse.Namespace, campaign: CampaignFolders, forced: Sequence[str] = ()) -> int:
-    """Process new and changed tests, and the tests in the folders of `forced`."""
+def _run(
+    options: argparse.Namespace, campaign: CampaignFolders, forced_folders: Sequence[str] = ()
+) -> int:
+    """Process new and changed tests, and the tests in the folders of `forced_folders`."""
     executor = parse_executor(options.executor, jobs=options.jobs, limit=60.0 * options.limit)
     make_task = partial(
         Task, figures=not options.no_figures, png=options.png, follow_links=options.follow_links
@@ -55,7 +57,7 @@ def _run(options: argparse.Namespace, campaign: CampaignFolders, forced: Sequenc
         summary = run_campaign(
             campaign,
             executor,
-            forced=forced,
+            forced_folders=forced_folders,
             make_task=make_task,
             on_start=begin,
             on_outcome=lambda folder, state: show(f"{escape_controls(folder)}: {state}"),
@@ -165,10 +167,10 @@ def _watch(options: argparse.Namespace, campaign: CampaignFolders) -> int:
     """Process tests as their exports arrive."""
     from labpipe.campaign.watching import watch
 
-    def say(text: str) -> None:
+    def show_message(text: str) -> None:
         print(f"{datetime.now():%H:%M:%S}  {text}", flush=True)
 
-    watch(campaign, figures=not options.no_figures, say=say)
+    watch(campaign, figures=not options.no_figures, show_message=show_message)
     return 0
 
 

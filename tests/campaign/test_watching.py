@@ -105,7 +105,7 @@ class Bench:
             self.campaign,
             pair=pair_test,
             draw=lambda folder: self.drawn.append(folder.name),
-            say=self.said.append,
+            show_message=self.said.append,
             clock=lambda: self.now,
         )
 
