@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import csv
+import io
 import json
 import re
 import sqlite3
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
 from sqlite3 import SQLITE_DENY, SQLITE_OK
-from typing import IO, Any, Final
+from typing import Any, Final
 
 from labpipe.campaign.catalog import RESULT_COLUMNS, Catalog
 from labpipe.errors import UsageError, sort_by_likeness
@@ -142,35 +143,32 @@ def _list_specimen_columns(connection: sqlite3.Connection) -> dict[str, str]:
     return columns
 
 
-def write_query_result(query_result: QueryResult, output_format: str, out: IO[str]) -> None:
-    """Write rows as text.
+def format_query_result(query_result: QueryResult, output_format: str) -> str:
+    """Format rows as text.
 
     Parameters
     ----------
-    query_result : rows to write
-    output_format : ``table``, ``csv`` or ``json``
-    out : text stream
+    query_result : rows to format
+    output_format : ``table``, ``csv`` or ``json``. A table is for a terminal: it has no column
+        ``run``, no empty columns, and no columns that are equal to the first one
     """
+    names, rows = query_result.columns, query_result.rows
     if output_format == "csv":
-        writer = csv.writer(out, lineterminator="\n")
-        writer.writerows(
-            map(_quote_formula, row) for row in (query_result.columns, *query_result.rows)
+        buffer = io.StringIO()
+        csv.writer(buffer, lineterminator="\n").writerows(
+            map(_quote_formula, row) for row in (names, *rows)
         )
-    elif output_format == "json":
-        entries = [dict(zip(query_result.columns, row, strict=True)) for row in query_result.rows]
+        return buffer.getvalue()
+    if output_format == "json":
+        entries = (dict(zip(names, row, strict=True)) for row in rows)
         lines = ",".join(f"\n{json.dumps(entry, ensure_ascii=False)}" for entry in entries)
-        out.write(f"[{lines}\n]\n")
-    else:
-        out.writelines(_format_table(query_result))
-
-
-def _format_table(query_result: QueryResult) -> Iterator[str]:
-    """Yield aligned lines, without ``run``, empty columns, and columns equal to the first one."""
-    columns = zip(query_result.columns, *query_result.rows, strict=True)
-    tests, *other_columns = [[*map(_format_cell, column)] for column in columns]
-    distinct_columns = [tests, *(column for column in other_columns if column[1:] != tests[1:])]
-    shown_columns = [cells for cells in distinct_columns if cells[0] != "run" and any(cells[1:])]
-    yield from (f"{line}\n" for line in align_columns(shown_columns))
+        return f"[{lines}\n]\n"
+    tests, *other_columns = [
+        [*map(_format_cell, cells)] for cells in zip(names, *rows, strict=True)
+    ]
+    columns = [tests, *(cells for cells in other_columns if cells[1:] != tests[1:])]
+    shown_columns = [cells for cells in columns if cells[0] != "run" and any(cells[1:])]
+    return "".join(f"{line}\n" for line in align_columns(shown_columns))
 
 
 def align_columns(columns: Iterable[Sequence[str]], n_left_aligned: int | None = None) -> list[str]:

@@ -281,9 +281,8 @@ def _complete_row(
     if row.code == NEWER_RESULT or row.state == PENDING:
         return row
     if inputs is not None and inputs.key != _get_last_key(row):
-        return row._replace(
-            state=STALE, why=describe_changes(outcome.source_hashes, inputs.source_hashes)
-        )
+        why = describe_changes(outcome.source_hashes, inputs.source_hashes)
+        return row._replace(state=STALE, why=why)
     if decision is None or decision.decision != REJECT:
         return row
     row = row._replace(state=REJECTED, why=decision.because)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import io
 import json
 import sys
 from collections.abc import Callable, Iterable, Sequence
@@ -17,8 +16,8 @@ from labpipe.campaign.decisions import Decision, import_decision_file
 from labpipe.campaign.executors import parse_executor
 from labpipe.campaign.queries import (
     escape_controls,
+    format_query_result,
     query_results,
-    write_query_result,
     write_workbook,
 )
 from labpipe.campaign.running import (
@@ -110,12 +109,11 @@ def _query(options: argparse.Namespace, campaign: CampaignFolders) -> int:
     if options.out == "xlsx":
         write_workbook(query_result, options.file)
     elif options.file is None:
-        write_query_result(query_result, options.out, sys.stdout)
+        print(format_query_result(query_result, options.out), end="")
     else:
-        buffer = io.StringIO()
-        write_query_result(query_result, options.out, buffer)
+        text = format_query_result(query_result, options.out)
         with replace_file(options.file) as temporary:
-            temporary.write_bytes(buffer.getvalue().encode("utf-8", "backslashreplace"))
+            temporary.write_bytes(text.encode("utf-8", "backslashreplace"))
     print(f"{len(query_result.rows)} rows", file=sys.stderr)
     return 0
 

@@ -89,20 +89,18 @@ def test_decide_and_status(run: Run, campaign: LabCampaign) -> None:
 
 
 def test_query_into_files(run: Run, campaign: LabCampaign, tmp_path: Path) -> None:
-    ran = run("campaign", "query", campaign.raw, "--out", "xlsx")
+    query = ("campaign", "query", campaign.raw, "--out")
+    ran = run(*query, "xlsx")
     assert ran.status == EXIT_ERROR
     assert "--out xlsx: expected a file to write, found none. Add --file results.xlsx." in ran.err
     for form in ("csv", "xlsx", "json", "table"):
-        file = tmp_path / f"out.{form}"
-        assert (
-            run("campaign", "query", campaign.raw, "--out", form, "--file", file).status == EXIT_OK
-        )
+        assert run(*query, form, "--file", tmp_path / f"out.{form}").status == EXIT_OK
     with (tmp_path / "out.csv").open(encoding="utf-8", newline="") as stream:
         rows = list(csv.DictReader(stream))
     assert [row["test"] for row in rows] == ["T1", "T2", "T3"]
     assert openpyxl.load_workbook(tmp_path / "out.xlsx")["results"].max_row == 4
     assert len(json.loads((tmp_path / "out.json").read_text("utf-8"))) == 3
-    shown = run("campaign", "query", campaign.raw, "--out", "csv").out
+    shown = run(*query, "csv").out
     assert list(csv.DictReader(io.StringIO(shown))) == rows
 
 
