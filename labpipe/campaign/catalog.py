@@ -294,13 +294,13 @@ class Claim(NamedTuple):
     ----------
     host : name of the machine, and the namespace of process ids if the system has namespaces
     pid : process id
-    process : start time of the process, s since 1970; a later process may have the same id
+    start_time : start time of the process, s since 1970; a later process may have the same id
     since : time of the claim, s since 1970
     """
 
     host: str
     pid: int
-    process: str
+    start_time: str
     since: float
 
     @property
@@ -328,7 +328,7 @@ def is_alive(claim: Claim) -> bool:
     try:
         process = psutil.Process(claim.pid)
         is_dead = process.status() in {psutil.STATUS_ZOMBIE, psutil.STATUS_DEAD}
-        return not is_dead and abs(process.create_time() - float(claim.process)) < max_clock_step
+        return not is_dead and abs(process.create_time() - float(claim.start_time)) < max_clock_step
     except psutil.AccessDenied:
         return True
     except (psutil.NoSuchProcess, ValueError):  # ValueError: claim of an earlier labpipe

@@ -212,12 +212,12 @@ def test_claim_ends_with_its_process(catalog: Catalog) -> None:
     own_claim = catalog.read_claims()["T1"]
     ended = subprocess.Popen([sys.executable, "-c", ""])
     os.waitid(os.P_PID, ended.pid, os.WEXITED | os.WNOWAIT)  # it is a zombie from here on
-    claim = own_claim._replace(pid=ended.pid, process="")
+    claim = own_claim._replace(pid=ended.pid, start_time="")
     assert not is_alive(claim)
     ended.wait()
     assert not is_alive(claim)
     assert is_alive(own_claim)
-    assert not is_alive(own_claim._replace(process="another boot 1"))
+    assert not is_alive(own_claim._replace(start_time="another boot 1"))
 
 
 def test_old_claims_of_other_hosts_are_ignored() -> None:
