@@ -11,10 +11,10 @@ import math
 from collections.abc import Iterator, Sequence
 from itertools import combinations, pairwise
 from pathlib import Path
-from typing import Annotated, Literal, Self, TypeAlias
+from typing import Annotated, Literal, TypeAlias
 
 import numpy as np
-from pydantic import AfterValidator, Field, PlainSerializer, PlainValidator, model_validator
+from pydantic import AfterValidator, Field, PlainSerializer, PlainValidator
 
 from labpipe.errors import Fault, KeyPath
 from labpipe.protocol.grammar import (
@@ -29,7 +29,7 @@ from labpipe.protocol.grammar import (
 )
 from labpipe.protocol.schema import Version
 from labpipe.protocol.source import Plausible, find_implausible_sizes
-from labpipe.protocol.yaml_text import Values, build_refusal, raise_faults
+from labpipe.protocol.yaml_text import build_refusal
 from labpipe.records.arrays import Floats
 from labpipe.records.declarations import (
     Curvature,
@@ -157,30 +157,25 @@ class SectionBlock(Block):
         """Return the source of the bending law: ``wire``, ``sliders`` or ``bending_stiffness``."""
         return next(name for name in _SECTION_KEYS if getattr(self, name) is not None)
 
-    @classmethod
-    def find_contradictions(cls, data: Values) -> Iterator[Fault]:
+    def find_value_faults(self) -> Iterator[Fault]:
         """Find several sources or none, missing keys, and keys of other sources."""
-        stated_keys = [key for key in data if data[key] is not None]
+        stated_keys = {key for key, value in self if value is not None}
         kinds = [name for name in _SECTION_KEYS if name in stated_keys]
         if len(kinds) != 1:
             kind_names = " and ".join(map(repr, kinds)) or "none of them"
             yield Fault.of("protocol.no_one_section", found=kind_names)
             return
         kind, own_keys = kinds[0], _SECTION_KEYS[kinds[0]]
-        for key in sorted(_REQUIRED_KEYS.keys() & {*own_keys} - {*stated_keys}):
+        for key in sorted(_REQUIRED_KEYS.keys() & {*own_keys} - stated_keys):
             remedy = _REQUIRED_KEYS[key]
             yield Fault.of(
                 "protocol.no_section_key", missing=key, key=key, kind=kind, remedy=remedy
             )
         all_keys = {key for keys in _SECTION_KEYS.values() for key in keys}
-        for key in sorted(all_keys & {*data} - {*own_keys}):
+        for key in sorted(all_keys & stated_keys - {*own_keys}):
+            keys = ", ".join(map(repr, own_keys))
             yield Fault.of(
-                "protocol.other_section",
-                (key,),
-                at="key",
-                key=key,
-                kind=kind,
-                keys=", ".join(map(repr, own_keys)),
+                "protocol.other_section", (key,), at="key", key=key, kind=kind, keys=keys
             )
 
 
@@ -264,22 +259,15 @@ class Grip(Holder):
     holds: Literal["pose", "position"] = "pose"
     """pose: position and direction; position: the line may rotate."""
 
-    @model_validator(mode="after")
-    def _check_path(self) -> Self:
-        """Refuse waypoints out of order, and directions of a grip that holds positions only."""
-        faults = [
-            Fault.of(
-                "protocol.step_not_after", ("path", number, "step"), previous=previous, point=point
-            )
-            for number, (previous, point) in enumerate(pairwise(self.path), start=1)
-            if point.step <= previous.step
-        ]
-        for number, point in enumerate(self.path if self.holds == "position" else ()):
+    def find_value_faults(self) -> Iterator[Fault]:
+        """Find waypoints out of order, and directions of a grip that holds positions only."""
+        for index, (previous, point) in enumerate(pairwise(self.path), start=1):
+            if point.step <= previous.step:
+                path = ("path", index, "step")
+                yield Fault.of("protocol.step_not_after", path, previous=previous, point=point)
+        for index, point in enumerate(self.path if self.holds == "position" else ()):
             for key in sorted({"direction", "turn"} & point.model_fields_set):
-                path = ("path", number, key)
-                faults.append(Fault.of("protocol.turn_of_no_pose", path, at="key", key=key))
-        raise_faults(faults)
-        return self
+                yield Fault.of("protocol.turn_of_no_pose", ("path", index, key), at="key", key=key)
 
 
 class Ring(_Boundary):
@@ -359,27 +347,30 @@ class HarnessFile(Block):
         """Return the lengths to compute, m: the stated length, then those of the sweep."""
         return (self.line.length, *(self.sweep.length if self.sweep else ()))
 
-    @model_validator(mode="after")
-    def _check(self) -> Self:
-        """Refuse implausible sizes, and boundaries that contradict each other.
+    def find_value_faults(self) -> list[Fault]:
+        """Find implausible sizes, and boundaries that contradict each other.
 
         A group of checks runs only if the previous groups found no faults. Rings out of reach are
         found when the line is solved.
         """
-        blocks = {"line": self.line, "boundaries": self.boundaries, "sweep": self.sweep}
-        sizes = find_implausible_sizes(blocks, (), self.plausible, in_file=True)
-        raise_faults([*sizes, *_find_late_steps(self)])
-        if not any(isinstance(boundary, Holder | String) for boundary in self.boundaries):
-            raise_faults([Fault.of("protocol.nothing_holds", ("boundaries",))])
-        checks = (
-            *(_find_places_off_the_line, _find_release_faults),
-            *(_find_large_turns, _find_large_curl),
+        groups = (
+            (_find_wrong_sizes, _find_late_steps, _find_nothing_that_holds),
+            (_find_places_off_the_line, _find_release_faults, _find_large_turns, _find_large_curl),
+            (_find_distant_places,),
         )
-        raise_faults(fault for check in checks for fault in check(self))
-        for i, length in enumerate(self.lengths):
-            path: KeyPath = ("sweep", "length", i - 1) if i else ()
-            raise_faults(_find_distant_places(self, length, path))
-        return self
+        for group in groups:
+            if faults := [fault for check in group for fault in check(self)]:
+                return faults
+        return []
+
+
+def _find_wrong_sizes(harness: HarnessFile) -> Iterator[Fault]:
+    return find_implausible_sizes(harness, (), harness.plausible, in_file=True)
+
+
+def _find_nothing_that_holds(harness: HarnessFile) -> Iterator[Fault]:
+    if not any(isinstance(boundary, Holder | String) for boundary in harness.boundaries):
+        yield Fault.of("protocol.nothing_holds", ("boundaries",))
 
 
 def _find_places_off_the_line(harness: HarnessFile) -> Iterator[Fault]:
@@ -468,13 +459,19 @@ def _find_large_curl(harness: HarnessFile) -> Iterator[Fault]:
         yield Fault.of("protocol.curl", path, limit=max_curl, element=element, found=curl)
 
 
-def _find_distant_places(
+def _find_distant_places(harness: HarnessFile) -> Iterator[Fault]:
+    """Find held places farther apart than line and strings allow, for the first such length."""
+    for i, length in enumerate(harness.lengths):
+        path: KeyPath = ("sweep", "length", i - 1) if i else ()
+        if faults := [*_find_distances_beyond(harness, length, path)]:
+            yield from faults
+            return
+
+
+def _find_distances_beyond(
     harness: HarnessFile, length: float, length_path: KeyPath
 ) -> Iterator[Fault]:
-    """Find held places that are farther apart than the line and strings between them.
-
-    `length_path` is that of the length in a sweep; empty for the length of the line.
-    """
+    """Find held places too far apart for a length; its path is empty for that of the line."""
     start, direction = map(np.array, find_line_start(harness))
     places = []
     for number, holder in enumerate(harness.boundaries):

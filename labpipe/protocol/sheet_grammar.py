@@ -13,10 +13,9 @@ import difflib
 import json
 import re
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import replace
 from datetime import date
 from functools import partial
-from typing import Annotated, Any, Literal, NamedTuple, Self
+from typing import Annotated, Any, Literal, NamedTuple
 
 import yaml
 from pydantic import (
@@ -26,8 +25,6 @@ from pydantic import (
     PlainSerializer,
     PlainValidator,
     WithJsonSchema,
-    field_validator,
-    model_validator,
 )
 
 from labpipe.errors import Fault, UsageError, format_error
@@ -41,16 +38,14 @@ from labpipe.protocol.grammar import (
     build_path_validator,
     build_row_validator,
     build_unique_name_validator,
+    prefix_paths,
     try_parse_quantity,
 )
 from labpipe.protocol.schema import Version
 from labpipe.protocol.source import Role, Section, SizeUncertainties
 from labpipe.protocol.yaml_text import (
-    Values,
     build_refusal,
-    describe_value,
     get_block,
-    raise_faults,
     suggest_word,
 )
 from labpipe.records.declarations import (
@@ -146,34 +141,28 @@ class SheetBundle(Block):
         settings = {key: value for key, value in self if key not in ("wires", "number")}
         return Bundle(wires, **settings | {"positions": self.positions or ()})
 
-    @classmethod
-    def find_contradictions(cls, data: Values) -> Iterator[Fault]:
+    def find_key_faults(self) -> Iterator[Fault]:
         """Find taping without tape, tape without taping, and a bore without a conduit."""
-        tape, taping, conduit = (data.get(key) or NONE for key in ("tape", "taping", "conduit"))
-        if tape == NONE and taping != NONE:
-            yield Fault.of("protocol.no_tape", ("taping",), found=describe_value(taping))
-        if tape != NONE and taping == NONE:
-            yield Fault.of("protocol.no_taping", ("tape",), found=describe_value(tape))
-        bore = data.get("conduit_bore")
-        if conduit == NONE and bore is not None:
-            yield Fault.of("protocol.no_conduit", ("conduit_bore",), found=describe_value(bore))
+        if self.tape == NONE and self.taping != NONE:
+            yield Fault.of("protocol.no_tape", ("taping",), found=repr(self.taping))
+        if self.tape != NONE and self.taping == NONE:
+            yield Fault.of("protocol.no_taping", ("tape",), found=repr(self.tape))
+        if self.conduit == NONE and self.conduit_bore is not None:
+            found = f"{1e3 * self.conduit_bore:.12g} mm"
+            yield Fault.of("protocol.no_conduit", ("conduit_bore",), found=repr(found))
 
-    @model_validator(mode="after")
-    def _check_wires(self) -> Self:
-        """Refuse a number, an arrangement and positions that do not fit the wires."""
-        raise_faults(_find_bundle_faults(self.record, self.number))
-        return self
-
-
-def _find_bundle_faults(bundle: Bundle, number: int | None) -> Iterator[Fault]:
-    """Find a stated number, an arrangement and positions that do not fit the wires."""
-    if number not in (None, bundle.number):
-        yield Fault.of("protocol.number_of_wires", ("number",), bundle=bundle, found=number)
-    if len(bundle.wires) == 1 and bundle.arrangement != PACKED:
-        yield Fault.of("protocol.one_type", ("arrangement",), found=bundle.arrangement)
-    found = len(bundle.positions)
-    if found not in (0, bundle.number):
-        yield Fault.of("protocol.number_of_places", ("positions",), bundle=bundle, found=found)
+    def find_value_faults(self) -> Iterator[Fault]:
+        """Find a stated number, an arrangement and positions that do not fit the wires."""
+        bundle = self.record
+        if self.number not in (None, bundle.number):
+            yield Fault.of(
+                "protocol.number_of_wires", ("number",), bundle=bundle, found=self.number
+            )
+        if len(bundle.wires) == 1 and bundle.arrangement != PACKED:
+            yield Fault.of("protocol.one_type", ("arrangement",), found=bundle.arrangement)
+        found = len(bundle.positions)
+        if found not in (0, bundle.number):
+            yield Fault.of("protocol.number_of_places", ("positions",), bundle=bundle, found=found)
 
 
 def parse_bundle(text: str, *, arrangement: str = PACKED) -> Bundle:
@@ -256,12 +245,13 @@ class SheetSpecimen(Block):
         names = (self.type, self.spool, self.sample)
         return Specimen(*names, self.dimensions, bundle, self.labels, self.observed)
 
-    @classmethod
-    def find_contradictions(cls, data: Values) -> Iterator[Fault]:
+    def find_key_faults(self) -> Iterator[Fault]:
         """Find additional keys that name no dimension, and labels with the name of a key."""
-        keys = [*cls.list_keys(), "span"]
-        for key, value in data.items():
-            if key in keys:
+        keys = [*self.list_keys(), "span"]
+        # In a draft, the values of additional keys are those of the file.
+        values: dict[str, Any] = {**self.__pydantic_extra__}
+        for key, value in values.items():
+            if key == "span":
                 continue
             snake_key, path = re.sub(r"\W+", "_", key.casefold()), (key,)
             is_number = not isinstance(value, str) or re.fullmatch(_NUMBER_WITHOUT_UNIT, value)
@@ -272,7 +262,7 @@ class SheetSpecimen(Block):
                 yield Fault.of("protocol.no_dimension", path, at="key", key=key, remedy=remedy)
             elif try_parse_quantity(value, "m") is None and not is_number:
                 yield Fault.of("protocol.label_as_size", path, at="key", key=key, value=value)
-        for key in {*get_block(data, "labels")} & {*keys}:
+        for key in {*(self.labels or {})} & {*keys}:
             yield Fault.of("protocol.label_as_key", ("labels", key), at="key", key=key)
 
 
@@ -479,15 +469,13 @@ class _Parameter(Block):
     because: Remark = ""
     """Origin of a prior or a fixed value."""
 
-    @classmethod
-    def find_contradictions(cls, data: Values) -> Iterator[Fault]:
+    def find_value_faults(self) -> Iterator[Fault]:
         """Find missing keys of a prior or fixed value, and a factor without a prior."""
-        enters, stated_keys = data.get("enters", "free"), {key for key in data if data[key]}
         needed_keys = {"fixed": ("value", "because"), "prior": ("value", "because", "factor")}
-        for key in needed_keys.get(str(enters), ()):
-            if key not in stated_keys:
-                yield Fault.of("protocol.no_key_of_parameter", key=key, enters=enters)
-        if enters in ("free", "fixed") and "factor" in stated_keys:
+        for key in needed_keys.get(self.enters, ()):
+            if not getattr(self, key):
+                yield Fault.of("protocol.no_key_of_parameter", key=key, enters=self.enters)
+        if self.enters != "prior" and self.factor is not None:
             yield Fault.of("protocol.factor_of_no_prior", ("factor",), at="key")
 
 
@@ -681,20 +669,18 @@ class NamePair(Block):
     exports: dict[Role, Pattern] = Field(min_length=1)
     """Pattern of the name of each role's export."""
 
-    @field_validator("exports")
-    @classmethod
-    def _check_fields(cls, exports: dict[Role, NamePattern]) -> dict[Role, NamePattern]:
-        """Refuse patterns with different fields, because exports are paired by their fields."""
-        fields = {role: ", ".join(sorted(pattern.units)) for role, pattern in exports.items()}
+    def find_value_faults(self) -> Iterator[Fault]:
+        """Find patterns with different fields, because exports are paired by their fields."""
+        fields = {role: ", ".join(sorted(pattern.units)) for role, pattern in self.exports.items()}
         first, expected = next(iter(fields.items()))
-        faults = [
-            Fault.of("protocol.other_fields", (role,), other=first, expected=expected, found=found)
-            for role, found in fields.items()
-            if found and found != expected
-        ]
-        faults += [Fault.of("protocol.no_fields", (role,)) for role in fields if not fields[role]]
-        raise_faults(faults)
-        return exports
+        for role, found in fields.items():
+            path = ("exports", role)
+            if not found:
+                yield Fault.of("protocol.no_fields", path)
+            elif found != expected:
+                yield Fault.of(
+                    "protocol.other_fields", path, other=first, expected=expected, found=found
+                )
 
 
 def _fill_in_pairing(value: object) -> object:
@@ -729,10 +715,8 @@ class CampaignPlan(Block):
     look_every: Duration = 0.25
     """Shortest interval between checks of a watch."""
 
-    @classmethod
-    def find_contradictions(cls, data: Values) -> Iterable[Fault]:
+    def find_key_faults(self) -> Iterable[Fault]:
         """Find faults of the specimen as in a test sheet; each test has names of its own."""
         names = {"type": "x", "spool": "x", "sample": "x"}
-        specimen = SheetSpecimen.read(names | dict(get_block(data, "specimen")))
-        faults = specimen if isinstance(specimen, list) else []
-        return [replace(fault, path=("specimen", *fault.path)) for fault in faults]
+        _, faults = SheetSpecimen.read_draft(names | (self.specimen or {}))
+        return prefix_paths(("specimen",), faults)
