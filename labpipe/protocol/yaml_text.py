@@ -51,12 +51,6 @@ def get_block(data: object, *path: str) -> Values:
     return data if isinstance(data, dict) else {}
 
 
-def get_list(data: object, *path: str) -> Sequence[Any]:
-    """Return the list at a path; an empty one if there is none."""
-    items = get_block(data, *path[:-1]).get(path[-1])
-    return items if isinstance(items, list) else ()
-
-
 def describe_value(value: object) -> str:
     """Describe a value of a YAML file for a message; a long text is shortened."""
     if value is None:
@@ -255,6 +249,10 @@ class LocatedList(list[Any]):
 
     def __init__(self) -> None:
         self.locations: list[Location] = []
+
+    def remove_item(self, index: int) -> None:
+        """Remove an item and its location."""
+        del self[index], self.locations[index]
 
 
 @dataclass(slots=True)
