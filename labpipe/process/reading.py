@@ -285,9 +285,7 @@ def _describe_channel_fault(error: NoChannelError, source: Source, path: Path) -
         part = format_overrides(f"{source.key}.part", error.parts[0])
         fault = ReadError.about("process.several_parts", path, count=count, names=names, part=part)
         return str(fault)
-    keys = [
-        channel.key for channel in source.all_channels.values() if channel.names == error.names
-    ]
+    keys = [channel.key for channel in source.all_channels.values() if channel.names == error.names]
     name = format_overrides(f"{keys[0]}.channel", "...") if keys else ""
     return f"{error} Name the right one with {name}." if keys else str(error)
 
