@@ -479,12 +479,7 @@ class Block(BaseModel):
 
     # Pydantic builds a model when it is first used, as most commands use few of them. A default
     # must not build its model: it is constructed without validation.
-    model_config = ConfigDict(
-        extra="forbid",
-        frozen=True,
-        allow_inf_nan=False,
-        defer_build=True,
-    )
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
 
     def __init_subclass__(cls, **options: Any) -> None:
         """Replace the markers of the fields before pydantic reads their types."""

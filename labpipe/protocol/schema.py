@@ -13,11 +13,7 @@ from dataclasses import fields
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeAlias, Union
 
-from pydantic import (
-    AfterValidator,
-    BeforeValidator,
-    Field,
-)
+from pydantic import AfterValidator, BeforeValidator, Field
 
 from labpipe.errors import Fault, KeyPath, format_overrides
 from labpipe.protocol.grammar import (
@@ -41,12 +37,7 @@ from labpipe.protocol.source import (
     assign_roles,
     find_implausible_sizes,
 )
-from labpipe.protocol.yaml_text import (
-    Values,
-    build_choice_fault,
-    build_refusal,
-    raise_faults,
-)
+from labpipe.protocol.yaml_text import Values, build_choice_fault, build_refusal, raise_faults
 from labpipe.records.declarations import (
     LIMITS,
     STEPS,

@@ -43,11 +43,7 @@ from labpipe.protocol.grammar import (
 )
 from labpipe.protocol.schema import Version
 from labpipe.protocol.source import Role, Section, SizeUncertainties
-from labpipe.protocol.yaml_text import (
-    build_refusal,
-    get_block,
-    suggest_word,
-)
+from labpipe.protocol.yaml_text import build_refusal, get_block, suggest_word
 from labpipe.records.declarations import (
     Duration,
     Length,

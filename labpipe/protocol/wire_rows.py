@@ -18,11 +18,7 @@ from pydantic_core import CoreSchema, core_schema
 
 from labpipe.errors import Fault
 from labpipe.protocol.grammar import NUMBER_PATTERN, WINDOWS_DEVICE_NAME, Block, suggest_number
-from labpipe.protocol.yaml_text import (
-    FaultsError,
-    build_choice_fault,
-    build_refusal,
-)
+from labpipe.protocol.yaml_text import FaultsError, build_choice_fault, build_refusal
 from labpipe.records.wire import WireSpec
 
 Numbers = tuple[float, ...]
