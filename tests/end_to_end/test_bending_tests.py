@@ -178,8 +178,8 @@ def test_intervals_of_the_law_cover(repository: Path) -> None:
             drawn = nominal + 0.1 * rng.standard_normal()
             text = text.replace(f"{key}: {nominal:g} mm", f"{key}: {drawn:.6f} mm")
         plan, test = parse_protocol(text, "wire-cantilever.yaml"), observe(scenario, seed)
-        force = name_channels(test.recordings["force"], plan.sources["force"], Path("force.mat"))
-        done: Any = reduce_recordings({"force": force, "markers": test.recordings["markers"]}, plan)
+        force = name_channels(test.records["force"], plan.sources["force"], Path("force.mat"))
+        done: Any = reduce_recordings({"force": force, "markers": test.records["markers"]}, plan)
         law = done.reduced_test.bending.law
         points = evaluate_law(
             law.knots,

@@ -62,8 +62,8 @@ def reduced(
         assert text.count(old) == 1, old
         text = text.replace(old, new)
     plan, take = parse_protocol(text, "p.yaml"), observe(scenario, 3)
-    force = name_channels(take.recordings["force"], plan.sources["force"], Path("force.mat"))
-    done = reduce_recordings({"force": force, "markers": take.recordings["markers"]}, plan)
+    force = name_channels(take.records["force"], plan.sources["force"], Path("force.mat"))
+    done = reduce_recordings({"force": force, "markers": take.records["markers"]}, plan)
     return done.reduced_test, {result.name: result for result in done.results}
 
 
