@@ -12,7 +12,7 @@ import math
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
+from dataclasses import MISSING, dataclass, fields, is_dataclass
 from datetime import date
 from functools import cache, partial
 from importlib.resources import files
@@ -64,6 +64,7 @@ from labpipe.protocol.yaml_text import (
     build_refusal,
     convert_errors,
     parse_yaml,
+    prefix_paths,
     raise_faults,
 )
 from labpipe.records.declarations import (
@@ -644,11 +645,6 @@ def list_items(node: object) -> Iterable[tuple[Any, Any]]:
     if isinstance(node, dict):
         return node.items()
     return enumerate(node) if isinstance(node, tuple) else ()
-
-
-def prefix_paths(path: KeyPath, faults: Iterable[Fault]) -> Iterable[Fault]:
-    """Prefix the paths of faults with that of the block in which they are."""
-    return [replace(fault, path=(*path, *fault.path)) for fault in faults]
 
 
 def build_pydantic_type(hint: Any) -> Any:

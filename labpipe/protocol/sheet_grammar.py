@@ -38,12 +38,11 @@ from labpipe.protocol.grammar import (
     build_path_validator,
     build_row_validator,
     build_unique_name_validator,
-    prefix_paths,
     try_parse_quantity,
 )
 from labpipe.protocol.schema import Version
 from labpipe.protocol.source import Role, Section, SizeUncertainties
-from labpipe.protocol.yaml_text import build_refusal, get_block, suggest_word
+from labpipe.protocol.yaml_text import build_refusal, get_block, prefix_paths, suggest_word
 from labpipe.records.declarations import (
     Duration,
     Length,

@@ -29,12 +29,11 @@ from labpipe.protocol.grammar import (
     find_si_unit,
     list_blocks,
     list_items,
-    prefix_paths,
     suggest_quantity,
     try_parse_quantity,
     wrap_in_list,
 )
-from labpipe.protocol.yaml_text import build_choice_fault, list_nearest, raise_faults
+from labpipe.protocol.yaml_text import build_choice_fault, list_nearest, prefix_paths, raise_faults
 from labpipe.records.declarations import Area, Distance, Length, Quantity, Snake, Uncertainty
 from labpipe.records.recording import EXPORT_FORMATS
 from labpipe.units import get_conversion_factor, parse_quantity

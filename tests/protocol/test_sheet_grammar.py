@@ -180,8 +180,8 @@ def test_a_bore_that_holds_the_wires(wires: object) -> None:
 @pytest.mark.parametrize(
     ("more", "places"),
     [
-        ({"tape": "PVC"}, [("wires", "B1"), ("tape",)]),
-        ({"conduit": "a", "conduit_bore": "1 mm"}, [("wires", "B1")]),
+        ({"tape": "PVC"}, [("wires", "B1", "number"), ("tape",)]),
+        ({"conduit": "a", "conduit_bore": "1 mm"}, [("wires", "B1", "number")]),
     ],
 )
 def test_faults_of_wires_do_not_hide_the_others_or_make_new_ones(
