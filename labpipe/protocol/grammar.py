@@ -48,7 +48,9 @@ from pydantic import (
     TypeAdapter,
     ValidationError,
     ValidationInfo,
+    ValidatorFunctionWrapHandler,
     WithJsonSchema,
+    WrapValidator,
     create_model,
     model_serializer,
     model_validator,
@@ -494,22 +496,7 @@ class Block(BaseModel):
         return [field.alias or name for name, field in cls.model_fields.items()]
 
     @classmethod
-    def read(cls, data: object) -> Self | list[Fault]:
-        """Validate plain values.
-
-        Parameters
-        ----------
-        data : the content of the YAML block; anything but a block is a fault
-
-        Returns
-        -------
-        The block, or all faults of its values.
-        """
-        block, faults = cls.read_draft(data)
-        return faults if block is None or faults else block
-
-    @classmethod
-    def read_draft(cls, data: object) -> tuple[Self | None, list[Fault]]:
+    def read(cls, data: object) -> tuple[Self | None, list[Fault]]:
         """Validate plain values, and check the valid ones even if others are at fault.
 
         Parameters
@@ -546,7 +533,7 @@ class Block(BaseModel):
         return block, faults + [x for x in contradictions if x.path not in known_paths]
 
     def find_key_faults(self) -> Iterable[Fault]:
-        """Find contradictions between keys, even if values are at fault (see `read_draft`).
+        """Find contradictions between keys, even if values are at fault (see `read`).
 
         Returns
         -------
@@ -590,7 +577,7 @@ class Block(BaseModel):
 
 _B = TypeVar("_B", bound=Block)
 _DRAFT = "draft"
-"""Context of a validation in which a block with faults becomes a draft, see `Block.read_draft`."""
+"""Context of a validation in which a block with faults becomes a draft, see `Block.read`."""
 
 
 def _build_draft(block: type[_B], data: Values) -> _B:
@@ -678,7 +665,8 @@ def _replace_markers(inner: Any, markers: tuple[Any, ...]) -> Any:
     """Convert an annotated type into one with validators in place of its markers."""
     for marker in markers:
         if isinstance(marker, TaggedChoice):
-            return Annotated[inner, _ChoiceAnnotation(get_args(inner), marker.key)]
+            choice = _ChoiceAnnotation(get_args(inner), marker.key)
+            return Annotated[inner, choice, WrapValidator(_validate_choice)]
     inner = build_pydantic_type(inner)
     annotations: list[Any] = []
     for marker in markers:
@@ -839,12 +827,11 @@ class _ChoiceAnnotation:
             )
             for kind in self.kinds
         }
-        choice = core_schema.tagged_union_schema(blocks, self.tag)
-        return core_schema.with_info_wrap_validator_function(_validate_choice, choice)
+        return core_schema.tagged_union_schema(blocks, self.tag)
 
 
 def _validate_choice(
-    data: object, handler: core_schema.ValidatorFunctionWrapHandler, info: ValidationInfo
+    data: object, handler: ValidatorFunctionWrapHandler, info: ValidationInfo
 ) -> object:
     """Validate settings of one of several kinds; in a draft, None stands for an unknown kind."""
     try:

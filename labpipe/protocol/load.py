@@ -306,8 +306,8 @@ def resolve_protocol(
     text, name = read_text(protocol_file), str(protocol_file)
     merged = parse_yaml(text, name)
     placed_faults = [*map(sheet_document.place, apply_overrides(merged, sheet_document))]
-    protocol, protocol_faults = Protocol.read_draft(merged.data)
-    is_file_valid = protocol_faults and Protocol.read_draft(parse_yaml(text, name).data)[1] == []
+    protocol, protocol_faults = Protocol.read(merged.data)
+    is_file_valid = protocol_faults and Protocol.read(parse_yaml(text, name).data)[1] == []
     for fault in protocol_faults:
         is_in_sheet = merged.find_location(fault.path)[0].file == str(sheet_path)
         is_due_to_sheet = is_file_valid and not is_in_sheet
@@ -399,7 +399,7 @@ def validate_document(model: type[_B], document: Document) -> _B:
     ProtocolError
         If the file is invalid; the message has one line per fault.
     """
-    block, faults = model.read_draft(document.data)
+    block, faults = model.read(document.data)
     if placed_faults := [*document.faults, *map(document.place, faults)]:
         raise build_error(placed_faults)
     return cast("_B", block)

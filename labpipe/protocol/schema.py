@@ -1,6 +1,6 @@
 """Protocols: the blocks of a protocol file, and their checks against each other.
 
-The checks between blocks also run on a protocol with faults, see `Block.read_draft`: a misspelt key
+The checks between blocks also run on a protocol with faults, see `Block.read`: a misspelt key
 in one block does not hide a fault of another.
 """
 

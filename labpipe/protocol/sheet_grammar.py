@@ -177,9 +177,9 @@ def parse_bundle(text: str, *, arrangement: str = PACKED) -> Bundle:
     UsageError
         If the text has another form, or its wires do not allow the arrangement.
     """
-    bundle = SheetBundle.read({"wires": text, "arrangement": arrangement})
-    if isinstance(bundle, list):
-        raise UsageError("\n".join(_format_fault(fault, text) for fault in bundle))
+    bundle, faults = SheetBundle.read({"wires": text, "arrangement": arrangement})
+    if bundle is None or faults:
+        raise UsageError("\n".join(_format_fault(fault, text) for fault in faults))
     return bundle.record
 
 
@@ -327,21 +327,6 @@ _OVERRIDE_EXAMPLES = {
     "frame": "sources.frame.channels.force.unit: {value: N, because: the export says none}",
 }
 """Override that a comment shows as an example, by role of an export of the test."""
-
-
-def find_sheet_faults(data: Mapping[str, object]) -> list[Fault]:
-    """Validate the values of a test sheet before it is written.
-
-    Parameters
-    ----------
-    data : values with the keys of ``test.yaml``
-
-    Returns
-    -------
-    The faults, with their paths in `data`.
-    """
-    sheet = TestSheet.read(data)
-    return sheet if isinstance(sheet, list) else []
 
 
 def write_test_sheet(data: Mapping[str, object]) -> str:
@@ -713,5 +698,5 @@ class CampaignPlan(Block):
     def find_key_faults(self) -> Iterable[Fault]:
         """Find faults of the specimen as in a test sheet; each test has names of its own."""
         names = {"type": "x", "spool": "x", "sample": "x"}
-        _, faults = SheetSpecimen.read_draft(names | (self.specimen or {}))
+        _, faults = SheetSpecimen.read(names | (self.specimen or {}))
         return prefix_paths(("specimen",), faults)
