@@ -26,7 +26,6 @@ from labpipe.protocol.schema import (
 from labpipe.protocol.sheet_grammar import (
     COPY_REMEDY,
     SHEET_NAME,
-    CalibrationPlan,
     CampaignPlan,
     TestSheet,
 )
@@ -46,7 +45,7 @@ from labpipe.records.declarations import Step, TravelFromSpeed
 from labpipe.units import parse_count
 
 if TYPE_CHECKING:
-    from labpipe.protocol.harness_file import HarnessFile
+    from labpipe.protocol.model_files import CalibrationPlan, HarnessFile
 
 _SUFFIXES = (".yaml", ".yml")
 _Dumper = yaml.CSafeDumper if yaml.__with_libyaml__ else yaml.SafeDumper
@@ -224,6 +223,8 @@ def load_calibration_plan(path: Path) -> CalibrationPlan:
     ProtocolError
         If the file cannot be read or is invalid; the message has one line per fault.
     """
+    from labpipe.protocol.model_files import CalibrationPlan
+
     return validate_document(CalibrationPlan, parse_yaml(read_text(path), str(path)))
 
 
@@ -263,7 +264,7 @@ def load_harness(path: Path) -> HarnessFile:
         If the file cannot be read or is invalid, or if a file that it names does not exist; the
         message has one line per fault.
     """
-    from labpipe.protocol.harness_file import HarnessFile, find_missing_files
+    from labpipe.protocol.model_files import HarnessFile, find_missing_files
 
     document = parse_yaml(read_text(path), str(path))
     harness = validate_document(HarnessFile, document)

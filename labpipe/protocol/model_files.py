@@ -1,20 +1,22 @@
-"""Harness files: one line (a wire, a bundle or a chain), its boundaries, and its motion.
+"""Files for models of wires: harnesses, and plans of calibrations.
 
-A line has a length, a section and a shape without load. Clips, pins, grips, rings and strings hold
-it, loads pull it, and planes support it. Time is counted in steps; each step is an equilibrium, and
-step 0 is the start.
+A harness is one line (a wire, a bundle or a chain) with its boundaries and its motion. A line has a
+length, a section and a shape without load. Clips, pins, grips, rings and strings hold it, loads
+pull it, and planes support it. Time is counted in steps. Each step is an equilibrium, and step 0 is
+the start.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from functools import partial
 from itertools import combinations, pairwise
 from pathlib import Path
 from typing import Annotated, Literal, TypeAlias
 
 import numpy as np
-from pydantic import AfterValidator, Field, PlainSerializer, PlainValidator
+from pydantic import AfterValidator, BeforeValidator, Field, PlainSerializer, PlainValidator
 
 from labpipe.errors import Fault, KeyPath
 from labpipe.protocol.grammar import (
@@ -23,9 +25,11 @@ from labpipe.protocol.grammar import (
     Remark,
     SingleLine,
     Text,
+    build_path_validator,
     build_row_validator,
     build_unique_name_validator,
     suggest_quantity,
+    try_parse_quantity,
 )
 from labpipe.protocol.schema import Version
 from labpipe.protocol.source import Plausible, find_implausible_sizes
@@ -577,3 +581,135 @@ def find_missing_files(harness: HarnessFile, path: Path) -> Iterator[Fault]:
                 name=name,
                 paths=[path.parent / name, Path(name)],
             )
+
+
+_COPY_CURVE = "Copy the curve into the folder of the plan and name it from there."
+
+
+def _parse_unit(si_unit: str, value: object) -> str:
+    if try_parse_quantity(f"1 {value}", si_unit) is None:
+        raise build_refusal("protocol.no_unit_like", found=value, si_unit=si_unit)
+    return str(value)
+
+
+def _parse_sign(value: object) -> int:
+    if str(value) not in ("1", "+1", "-1"):
+        raise build_refusal("protocol.no_sign", found=value)
+    return int(str(value))
+
+
+LengthUnit = Annotated[str, BeforeValidator(partial(_parse_unit, "m")), Field(examples=["mm"])]
+ForceUnit = Annotated[str, BeforeValidator(partial(_parse_unit, "N")), Field(examples=["N"])]
+Sign = Annotated[Literal[1, -1], BeforeValidator(_parse_sign)]
+
+
+class _Column(Block):
+    """One of the two columns of a curve."""
+
+    column: Text | None = None
+    """Name of the column, or its number, counted from 1; by default 'deflection' or 'force'."""
+    sign: Sign = 1
+    """-1 if the values decrease in the direction of bending."""
+
+
+class DeflectionColumn(_Column):
+    """Column of the deflection of the tip."""
+
+    unit: LengthUnit | None = None
+    """Unit of the values, if the heading states none."""
+
+
+class ForceColumn(_Column):
+    """Column of the force at the tip."""
+
+    unit: ForceUnit | None = None
+    """Unit of the values, if the heading states none."""
+
+
+class Comparison(Block):
+    """External curve: from finite elements, a digitised figure or another lab."""
+
+    name: Text
+    file: Annotated[str, build_path_validator("the folder of the plan", _COPY_CURVE)]
+    """File (csv or xlsx) in the folder of the plan, or below it."""
+    wire: Text
+    """Name of the wire in the wire sheet."""
+    length: Length
+    """Free length."""
+    load: Literal["as tested", "normal"] = "as tested"
+    """Direction of the force; as tested: that of the string of the tests; normal: normal to the
+    undeformed axis, as in most finite-element models."""
+    deflection: DeflectionColumn = DeflectionColumn.model_construct()
+    force: ForceColumn = ForceColumn.model_construct()
+    because: Text
+    """Origin of the curve."""
+
+
+Friction = Annotated[float, Quantity("N", "N", "0.05 N", above=0.0)]
+Modulus = Annotated[float, Quantity("Pa", "MPa", "1000 MPa", above=0.0)]
+Scale = Annotated[float, Quantity("1", "1", "1", above=0.0)]
+RelativeScatter = Annotated[float, Quantity("1", "%", "3 %", minimum=0.0, maximum=0.5)]
+Factor = Annotated[float, Quantity("1", "1", "1.5", above=1.0)]
+
+
+class _Parameter(Block):
+    """Treatment of one parameter in a calibration."""
+
+    enters: Literal["free", "fixed", "prior"] = "free"
+    """free: fitted; fixed: constant; prior: fitted with a log-normal prior."""
+    factor: Factor | None = None
+    """Factor of a prior, whose 95 % interval is value / factor to value x factor."""
+    because: Remark = ""
+    """Origin of a prior or a fixed value."""
+
+    def find_value_faults(self) -> Iterator[Fault]:
+        """Find missing keys of a prior or fixed value, and a factor without a prior."""
+        needed_keys = {"fixed": ("value", "because"), "prior": ("value", "because", "factor")}
+        for key in needed_keys.get(self.enters, ()):
+            if not getattr(self, key):
+                yield Fault.of("protocol.no_key_of_parameter", key=key, enters=self.enters)
+        if self.enters != "prior" and self.factor is not None:
+            yield Fault.of("protocol.factor_of_no_prior", ("factor",), at="key")
+
+
+class RadialFriction(_Parameter):
+    """Radial friction phi = F_rad (mu_s + mu_p)."""
+
+    value: Friction | None = None
+
+
+class InsulationModulus(_Parameter):
+    """Young's modulus of the insulation."""
+
+    value: Modulus | None = None
+
+
+class CopperScale(_Parameter):
+    """Factor on the strength of the copper."""
+
+    value: Scale | None = None
+
+
+class Parameters(Block):
+    """Parameters of a calibration."""
+
+    radial_friction: RadialFriction = RadialFriction.model_construct()
+    insulation_modulus: InsulationModulus = InsulationModulus.model_construct()
+    copper_scale: CopperScale = CopperScale.model_construct()
+
+
+class CalibrationPlan(Block):
+    """Plan of a calibration: its parameters, tests and external curves."""
+
+    version: Version
+    wire: Text | None = None
+    """Specimen type whose tests are fitted; other types are predicted."""
+    parameters: Parameters = Parameters.model_construct()
+    scatter: RelativeScatter | None = None
+    """Relative standard deviation between samples, if it is known."""
+    points: Annotated[int, WholeNumber(20, 5000)] = 272
+    """Number of points of each curve."""
+    up_to: Length | None = None
+    """Largest deflection that the fit uses."""
+    comparisons: Annotated[tuple[Comparison, ...], build_unique_name_validator("comparison")] = ()
+    """External curves to compare with tests and model."""
