@@ -17,11 +17,11 @@ import yaml
 from labpipe.errors import Fault, KeyPath, ProtocolError, sort_by_likeness
 from labpipe.protocol.grammar import Block
 from labpipe.protocol.schema import (
-    MARKER_FIGURES,
     AlignNone,
     Protocol,
+    find_unknown_main_results,
     list_result_names,
-    list_summary_names,
+    list_unmet_needs,
 )
 from labpipe.protocol.sheet_grammar import (
     COPY_REMEDY,
@@ -306,14 +306,17 @@ def resolve_protocol(
         raise build_error([sheet_document.place(protocol_file)])
     text, name = read_text(protocol_file), str(protocol_file)
     merged = parse_yaml(text, name)
-    placed_faults = [*map(sheet_document.place, apply_overrides(merged, sheet_document))]
+    merged.faults += map(sheet_document.place, apply_overrides(merged, sheet_document))
     protocol, protocol_faults = Protocol.read(merged.data)
     is_file_valid = protocol_faults and Protocol.read(parse_yaml(text, name).data)[1] == []
+    placed_faults = []
     for fault in protocol_faults:
         is_in_sheet = merged.find_location(fault.path)[0].file == str(sheet_path)
         is_due_to_sheet = is_file_valid and not is_in_sheet
         remark = f"(With the overrides of {sheet_path}.)" if is_due_to_sheet else ""
-        placed_faults.append(merged.place(fault, remark))
+        # A main result that an override removes is removed from the groups, too.
+        if not (is_due_to_sheet and fault.path[:2] == ("groups", "main")):
+            placed_faults.append(merged.place(fault, remark))
     faults: list[Fault] = []
     if protocol is not None:
         # A test sheet cannot override whether links are followed.
@@ -321,7 +324,7 @@ def resolve_protocol(
         faults += _find_role_faults(sheet, protocol)
         faults += _find_link_faults(sheet, sheet_path.parent, follow_links=follow_links)
         faults += _find_wrong_answers(sheet, protocol)
-    if protocol is None or protocol_faults:
+    if protocol is None or placed_faults:
         raise build_error([*merged.faults, *placed_faults, *map(sheet_document.place, faults)])
     # Overrides may have removed steps: the others keep the numbers that they have in the file.
     steps = tuple(
@@ -335,8 +338,7 @@ def resolve_protocol(
         sheet.specimen, ("specimen",), ranges, other_lengths=dimensions
     )
     faults += find_missing_curve_sources(reduced_protocol, protocol)
-    placed_faults += map(sheet_document.place, faults)
-    if placed_faults := [*merged.faults, *placed_faults]:
+    if placed_faults := [*merged.faults, *map(sheet_document.place, faults)]:
         raise build_error(placed_faults)
     return reduced_protocol
 
@@ -452,7 +454,7 @@ def apply_overrides(protocol: Document, sheet: Document) -> Iterator[Fault]:
     """Apply the overrides of a test sheet to a protocol.
 
     Changed values get their locations in the sheet. An override with null removes an item of a
-    list; a removed result is also removed from ``groups.main``.
+    list.
 
     Parameters
     ----------
@@ -480,29 +482,11 @@ def apply_overrides(protocol: Document, sheet: Document) -> Iterator[Fault]:
             yield Fault.of("protocol.not_overridable", path[:2], at="key", key=key)
         else:
             value_paths[key] = path
-    names = _list_all_names(protocol)
     for key, path in value_paths.items():
         yield from _set_value(protocol, key, sheet, path)
     align = get_block(protocol.data).get("align")
     if "align" in overrides and isinstance(align, dict) and align.get("method") == "stated":
         align.setdefault("because", sheet.get_value(("overrides", "align", "because")))
-    _remove_main_results(protocol, names - _list_all_names(protocol))
-
-
-def _list_all_names(protocol: Document) -> set[str]:
-    """List the names of all results in the summary, without numbers of cycles."""
-    results = get_block(protocol.data).get("results")
-    items = results if isinstance(results, list) else []
-    return {name for item in items for name in _list_names(item)}
-
-
-def _remove_main_results(protocol: Document, removed_names: set[str]) -> None:
-    """Remove results from ``groups.main``."""
-    main = get_block(protocol.data, "groups").get("main")
-    if isinstance(main, LocatedList):
-        for index, name in reversed([*enumerate(main)]):
-            if str(name).partition(".")[0] in removed_names:
-                main.remove_item(index)
 
 
 def _set_value(
@@ -534,7 +518,7 @@ def _set_value(
             node[word], node.locations[word] = LocatedBlock(), location._replace(name=word)
         node = node[key]
     if isinstance(node, LocatedList) and value is None:
-        node.remove_item(key)
+        del node[key], node.locations[key]
         return
     location = location._replace(name=node.locations[key].name if isinstance(key, int) else word)
     node[key], node.locations[key] = copy.deepcopy(value), location
@@ -601,32 +585,26 @@ def remove_absent_sources(protocol: Protocol, roles: Collection[str]) -> Protoco
         if role in roles or not source.optional
     }
     reduced = protocol.model_copy(update={"sources": sources})
-    lacks_markers = "markers" in protocol.sources and "markers" not in sources
     steps = tuple(_list_possible_steps(reduced, {*protocol.channels} - {*reduced.channels}))
-    computed_channels = {step.channel for step in steps if isinstance(step, TravelFromSpeed)}
-    has_one_clock = protocol.curve is not None and protocol.curve.displacement in computed_channels
-    results = tuple(
-        result
-        for result in reduced.results
-        if not (result.needs.shape and lacks_markers)
-        and not (result.needs.clocks and has_one_clock)
-    )
-    removed_names = {
-        name
-        for result in protocol.results
-        if result not in results
-        for name in list_summary_names(result)
-    }
-    main = tuple(name for name in reduced.groups.main if name not in removed_names)
-    groups = reduced.groups.model_copy(update={"main": main})
-    update: dict[str, object] = {"steps": steps, "results": results, "groups": groups}
-    if has_one_clock:
-        update["align"] = AlignNone()
-    if lacks_markers:
-        figures = tuple(name for name in reduced.report.figures if name not in MARKER_FIGURES)
-        update["report"] = reduced.report.model_copy(update={"figures": figures})
+    update: dict[str, object] = {"steps": steps}
+    if "markers" not in sources:
         update["markers"] = None
-    return reduced.model_copy(update=update)
+    computed_channels = {step.channel for step in steps if isinstance(step, TravelFromSpeed)}
+    if protocol.curve is not None and protocol.curve.displacement in computed_channels:
+        update["align"] = AlignNone()
+    reduced = reduced.model_copy(update=update)
+    unmet = {path for path, *_ in list_unmet_needs(reduced)}
+    results = enumerate(reduced.results)
+    kept_results = tuple(x for index, x in results if ("results", index, "result") not in unmet)
+    reduced = reduced.model_copy(update={"results": kept_results})
+    unmet = {path for path, *_ in list_unmet_needs(reduced)}
+    unmet |= {fault.path for fault in find_unknown_main_results(reduced)}
+    figures, main = enumerate(reduced.report.figures), enumerate(reduced.groups.main)
+    kept_figures = tuple(x for index, x in figures if ("report", "figures", index) not in unmet)
+    kept_main = tuple(name for index, name in main if ("groups", "main", index) not in unmet)
+    report = reduced.report.model_copy(update={"figures": kept_figures})
+    groups = reduced.groups.model_copy(update={"main": kept_main})
+    return reduced.model_copy(update={"report": report, "groups": groups})
 
 
 def find_missing_curve_sources(protocol: Protocol, full_protocol: Protocol) -> Iterator[Fault]:

@@ -88,8 +88,6 @@ FIGURES: Final = MappingProxyType(
     }
 )
 """Figures that a protocol can name, and what they need."""
-MARKER_FIGURES: Final = frozenset(name for name in FIGURES if {*FIGURES[name]} - {_CURVE})
-"""Figures that need a source of marker tracks."""
 
 if TYPE_CHECKING:
     ResultEntry: TypeAlias = Kind
@@ -473,7 +471,7 @@ class Protocol(Block):
             yield from _find_curve_faults(self)
         yield from _find_unmet_needs(self)
         yield from _find_result_faults(self)
-        yield from _find_unknown_main_results(self)
+        yield from find_unknown_main_results(self)
 
     def find_value_faults(self) -> Faults:
         """Find implausible dimensions, and two different uncertainties of one length."""
@@ -549,14 +547,12 @@ def _find_repeated_channels(protocol: Protocol) -> Faults:
 
 def _find_unmet_needs(protocol: Protocol) -> Faults:
     """Find needs of steps, results and figures that the protocol does not meet."""
-    met_needs = {*_list_met_needs(protocol)}
-    for path, user, need in _list_needs(protocol):
-        if need not in met_needs:
-            remedy = _REMEDIES.get(need, f"Add {need}.").replace("Add a ", "Add the ")
-            if user in KINDS_BY_NAME and need.startswith("a block 'curve."):
-                override = format_overrides(f"results.{user}", "null")
-                remedy = f"{remedy[:-1]}, or remove the result: {override}."
-            yield Fault.of("protocol.lacking", path, need=need, user=user, remedy=remedy)
+    for path, user, need in list_unmet_needs(protocol):
+        remedy = _REMEDIES.get(need, f"Add {need}.").replace("Add a ", "Add the ")
+        if user in KINDS_BY_NAME and need.startswith("a block 'curve."):
+            override = format_overrides(f"results.{user}", "null")
+            remedy = f"{remedy[:-1]}, or remove the result: {override}."
+        yield Fault.of("protocol.lacking", path, need=need, user=user, remedy=remedy)
 
 
 def _list_met_needs(protocol: Protocol) -> Iterator[str]:
@@ -578,8 +574,8 @@ def _list_met_needs(protocol: Protocol) -> Iterator[str]:
     yield from (f"a result {result.result!r}" for result in protocol.results if result)
 
 
-def _list_needs(protocol: Protocol) -> Iterator[tuple[KeyPath, str, str]]:
-    """Yield path, name and need of each step, result, figure and block that needs another one."""
+def list_unmet_needs(protocol: Protocol) -> list[tuple[KeyPath, str, str]]:
+    """List path, name and need of each step, result, figure and block that lacks another one."""
     curve, align = protocol.curve, protocol.align
     users: list[tuple[KeyPath, str, Iterable[str]]] = []
     for step in protocol.steps:
@@ -599,7 +595,9 @@ def _list_needs(protocol: Protocol) -> Iterator[tuple[KeyPath, str, str]]:
     if len({*clocks} - {None}) > 1:
         is_stated = "align" in protocol.model_fields_set
         users.append((("align", "method") if is_stated else ("curve",), "curve", [_ALIGNMENT]))
-    return ((path, name, need) for path, name, needs in users for need in needs)
+    met_needs = {*_list_met_needs(protocol)}
+    needs_of_users = ((path, name, need) for path, name, needs in users for need in needs)
+    return [(path, name, need) for path, name, need in needs_of_users if need not in met_needs]
 
 
 def _list_results(protocol: Protocol) -> list[tuple[KeyPath, Kind]]:
@@ -723,7 +721,7 @@ def _find_result_faults(protocol: Protocol) -> Faults:
         ]
 
 
-def _find_unknown_main_results(protocol: Protocol) -> Faults:
+def find_unknown_main_results(protocol: Protocol) -> Faults:
     """Find main results of groups that no entry of ``results`` gives."""
     results = (result for _, result in _list_results(protocol))
     names = [name for result in results for name in list_summary_names(result)]

@@ -232,10 +232,6 @@ class LocatedList(list[Any]):
     def __init__(self) -> None:
         self.locations: list[Location] = []
 
-    def remove_item(self, index: int) -> None:
-        """Remove an item and its location."""
-        del self[index], self.locations[index]
-
 
 @dataclass(slots=True)
 class Document:
