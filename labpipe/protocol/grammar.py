@@ -520,9 +520,9 @@ class Block(BaseModel):
         known_paths = {fault.path + (fault.missing,) * bool(fault.missing) for fault in faults}
         contradictions: list[Fault] = []
         for path, value in reversed([*list_blocks(block)]):  # inner blocks before outer ones
+            fault_paths = known_paths.union(fault.path for fault in contradictions)
             if isinstance(value, Block):
                 contradictions += prefix_paths(path, value.find_key_faults())
-            fault_paths = known_paths.union(fault.path for fault in contradictions)
             if not any(fault_path[: len(path)] == path for fault_path in fault_paths):
                 find_faults = getattr(value, "find_value_faults", tuple[Fault, ...])
                 contradictions += prefix_paths(path, find_faults())
@@ -542,7 +542,7 @@ class Block(BaseModel):
         return ()
 
     def find_value_faults(self) -> Iterable[Fault]:
-        """Find contradictions between values; called only if the block has no other faults.
+        """Find contradictions between values; called only if each of them is valid.
 
         Returns
         -------
