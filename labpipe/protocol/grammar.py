@@ -19,6 +19,7 @@ from importlib.resources import files
 from pathlib import PurePosixPath, PureWindowsPath
 from types import MappingProxyType, UnionType
 from typing import (
+    TYPE_CHECKING,
     Annotated,
     Any,
     Final,
@@ -107,6 +108,10 @@ SI_UNITS: Final = MappingProxyType(
     }
 )
 """SI unit of each quantity that a protocol can name."""
+if TYPE_CHECKING:
+    QuantityName = str
+else:
+    QuantityName = Literal[tuple(SI_UNITS)]
 
 NUMBER_PATTERN: Final = r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?"
 """Pattern of a number with a decimal point."""

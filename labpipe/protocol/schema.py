@@ -20,6 +20,7 @@ from labpipe.protocol.grammar import (
     SI_UNITS,
     Block,
     FileStem,
+    QuantityName,
     Remark,
     Text,
     format_span,
@@ -37,7 +38,7 @@ from labpipe.protocol.source import (
     assign_roles,
     find_implausible_sizes,
 )
-from labpipe.protocol.yaml_text import Values, build_choice_fault, build_refusal, raise_faults
+from labpipe.protocol.yaml_text import Values, build_choice_fault, build_refusal
 from labpipe.records.declarations import (
     LIMITS,
     STEPS,
@@ -330,30 +331,23 @@ class Branches(Block):
     """Smallest motion between two turning points; a smaller one is noise."""
 
 
-def _check_display(units: dict[str, str]) -> dict[str, str]:
-    """Refuse units of unknown quantities, and units of another dimension."""
-    faults = []
-    for quantity, unit in units.items():
-        path, si_unit = (quantity,), SI_UNITS.get(quantity)
-        if si_unit is None:
-            expected = "one of the quantities"
-            faults.append(build_choice_fault(path, quantity, SI_UNITS, expected, at="key"))
-        elif try_parse_quantity(f"1 {unit}", si_unit) is None:
-            example, found = f"{quantity} such as {si_unit}", repr(unit)
-            faults.append(Fault.of("protocol.no_unit", path, quantity=example, found=found))
-    raise_faults(faults)
-    return units
-
-
 class Report(Block):
     """Units and figures of the report."""
 
-    display: Annotated[dict[str, Text], AfterValidator(_check_display)] = Field({})
+    display: dict[QuantityName, Text] = Field({})
     """Unit of each quantity, such as force: mN."""
     figures: tuple[_FigureName, ...] = ()
     """Figures of each test, in this order."""
     style: Literal["page", "journal"] = "page"
     """Style of figures: as on the page, or with a serif font for a journal."""
+
+    def find_value_faults(self) -> Faults:
+        """Find units of another dimension."""
+        for quantity, unit in self.display.items():
+            si_unit, path = SI_UNITS[quantity], ("display", quantity)
+            if try_parse_quantity(f"1 {unit}", si_unit) is None:
+                example, found = f"{quantity} such as {si_unit}", repr(unit)
+                yield Fault.of("protocol.no_unit", path, quantity=example, found=found)
 
 
 LotFraction: TypeAlias = Annotated[float, Quantity("1", "%", "99 %", minimum=0.5, maximum=0.9999)]

@@ -24,6 +24,7 @@ from labpipe.protocol.grammar import (
     SI_UNITS,
     Block,
     Day,
+    QuantityName,
     Text,
     explain_unit,
     find_si_unit,
@@ -33,7 +34,7 @@ from labpipe.protocol.grammar import (
     try_parse_quantity,
     wrap_in_list,
 )
-from labpipe.protocol.yaml_text import build_choice_fault, list_nearest, prefix_paths, raise_faults
+from labpipe.protocol.yaml_text import list_nearest, prefix_paths, raise_faults
 from labpipe.records.declarations import Area, Distance, Length, Quantity, Snake, Uncertainty
 from labpipe.records.recording import EXPORT_FORMATS
 from labpipe.units import get_conversion_factor, parse_quantity
@@ -317,7 +318,7 @@ class ChannelSource(Block):
     wrong_unit_in_file: Text | None = None
     """Unit that the export states by mistake; 'unit' is the right one."""
     calibration: Calibration | None = None
-    quantity: Snake | None = None
+    quantity: QuantityName | None = None
     """Measured quantity, if it is not the name of the channel."""
     plausible_peak: PlausibleRange | None = None
     """Range of the largest absolute value; results are doubtful outside it."""
@@ -411,10 +412,7 @@ class ChannelSource(Block):
         """Find an unknown quantity, and values that do not fit it."""
         quantity = self.measured_quantity
         if quantity not in SI_UNITS:
-            if self.quantity is None:
-                yield Fault.of("protocol.no_measurand", valid=list_nearest(quantity, SI_UNITS))
-            else:
-                yield build_choice_fault(("quantity",), quantity, SI_UNITS, "one of the quantities")
+            yield Fault.of("protocol.no_measurand", valid=list_nearest(quantity, SI_UNITS))
             return
         if self.plausible_peak is not None:
             faults = _find_range_faults(self.plausible_peak, self.target_unit)
