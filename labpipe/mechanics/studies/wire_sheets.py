@@ -287,10 +287,9 @@ def _parse_rows(block_type: type[_B], rows: Sequence[Mapping[str, Cell]], file: 
     faults: list[PlacedFault] = []
     for row in rows:
         cells = {key: cell for key, cell in row.items() if key in block_type.model_fields}
-        block = block_type.read({key: cell.text for key, cell in cells.items()})
-        if isinstance(block, list):
-            faults += place_faults(block, cells)
-        else:
+        block, row_faults = block_type.read({key: cell.text for key, cell in cells.items()})
+        faults += place_faults(row_faults, cells)
+        if block is not None:
             blocks.append(block)
     raise_faults(file, faults)
     return blocks
@@ -428,10 +427,9 @@ def read_wire_sheet(path: Path) -> WireSheet:
     tables: dict[tuple[str, str], StatedCurve] = {}
     wire_rows: list[WireRow] = []
     for row in rows:
-        wire_row = WireRow.read({name: cell.text for name, cell in row.items()})
-        if isinstance(wire_row, list):
-            messages += format_faults(path, place_faults(wire_row, row))
-        else:
+        wire_row, faults = WireRow.read({name: cell.text for name, cell in row.items()})
+        messages += format_faults(path, place_faults(faults, row))
+        if wire_row is not None:
             wire_rows.append(wire_row)
         for column, cell in _list_table_names(row):
             try:
