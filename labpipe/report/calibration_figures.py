@@ -70,7 +70,7 @@ def make_bent_shapes_page(name: str, test: str, shapes: Sequence[summary.BentSha
     min_aspect, max_aspect = 0.35, 1.1
     title = f"{test}  \u00b7  shapes at {len(shapes)} deflections of the tip"
     if not shapes:
-        panels = [plots.make_empty_plot("There is no shape to draw.")]
+        panels = [Plot(reason="There is no shape to draw.")]
         return Page(name, title, panels, height=40.0, width=plots.SINGLE_COLUMN)
     lines, labels, point_sets = [], [], [np.zeros((1, 2))]
     for shape in shapes:
@@ -227,7 +227,7 @@ def make_profile_plot(parameter: CalibratedParameter, heading: str = "") -> Plot
     """
     normal_quantile = 1.959963984540054  # of the probability 0.975, for a 95 % interval
     if not parameter.profiles:
-        return Plot(Axis(), Axis(), heading=heading, reason=summary.typeset(parameter.explanation))
+        return Plot(heading=heading, reason=summary.typeset(parameter.explanation))
     low, high = find_panel_range(parameter)
     lines, last_number = [], len(parameter.intervals) - 1
     for number, interval in enumerate(parameter.intervals):

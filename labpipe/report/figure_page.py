@@ -193,7 +193,7 @@ def draw_plot(plot: Plot, axes: Axes, colours: Axis | None = None) -> None:
     """
     from matplotlib.legend import Legend
 
-    if plot.reason:
+    if plot.reason and not plot.lines:
         axes.set_axis_off()
         text = textwrap.fill(plot.reason, 60 if axes.get_position().width > 0.3 else 30)
         axes.annotate(text, (0.5, 0.5), xycoords="axes fraction", ha="center", va="center", c=GREY)

@@ -189,7 +189,7 @@ def list_group_figures(group: Group) -> Iterator[Page]:
     title = f"{group.name}  \u00b7  {group.protocol}  \u00b7  {counts}"
     if "curves" not in figures:
         reason = "No sample has a curve." if group.samples else "No sample in this group."
-        panels, width = [plots.make_empty_plot(reason)], plots.SINGLE_COLUMN
+        panels, width = [Plot(reason=reason)], plots.SINGLE_COLUMN
         yield Page("curves", title, panels, height=40.0, width=width, caption=reason, alt=reason)
     for name, panels in figures.items():
         yield make_page(name, title, panels, 2, panels[0].caption)

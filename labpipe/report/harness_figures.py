@@ -283,7 +283,7 @@ def make_sweep_page(sweep: DrawnSweep) -> Page:
             look: dict[str, Any] = {"color": colour, "linestyle": DASHED if is_doubtful else "-"}
             lines.append(make_line("line_of_length", *positions[:, axes].T, label=label, **look))
     x, y = (Axis("xyz"[axis], LENGTH_SCALE) for axis in axes)
-    reason = "" if lines else "No line was found for any length."
+    reason = "No line was found for any length."
     shape_plot = Plot(x, y, lines, f"From the {view}, by length", reason=reason, is_to_scale=True)
     title = f"{sweep.name}  ·  length against bend radius"
     panels = [shape_plot, _make_sweep_plot(sweep)]

@@ -17,13 +17,14 @@ from labpipe.records.causes import IS_COMMON
 from labpipe.records.group import Campaign, Group, GroupNumber, Lot, Sample
 from labpipe.records.quality import Reason, Severity
 from labpipe.records.result import Instrument, Result, Status, find_result
-from labpipe.report import quality_figures, wording
+from labpipe.report import figures, wording
 from labpipe.report.figure_page import split_pages
 from labpipe.report.issues import DECISIONS, Cause, find_notes, join_sentences
 from labpipe.report.plot_records import MeanStrip, clip_range, make_mean_strip
 from labpipe.report.table_records import DASH, Cell, Record, Table, tabulate
 from labpipe.statistics.group_samples import NOT_STATED, SPOOL, list_fields
 from labpipe.statistics.lots import FORCE_LIMIT, write_percent
+from labpipe.statistics.means import summarise_budget
 
 
 @dataclass(frozen=True, slots=True)
@@ -394,7 +395,7 @@ def make_sample_tables(group: Group, tests: PageTests) -> list[Table]:
     return tables
 
 
-def make_budget_bars(group: Group) -> tuple[list[quality_figures.BudgetBar], Mapping[str, Any]]:
+def make_budget_bars(group: Group) -> tuple[list[figures.BudgetBar], Mapping[str, Any]]:
     """Make the bars of the uncertainty budgets of a group.
 
     Parameters
@@ -406,17 +407,27 @@ def make_budget_bars(group: Group) -> tuple[list[quality_figures.BudgetBar], Map
     Up to five bars, of the first means with intervals or, without any, of the single tests; and
     ``colour`` and ``is_common`` of each of their causes.
     """
-    n_bars = 5
-    mean_bars = quality_figures.make_group_bars(group, of_means=True)
-    test_bars = quality_figures.make_group_bars(group, of_means=False)
-    n = max((len(number.values) for number in group.numbers), default=0)
-    text = "one test" if n == 1 else f"{n} tests"
-    bars = [bar for bar in mean_bars if bar.shares]
-    bars = (bars or [bar._replace(text=text) for bar in test_bars])[:n_bars]
-    shares = quality_figures.sort_shares([bar.shares for bar in bars])
+    n_bars, display = 5, wording.find_display(group)
+    numbers = [number for number in group.numbers if figures.has_budget_bar(number.name)]
+    all_budgets = ((number, summarise_budget(number)) for number in numbers)
+    budgets = [(number, budget) for number, budget in all_budgets if budget.test_shares]
+    bars = [
+        figures.make_budget_bar(number, budget.mean_shares, number.mean.chosen.interval, display)
+        for number, budget in budgets
+        if budget.mean_shares
+    ]
+    if not bars:
+        n = max((len(number.values) for number in group.numbers), default=0)
+        text = "one test" if n == 1 else f"{n} tests"
+        bars = [
+            figures.make_budget_bar(number, budget.test_shares, None, display)._replace(text=text)
+            for number, budget in budgets
+        ]
+    bars = bars[:n_bars]
+    shares = figures.sort_shares([bar.shares for bar in bars])
     cause_looks = {
-        name: {"colour": quality_figures.find_cause_colour(name), "is_common": IS_COMMON.get(name)}
-        for name in quality_figures.list_drawn_causes(shares)
+        name: {"colour": figures.find_cause_colour(name), "is_common": IS_COMMON.get(name)}
+        for name in figures.list_drawn_causes(shares)
     }
     bars = [bar._replace(shares=part) for bar, part in zip(bars, shares, strict=True)]
     return bars, cause_looks

@@ -19,8 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from labpipe.records.arrays import Flags, Floats, Ints
 from labpipe.records.curve import Interval
-from labpipe.records.result import TestResult
-from labpipe.report.wording import Scale, write_footnote, write_title
+from labpipe.report.wording import Scale
 
 GRID_SIZE = 65535
 """Largest integer coordinate between the ends of an axis on the page of a report."""
@@ -282,7 +281,7 @@ class Plot:
     heading : heading of the panel, for a figure of several panels
     labels : texts in the panel of a figure
     legend : entries of the legend; without any, a figure lists the labels of the looks of its lines
-    reason : reason why a figure shows nothing here; empty if it shows something
+    reason : reason why there are no lines, which a figure shows instead of them
     inner_key : labels of the last lines, for a key inside the panel; not on the page of a report
     is_to_scale : whether both axes of a figure have the same scale
     has_frame : whether a figure shows axes and labels
@@ -295,8 +294,8 @@ class Plot:
     size : width and height of the area between the axes, points
     """
 
-    x: Axis
-    y: Axis
+    x: Axis = Axis()
+    y: Axis = Axis()
     lines: Sequence[Line] = ()
     heading: str = ""
     labels: Sequence[Label] = ()
@@ -352,30 +351,6 @@ class Page:
     colours: Axis | None = None
     caption: str = ""
     alt: str = ""
-
-
-def make_empty_plot(reason: str) -> Plot:
-    """Make a plot that gives the reason why it shows nothing."""
-    return Plot(Axis(), Axis(), reason=reason)
-
-
-def make_test_page(
-    result: TestResult, name: str, plots: Sequence[Plot], note: str = "", **settings: Any
-) -> Page:
-    """Make a page of a test.
-
-    Parameters
-    ----------
-    result : result of the test, for the title and the footnote
-    name : name of the files of the page
-    plots : panels of the page
-    note : start of the footnote
-    settings : fields of `Page` for size and layout; a page that shows nothing is small
-    """
-    if all(plot.reason for plot in plots):
-        settings = {"height": 40.0}
-    footnote = " ".join(filter(None, [note, write_footnote(result)]))
-    return Page(name, write_title(result), plots, footnote, **settings)
 
 
 def make_axis(name: str, scale: Scale, values: Iterable[Floats], *, margin: float = 0.03) -> Axis:

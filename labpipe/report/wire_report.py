@@ -313,7 +313,7 @@ def make_cantilever_page(table: WireTable) -> Page:
         at_rest = format_sentence("report.cantilever_at_rest", force=force, sag=sag)
         note = f"{at_rest} {note}"
     if len(table.tip_deflection) < 2:  # only the state at rest
-        panel = plots.make_empty_plot(format_sentence("report.no_end_loads"))
+        panel = Plot(reason=format_sentence("report.no_end_loads"))
         return _make_wire_page(table, "cantilever", [panel], 40.0, note)
     x = table.tip_deflection
     end = float(x[-1])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import isfinite
@@ -13,8 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from labpipe.protocol.grammar import SI_UNITS
 from labpipe.records.curve import Interval
 from labpipe.records.group import MeanInterval
-from labpipe.records.quality import Severity
-from labpipe.records.result import Result, Status, TestResult
+from labpipe.records.result import Result
 from labpipe.results import KINDS
 from labpipe.statistics.lots import FORCE_LIMIT
 from labpipe.units import get_conversion_factor
@@ -32,21 +30,6 @@ class Scale(NamedTuple):
     def label(self, quantity: str) -> str:
         """Write the label of an axis or a column, such as ``Displacement (mm)``."""
         return f"{quantity} ({self.unit})" if self.unit else quantity
-
-
-def write_title(result: TestResult) -> str:
-    """Write the names of a test, its specimen and its protocol in one line."""
-    specimen = result.specimen
-    specimen_text = f"{specimen.type}, spool {specimen.spool}, sample {specimen.sample}"
-    return f"{result.test}  ·  {specimen_text}  ·  {result.protocol}"
-
-
-def write_footnote(result: TestResult) -> str:
-    """Write the numbers of doubtful and failed results of a test; empty if there are none."""
-    counts = Counter(entry.status for entry in result.results)
-    counted_statuses = (Status.DOUBTFUL, Status.FAILED)
-    texts = [f"{counts[status]} {status}" for status in counted_statuses if counts[status]]
-    return f"Of {len(result.results)} results: {', '.join(texts)}." if texts else ""
 
 
 _UNPRINTABLE = re.compile(
@@ -92,12 +75,6 @@ def describe_counts(group: Group) -> str:
     """Write the numbers of samples and spools, such as ``6 samples from 2 spools``."""
     spools = {sample.specimen.spool for sample in group.samples}
     return f"{write_count(len(group.samples), 'sample')} from {write_count(len(spools), 'spool')}"
-
-
-def explain_missing(result: TestResult, content: str) -> str:
-    """Explain why a test has no data to draw: name the missing data and the first error."""
-    errors = (note.message for note in result.quality if note.severity is Severity.ERROR)
-    return " ".join([f"There is no {content} to draw.", *list(errors)[:1]])
 
 
 _RESULT_LABELS: Mapping[str, str] = {

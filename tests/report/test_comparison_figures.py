@@ -18,8 +18,8 @@ from labpipe.report.comparisons import (
     list_single_field_pairs,
     make_pair_table,
 )
+from labpipe.report.figures import make_budget_page
 from labpipe.report.plot_records import Page
-from labpipe.report.quality_figures import make_budget_page
 from tests.approved import Approve
 from tests.builders.bundle_campaigns import (
     bundle_campaign,
