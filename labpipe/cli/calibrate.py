@@ -13,8 +13,13 @@ from labpipe.mechanics.studies.calibration_file import CalibrationStudy, build_j
 from labpipe.mechanics.studies.calibration_study import calibrate_tests
 from labpipe.process.output_paths import find_results
 from labpipe.records.wire import IsotropicShare
-from labpipe.report.calibration_figures import describe_agreement, describe_match
-from labpipe.report.calibration_summary import describe_calibration, write_length, write_parameter
+from labpipe.report.calibration_report import (
+    describe_agreement,
+    describe_calibration,
+    describe_match,
+    write_length,
+    write_parameter,
+)
 from labpipe.report.wording import write_count
 
 

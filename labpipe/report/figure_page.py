@@ -191,8 +191,6 @@ def draw_plot(plot: Plot, axes: Axes, colours: Axis | None = None) -> None:
     axes : axes of matplotlib on which the plot is drawn
     colours : axis of the values that colour lines; None without such lines
     """
-    from matplotlib.legend import Legend
-
     if plot.reason and not plot.lines:
         axes.set_axis_off()
         text = textwrap.fill(plot.reason, 60 if axes.get_position().width > 0.3 else 30)
@@ -201,7 +199,8 @@ def draw_plot(plot: Plot, axes: Axes, colours: Axis | None = None) -> None:
     for axis_name, axis in (("x", plot.x), ("y", plot.y)):
         scale = "log" if axis.is_log else "linear"
         axes.set(**{f"{axis_name}label": axis.label, f"{axis_name}scale": scale})
-    artists = [_draw_line(line, plot, axes, colours) for line in plot.lines]
+    for line in plot.lines:
+        _draw_line(line, plot, axes, colours)
     for entry in plot.legend:
         settings = {**_find_settings(entry.look), "label": shorten(entry.label, 100)}
         (axes.fill if entry.look.startswith("band") else axes.plot)([], [], **settings)
@@ -216,10 +215,6 @@ def draw_plot(plot: Plot, axes: Axes, colours: Axis | None = None) -> None:
         axes.set_axis_off()
     for label in plot.labels:
         _draw_label(label, plot, axes)
-    if plot.inner_key:
-        # `axes.legend` would remove the labels of the other lines from the key of the page
-        keyed_artists, settings = artists[-len(plot.inner_key) :], {"borderaxespad": 0.4}
-        axes.add_artist(Legend(axes, keyed_artists, plot.inner_key, loc="upper left", **settings))
 
 
 def _draw_line(line: Line, plot: Plot, axes: Axes, colours: Axis | None) -> Artist:

@@ -524,7 +524,10 @@ def make_wire_shapes_page(result: TestResult) -> Page:
     selection = choose_shape_frames(result, shape)
     scale = wording.find_unit(result.display, "displacement")
     names = "xyz" if selection.deflection_name == _EXCURSION else "xy"
-    x_axis, *side_axes = [_make_axis(shape, selection, scale, name) for name in names]
+    curves = [_compute_fitted_curve(shape, int(frame)).T for frame in selection.frames]
+    points = np.concatenate([shape.positions[selection.frames].reshape(-1, 3), *curves])
+    points = points[:, : len(names)]
+    x_axis, *side_axes = plots.make_axes_to_scale(names, scale, points, min_aspect=0.1)
     panels, heights = [], []
     for side_axis in side_axes:
         lines = list(draw_shapes(shape, selection, scale, axis="xyz".index(side_axis.name)))
@@ -625,19 +628,6 @@ def find_loading_deflection(result: TestResult, time: Floats) -> Floats | None:
 def _is_clamped(shape: Shape) -> bool:
     """Return whether the first point of a shape is constructed: the specimen is then clamped."""
     return bool((shape.flags[:, 0] == PointFlag.CONSTRUCTED).any())
-
-
-def _make_axis(shape: Shape, selection: FrameSelection, scale: wording.Scale, name: str) -> Axis:
-    """Make an axis that includes all drawn points and fitted curves, with a margin."""
-    margin = 0.04  # fraction of the length of the specimen
-    min_aspect = 0.1  # smallest height of a panel, as a fraction of the length of the specimen
-    axis_index = "xyz".index(name)
-    curves = [_compute_fitted_curve(shape, int(frame))[axis_index] for frame in selection.frames]
-    values = np.concatenate([shape.positions[selection.frames, :, axis_index].ravel(), *curves])
-    values = values[np.isfinite(values)] if np.isfinite(values).any() else np.zeros(1)
-    middle, half_range = float(values.max() + values.min()) / 2, float(np.ptp(values)) / 2
-    half_range = max(half_range, min_aspect * shape.length / 2) + margin * shape.length
-    return Axis(name, scale, middle - half_range, middle + half_range)
 
 
 def _describe_offset(result: TestResult, shape: Shape) -> str:

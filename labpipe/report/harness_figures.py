@@ -140,7 +140,6 @@ def make_view(harness: DrawnHarness, view: str) -> Plot:
     -------
     A plot in which the line of the last step is coloured by its bend radius.
     """
-    min_aspect = 0.12  # smallest half side of the view, relative to the longest side of the lines
     axes, marks, (*earlier_shapes, last_shape) = list(_VIEWS[view]), harness.marks, harness.shapes
     positions = np.vstack([shape.positions for shape in harness.shapes])
     extent = float(np.max(np.ptp(positions, axis=0)))
@@ -159,12 +158,8 @@ def make_view(harness: DrawnHarness, view: str) -> Plot:
             lines += _plot_mark(mark, extent, axes, label)
     mark_points = [points for mark in marks for points in (mark.position[None], mark.path)]
     shown_points = np.vstack([positions, *mark_points])[:, axes]
-    middle = 0.5 * (shown_points.max(axis=0) + shown_points.min(axis=0))
-    half_sides = np.maximum(0.6 * np.ptp(shown_points, axis=0), min_aspect * extent)
-    x, y = (
-        Axis("xyz"[axis], LENGTH_SCALE, *ends)
-        for axis, *ends in zip(axes, middle - half_sides, middle + half_sides, strict=True)
-    )
+    names = ["xyz"[axis] for axis in axes]
+    x, y = plots.make_axes_to_scale(names, LENGTH_SCALE, shown_points, min_aspect=0.24)
     return Plot(x, y, lines, f"From the {view}", is_to_scale=True)
 
 

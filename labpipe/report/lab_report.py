@@ -18,10 +18,10 @@ from labpipe.records.result import Result
 from labpipe.report import comparisons, page_tables, wording
 from labpipe.report.comparisons import Pair, list_single_field_pairs
 from labpipe.report.figure_page import convert_write_errors, save_pages
-from labpipe.report.group_plots import find_first_loading, list_group_figures, make_group_plots
+from labpipe.report.group_plots import list_group_figures, make_group_plots
 from labpipe.report.html_pages import compute_hash, fill_template, make_style, read_part
 from labpipe.report.issues import Cause, Kind, find_causes
-from labpipe.report.page_tables import PageTest, PageTests, compute_report_id, list_samples
+from labpipe.report.page_tables import PageGroup, PageTest, compute_report_id, list_samples
 from labpipe.report.plot_records import clip_range, make_mean_strip, simplify_line, write_sparkline
 from labpipe.report.report_workbook import save_workbook
 from labpipe.report.table_records import DASH, Cell, Table
@@ -113,8 +113,7 @@ def render_page(
     An HTML document that needs no other file and no network. It can be read and printed without its
     script. All texts of the campaign are escaped.
     """
-    stems = page_tables.make_stems(group.name for group in campaign.groups)
-    groups, tests = dict(zip(stems, campaign.groups, strict=True)), PageTests(campaign, stems)
+    groups, tests = page_tables.arrange_tests(campaign)
     report_id, script = compute_report_id(campaign), read_page_script()
     samples = list_samples(campaign)
     protocols = ", ".join(sorted({group.protocol for group in campaign.groups})) or "none"
@@ -151,7 +150,7 @@ def render_page(
 
 
 def _make_first_screen(
-    campaign: Campaign, groups: Mapping[str, Group], tests: PageTests
+    campaign: Campaign, groups: Sequence[PageGroup], tests: Sequence[PageTest]
 ) -> dict[str, Any]:
     """Return the contents of the first screen: counts, answers, numbers, decisions and causes."""
     max_answers, max_decisions, min_groups = 8, 4, 3
@@ -171,7 +170,7 @@ def _make_first_screen(
     }
 
 
-def _list_questions(campaign: Campaign, groups: Mapping[str, Group]) -> Iterator[dict[str, Any]]:
+def _list_questions(campaign: Campaign, groups: Sequence[PageGroup]) -> Iterator[dict[str, Any]]:
     """Yield the comparisons of groups that differ in one field, field by field.
 
     Yields
@@ -182,7 +181,7 @@ def _list_questions(campaign: Campaign, groups: Mapping[str, Group]) -> Iterator
     ``notes`` of all pairs.
     """
     families = comparisons.find_families(campaign)
-    stems = {group.name: stem for stem, group in groups.items()}
+    stems = {group.name: stem for group, stem, *_ in groups}
     answer_heads = ("Comparison", "Verdict", "Difference (95 %, corrected)", "n")
     for field, pairs_of_field in groupby(
         list_single_field_pairs(campaign), key=lambda pair: pair.field
@@ -242,11 +241,11 @@ class KeyBlock(NamedTuple):
     rows: Sequence[dict[str, Any]]
 
 
-def _list_key_blocks(groups: Mapping[str, Group]) -> list[KeyBlock]:
+def _list_key_blocks(groups: Sequence[PageGroup]) -> list[KeyBlock]:
     """List a block for the groups with the same numbers, and a last block for other groups."""
-    members_by_heads: dict[tuple[tuple[str, str], ...], list[tuple[Group, str]]] = {}
-    for protocol in dict.fromkeys(group.protocol for group in groups.values()):
-        members = [(group, stem) for stem, group in groups.items() if group.protocol == protocol]
+    members_by_heads: dict[tuple[tuple[str, str], ...], list[PageGroup]] = {}
+    for protocol in dict.fromkeys(view.group.protocol for view in groups):
+        members = [view for view in groups if view.group.protocol == protocol]
         members_by_heads.setdefault(_find_key_heads(members), []).extend(members)
     blocks, other_rows = list[KeyBlock](), list[dict[str, Any]]()
     for heads, members in members_by_heads.items():
@@ -258,11 +257,11 @@ def _list_key_blocks(groups: Mapping[str, Group]) -> list[KeyBlock]:
     return [*blocks, *([KeyBlock((), other_rows)] if other_rows else [])]
 
 
-def _find_key_heads(groups: Sequence[tuple[Group, str]]) -> tuple[tuple[str, str], ...]:
+def _find_key_heads(groups: Sequence[PageGroup]) -> tuple[tuple[str, str], ...]:
     """Find names and headings of the first numbers of groups of one protocol."""
     n_numbers = 3
     heads: dict[str, str] = {}
-    for group, _ in groups:
+    for group, *_ in groups:
         for number in wording.list_key_numbers(group):
             scale = wording.find_number_scale(group, number)
             heads.setdefault(number.name, wording.write_heading(number.name, scale))
@@ -270,28 +269,28 @@ def _find_key_heads(groups: Sequence[tuple[Group, str]]) -> tuple[tuple[str, str
 
 
 def _list_key_rows(
-    groups: Sequence[tuple[Group, str]], heads: Mapping[str, str], *, has_heads: bool
+    groups: Sequence[PageGroup], heads: Mapping[str, str], *, has_heads: bool
 ) -> list[dict[str, Any]]:
     """List the rows of groups; the strips of the first number have a common scale."""
-    numbers = [_find_averaged_number(group, next(iter(heads), "")) for group, _ in groups]
+    numbers = [_find_averaged_number(group, next(iter(heads), "")) for group, *_ in groups]
     means = [number.mean.chosen for number in filter(None, numbers)]
     intervals = [mean.interval for mean in means if mean.interval is not None]
     ends = [end for interval in intervals for end in (interval.lower, interval.upper)]
     strip_ends = clip_range([mean.mean for mean in means], ends, 1.0)
     rows = []
-    for (group, stem), first_number in zip(groups, numbers, strict=True):
-        strip = None
+    for view, first_number in zip(groups, numbers, strict=True):
+        strip, group = None, view.group
         if has_heads and first_number is not None:
             interval, mean = _find_source(first_number).interval, first_number.mean.chosen.mean
             strip = make_mean_strip(strip_ends, interval, mean)
         cells = [_make_key_cell(group, name, has_label=not has_heads) for name in heads]
         rows.append({
             "name": group.name,
-            "stem": stem,
+            "stem": view.stem,
             "n": len(group.samples),
             "strip": strip,
             "cells": cells,
-            "spark": _write_mean_curve(group),
+            "spark": _write_mean_curve(view),
         })  # fmt: skip
     return rows
 
@@ -327,11 +326,12 @@ def _make_key_cell(group: Group, name: str, *, has_label: bool) -> Cell:
     return Cell(with_unit, subtext=wording.write_label(name), tip=tip)
 
 
-def _write_mean_curve(group: Group) -> str:
+def _write_mean_curve(view: PageGroup) -> str:
     """Write the mean curve of a group, or its first curve without a mean, as a sparkline."""
-    x, y = group.band.displacement, group.band.mean
-    if group.band.n < 2 or not len(x):
-        curve = next(filter(None, map(find_first_loading, group.samples)), None)
+    band = view.group.band
+    x, y = band.displacement, band.mean
+    if band.n < 2 or not len(x):
+        curve = next((test.first_loading for test in view.tests if test.first_loading), None)
         if curve is None:
             return ""
         x, y = curve.displacement, curve.force
@@ -356,7 +356,7 @@ class OpenDecision(NamedTuple):
     tests: tuple[PageTest, ...]
 
 
-def find_open_decisions(causes: Iterable[Cause], tests: PageTests) -> list[OpenDecision]:
+def find_open_decisions(causes: Iterable[Cause], tests: Iterable[PageTest]) -> list[OpenDecision]:
     """Find the causes that require a decision: failed, doubtful or marked as outliers.
 
     Parameters
@@ -368,7 +368,7 @@ def find_open_decisions(causes: Iterable[Cause], tests: PageTests) -> list[OpenD
     -------
     The causes in the same order, each with at least one test that has no decision.
     """
-    decisions, tests_by_name = [], {test.sample.test: test for test in tests.all_tests}
+    decisions, tests_by_name = [], {test.sample.test: test for test in tests}
     for cause in causes:
         names = dict.fromkeys(name for issue in cause.issues for name in issue.tests)
         affected_tests = filter(None, map(tests_by_name.get, names))

@@ -282,7 +282,6 @@ class Plot:
     labels : texts in the panel of a figure
     legend : entries of the legend; without any, a figure lists the labels of the looks of its lines
     reason : reason why there are no lines, which a figure shows instead of them
-    inner_key : labels of the last lines, for a key inside the panel; not on the page of a report
     is_to_scale : whether both axes of a figure have the same scale
     has_frame : whether a figure shows axes and labels
     kind : on a report: ``curves`` (force over displacement), ``means`` (mean curves of groups),
@@ -301,7 +300,6 @@ class Plot:
     labels: Sequence[Label] = ()
     legend: Sequence[LegendEntry] = ()
     reason: str = ""
-    inner_key: Sequence[str] = ()
     is_to_scale: bool = False
     has_frame: bool = True
     kind: str = ""
@@ -366,6 +364,27 @@ def make_axis(name: str, scale: Scale, values: Iterable[Floats], *, margin: floa
     low, high = _find_range(np.concatenate([np.zeros(0), *values]))
     margin_width = margin * ((high - low) or abs(high) or 1.0)
     return Axis(name, scale, low - margin_width, high + margin_width)
+
+
+def make_axes_to_scale(
+    names: Sequence[str], scale: Scale, points: Floats, *, min_aspect: float, margin: float = 0.06
+) -> tuple[Axis, ...]:
+    """Make axes that show all points at one scale.
+
+    Parameters
+    ----------
+    names : typeset name of each axis
+    scale : unit of the axes
+    points : shape (n, n_axes), m; points that are not finite are ignored
+    min_aspect : smallest length of an axis before the margin, relative to the longest axis
+    margin : margin at each end, as a fraction of the longest axis
+    """
+    ends = np.array([_find_range(column) for column in points.T])
+    half_ranges = 0.5 * np.ptp(ends, axis=1)
+    longest = float(half_ranges.max()) or 0.5 / scale.factor
+    half_ranges = np.maximum(half_ranges, min_aspect * longest) + 2.0 * margin * longest
+    columns = zip(names, ends.mean(axis=1).tolist(), half_ranges.tolist(), strict=True)
+    return tuple(Axis(name, scale, middle - half, middle + half) for name, middle, half in columns)
 
 
 def _find_range(values: ArrayLike) -> tuple[float, float]:

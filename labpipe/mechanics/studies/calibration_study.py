@@ -58,8 +58,11 @@ from labpipe.records.wire import (
     ParameterChoice,
     WireSpec,
 )
-from labpipe.report.calibration_figures import list_calibration_figures
-from labpipe.report.calibration_summary import CalibrationReport, save_calibration_workbook
+from labpipe.report.calibration_report import (
+    CalibrationReport,
+    list_calibration_figures,
+    save_calibration_workbook,
+)
 from labpipe.units import GRAVITY
 
 MODEL_FILE = "calibration.json"
