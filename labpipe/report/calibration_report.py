@@ -139,6 +139,12 @@ class ValidationGroup:
     doubtful_deflection: float = math.inf
 
     @property
+    def heading(self) -> str:
+        """Wire, length and use of the model, such as ``A2, 85 mm: predicted``."""
+        use = "calibrated" if self.is_calibrated else "predicted"
+        return f"{self.wire}, {write_length(self.length)}: {use}"
+
+    @property
     def is_reliable(self) -> Flags:
         """Whether each point of the prediction is within `doubtful_deflection`, shape (n,)."""
         deflection = np.zeros(0) if self.prediction is None else self.prediction.deflection
@@ -596,11 +602,9 @@ def _make_group_plot(group: ValidationGroup) -> Plot:
         lines.append(plots.make_area("band_of_model", x, low, high, alpha=_BAND_OPACITY * opacity))
         lines += [make_line("edge_of_band", x, edge, alpha=opacity) for edge in (low, high)]
     label = Label(_wrap(describe_agreement(group)), -np.inf, np.inf, (4.0, -2.0), {"va": "top"})
-    use = "calibrated" if group.is_calibrated else "predicted"
-    heading = f"{group.wire}, {write_length(group.length)}: {use}"
     forces = [group.band.mean, *(sample.force for sample in samples)]
     force = _make_force_axis(lines, forces)
-    return Plot(_DEFLECTIONS, force, lines, heading, [label])
+    return Plot(_DEFLECTIONS, force, lines, group.heading, [label])
 
 
 def _make_force_axis(lines: Sequence[Line], forces: Sequence[Floats]) -> Axis:
