@@ -34,9 +34,8 @@ from labpipe.records.wire import (
 from labpipe.report import plot_records as plots
 from labpipe.report import table_records as tables
 from labpipe.report.figure_page import N_COLOURS, choose_line_look, split_pages
-from labpipe.report.issues import join_sentences
 from labpipe.report.plot_records import Axis, Label, Line, Page, Plot, make_line, make_thinned_line
-from labpipe.report.wording import SUPERSCRIPTS, Scale, write_count, write_number
+from labpipe.report.wording import SUPERSCRIPTS, Scale, join_sentences, write_count, write_number
 
 DEFLECTION = Scale(1e3, "mm")
 FORCE = Scale(1.0, "N")

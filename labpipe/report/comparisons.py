@@ -16,7 +16,6 @@ from labpipe.records.harness_bundle import NONE
 from labpipe.report import group_plots, wording
 from labpipe.report import plot_records as plots
 from labpipe.report.figure_page import N_COLOURS, split_pages
-from labpipe.report.issues import join_sentences
 from labpipe.report.page_tables import make_stems
 from labpipe.report.plot_records import Axis, LegendEntry, Line, Page, Plot
 from labpipe.report.table_records import Cell, Record, Table, tabulate
@@ -253,7 +252,7 @@ def _write_difference(difference: Difference, display: Mapping[str, str]) -> str
             ends = Interval(min(ends.lower, max_shown_ratio), max_shown_ratio, ends.level)
             bound_text = "more than "
         number, unit = wording.write_number(difference.change, ends, 100.0), " %"
-    interval_text = join_sentences([mean_difference.reason])
+    interval_text = wording.join_sentences([mean_difference.reason])
     if number.lower:
         lower, upper = map(_add_plus_sign, (number.lower, number.upper))
         lower_text = "" if lower == upper and bound_text else f"{lower}{unit} to "

@@ -19,7 +19,6 @@ from labpipe.records.result import Status
 from labpipe.report import plot_records as plots
 from labpipe.report import wording
 from labpipe.report.figure_page import N_COLOURS, read_looks
-from labpipe.report.issues import join_sentences
 from labpipe.report.page_tables import PageGroup, PageTest, make_figure_group
 from labpipe.report.plot_records import Axis, LegendEntry, Line, Page, Plot, join_with_gaps
 from labpipe.statistics.lots import FORCE_LIMIT, PEAK_OVER_LIMIT
@@ -175,7 +174,7 @@ def _make_curve_plots(view: PageGroup) -> Iterator[Plot]:
     forces = [*(curve.force for curve in curves), np.array(limits)]
     y = _make_force_axis("Force", view.find_scale("force"), forces, band)
     title = f"Force against displacement of {wording.write_count(len(group.samples), 'sample')}:"
-    mean, caption = f"mean of {band.n} {band.members}", join_sentences([band.reason])
+    mean, caption = f"mean of {band.n} {band.members}", wording.join_sentences([band.reason])
     size = 660, 240
     yield _make_plot(view, "curves", (x, y), lines, title, mean=mean, caption=caption, size=size)
 

@@ -15,7 +15,6 @@ from labpipe.records.curve import Interval
 from labpipe.records.harness_bundle import BundleModel, FrictionFit
 from labpipe.report import plot_records as plots
 from labpipe.report.figure_page import DASHED, sample_colour_map
-from labpipe.report.issues import join_sentences
 from labpipe.report.plot_records import Axis, Line, Page, Plot, make_line
 from labpipe.report.wire_report import (
     FORCE,
@@ -24,7 +23,7 @@ from labpipe.report.wire_report import (
     STIFFNESS_SCALE,
     make_curvature_axis,
 )
-from labpipe.report.wording import write_number
+from labpipe.report.wording import join_sentences, write_number
 
 FIGURE, SWEEP_FIGURE = "harness", "harness-sweep"
 """Names of the figures and their files, without the ending."""

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from math import inf, isnan, sqrt
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -91,28 +91,10 @@ def find_issues(campaign: Campaign) -> tuple[Issue, ...]:
         issues += _list_number_issues(group)
         if not group.samples and not group.notes:
             reason = group.band.reason or Reason("empty_group", "no sample in this group")
-            text, topic = write_sentence(reason.message), "empty group"
+            text, topic = wording.write_sentence(reason.message), "empty group"
             issues.append(Issue(Kind.WARNING, group.name, (), topic, text, reason.code))
         issues += _list_note_issues(group.name, (), group.notes)
     return tuple(sorted(issues, key=lambda issue: order.index(issue.kind)))
-
-
-def write_sentence(message: str) -> str:
-    """Turn a message into a sentence; the labels of results replace their names.
-
-    Examples
-    --------
-    >>> write_sentence("the branch ends at 4.2 mm")
-    'The branch ends at 4.2 mm.'
-    """
-    text = wording.replace_names(message)
-    full_stop = "" if not text or text.endswith((".", "?", "!")) else "."
-    return text[:1].upper() + text[1:] + full_stop
-
-
-def join_sentences(reasons: Iterable[Reason | QualityNote | None]) -> str:
-    """Join the sentences of reasons or notes, each once; None is skipped."""
-    return " ".join(dict.fromkeys(write_sentence(reason.message) for reason in reasons if reason))
 
 
 def _join_codes(reasons: Iterable[Reason]) -> str:
@@ -139,7 +121,7 @@ def _list_sample_issues(group: Group, sample: Sample) -> Iterator[Issue]:
             results_by_reason.setdefault((kind, result.reasons), []).append(result)
     for (kind, reasons), results in results_by_reason.items():
         names = tuple(result.name for result in results)
-        labels, reason = "; ".join(map(wording.write_label, names)), join_sentences(reasons)
+        labels, reason = "; ".join(map(wording.write_label, names)), wording.join_sentences(reasons)
         yield Issue(kind, group.name, tests, labels, reason, _join_codes(reasons), names)
     length, force = wording.find_units(wording.find_display(group), "displacement", "force")
     for slip in sample.slips:
@@ -165,7 +147,7 @@ def _list_number_issues(group: Group) -> Iterator[Issue]:
         label, names = wording.write_label(number.name), (number.name,)
         for test, reasons in number.left_out.items():
             if (test, number.name) not in failed_results:
-                reason, codes = join_sentences(reasons), _join_codes(reasons)
+                reason, codes = wording.join_sentences(reasons), _join_codes(reasons)
                 yield Issue(Kind.LEFT_OUT, group.name, (test,), label, reason, codes, names)
         scale = wording.find_number_scale(group, number)
         for outlier in number.outliers:
@@ -206,7 +188,7 @@ def _list_note_issues(
             group,
             tests or tuple(dict.fromkeys(test for note in members for test in note.tests)),
             "; ".join(wording.replace_names(note.where) for note in members),
-            " ".join(dict.fromkeys(write_sentence(note.message) for note in members)),
+            " ".join(dict.fromkeys(wording.write_sentence(note.message) for note in members)),
             code,
         )
 
@@ -281,8 +263,10 @@ class Cause:
         return f"{reasons[0]}{suffix}"
 
 
-def find_causes(campaign: Campaign) -> list[Cause]:
+def find_causes(campaign: Campaign) -> tuple[list[Cause], list[Cause]]:
     """Group issues by cause and rank them by their effect on a number.
+
+    Issues of one kind with the same last code have one cause; so have all slips.
 
     Parameters
     ----------
@@ -290,41 +274,24 @@ def find_causes(campaign: Campaign) -> list[Cause]:
 
     Returns
     -------
-    Causes in the order of decreasing effect; causes of unknown effect are last. Causes of equal
-    effect are in the order of `Kind`. Notes without consequences are not included (`find_notes`).
+    causes : causes in the order of decreasing effect; causes of unknown effect are last. Causes of
+        equal effect are in the order of `Kind`
+    notes : notes without consequences, grouped by code, the most frequent first
     """
     groups = {group.name: group for group in campaign.groups}
-    issues = (issue for issue in find_issues(campaign) if issue.kind is not Kind.NOTE)
-    causes = _group_by_cause(issues)
-    causes = [replace(cause, effect=_find_effect(cause, groups)) for cause in causes]
-    return sorted(causes, key=lambda cause: -cause.effect.size if cause.effect else inf)
-
-
-def find_notes(campaign: Campaign) -> list[Cause]:
-    """Group the notes without consequences by code, the most frequent first.
-
-    Parameters
-    ----------
-    campaign : content of the report
-    """
-    notes = (issue for issue in find_issues(campaign) if issue.kind is Kind.NOTE)
-    return sorted(_group_by_cause(notes), key=lambda cause: len(cause.issues), reverse=True)
-
-
-def _group_by_cause(issues: Iterable[Issue]) -> list[Cause]:
-    """Group issues of the same kind with a common code; all slips have one cause."""
-    clusters: list[tuple[Kind, set[str], list[Issue]]] = []
-    for issue in issues:
-        codes = {code for code in issue.code.split(", ") if code}
-        codes |= {Kind.SLIP} if issue.kind is Kind.SLIP else set()
-        for kind, cluster_codes, members in clusters:
-            if kind is issue.kind and codes & cluster_codes:
-                cluster_codes.update(codes)
-                members.append(issue)
-                break
+    issues_by_cause: dict[Any, list[Issue]] = {}
+    for issue in find_issues(campaign):
+        code = issue.kind if issue.kind is Kind.SLIP else issue.code.rpartition(", ")[-1]
+        issues_by_cause.setdefault((issue.kind, code or issue), []).append(issue)
+    causes, notes = [], []
+    for issues in issues_by_cause.values():
+        cause = Cause(tuple(issues))
+        if cause.kind is Kind.NOTE:
+            notes.append(cause)
         else:
-            clusters.append((issue.kind, codes, [issue]))
-    return [Cause(tuple(members)) for _, _, members in clusters]
+            causes.append(replace(cause, effect=_find_effect(cause, groups)))
+    causes.sort(key=lambda cause: -cause.effect.size if cause.effect else inf)
+    return causes, sorted(notes, key=lambda note: len(note.issues), reverse=True)
 
 
 def _find_effect(cause: Cause, groups: Mapping[str, Group]) -> Effect | None:

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import base64
+import hashlib
 import json
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from importlib.resources import files
+from io import BytesIO
 from itertools import groupby
 from math import isfinite
 from pathlib import Path
@@ -13,13 +17,13 @@ from typing import Any, NamedTuple
 
 from markupsafe import Markup
 
+from labpipe.errors import UsageError
 from labpipe.records.group import Campaign, Group, GroupNumber, MeanInterval, Verdict
 from labpipe.records.result import Result
 from labpipe.report import comparisons, page_tables, wording
 from labpipe.report.comparisons import Pair, list_single_field_pairs
 from labpipe.report.figure_page import convert_write_errors, save_pages
 from labpipe.report.group_plots import list_group_figures, make_group_plots
-from labpipe.report.html_pages import compute_hash, fill_template, make_style, read_part
 from labpipe.report.issues import Cause, Kind, find_causes
 from labpipe.report.page_tables import PageGroup, PageTest, compute_report_id, list_samples
 from labpipe.report.plot_records import clip_range, make_mean_strip, simplify_line, write_sparkline
@@ -142,6 +146,7 @@ def render_page(
         groups=groups,
         tests=tests,
         tables=page_tables,
+        join_sentences=wording.join_sentences,
         make_group_plots=make_group_plots,
         has_bundles=any(sample.specimen.bundle is not None for sample in samples),
         remarks_on_pairs=comparisons.list_pair_remarks(campaign),
@@ -155,7 +160,7 @@ def _make_first_screen(
     """Return the contents of the first screen: counts, answers, numbers, decisions and causes."""
     max_answers, max_decisions, min_groups = 8, 4, 3
     n_screen_lines, lines_per_decision = 26, 2  # on a screen of 900 pixels, below the letterhead
-    causes, questions = find_causes(campaign), list(_list_questions(campaign, groups))
+    (causes, notes), questions = find_causes(campaign), list(_list_questions(campaign, groups))
     open_decisions = find_open_decisions(causes, tests)
     n_answers = min(len(questions), max_answers)
     n_decisions = min(len(open_decisions), max_decisions)
@@ -163,10 +168,11 @@ def _make_first_screen(
     return {
         "counts": describe_campaign(campaign, open_decisions),
         "questions": questions,
-        "blocks": _limit_rows(_list_key_blocks(groups), max_group_rows),
+        "blocks": _list_key_blocks(groups, max_group_rows),
         "open_decisions": open_decisions,
         "folds": {"answers": n_answers, "decisions": n_decisions},
         "causes": causes,
+        "notes": notes,
     }
 
 
@@ -227,34 +233,26 @@ def _compute_pair_rank(pair: Pair) -> tuple[bool, float]:
     return difference.verdict is Verdict.DIFFERENT, abs(size) if isfinite(size) else 0.0
 
 
-class KeyBlock(NamedTuple):
-    """Groups on the first screen whose numbers have common headings.
+def _list_key_blocks(groups: Sequence[PageGroup], max_rows: int) -> list[dict[str, Any]]:
+    """List a block for the groups whose first numbers have common headings.
 
-    Parameters
-    ----------
-    heads : headings of the numbers; empty if each cell names its number
-    rows : row of each group: ``name``, ``stem`` of its links, number ``n`` of samples, ``strip`` of
-        the first number, ``cells`` of the first numbers, and its curve as a sparkline, ``spark``
+    Returns
+    -------
+    For each block: ``heads``, the headings of the numbers; ``rows``, with the ``view`` of each
+    group, ``strip`` of the first number, ``cells`` of the first numbers, and the curve as a
+    sparkline, ``spark``; ``n_shown``, the number of rows that the page shows before it is unfolded,
+    `max_rows` in all blocks.
     """
-
-    heads: Sequence[str]
-    rows: Sequence[dict[str, Any]]
-
-
-def _list_key_blocks(groups: Sequence[PageGroup]) -> list[KeyBlock]:
-    """List a block for the groups with the same numbers, and a last block for other groups."""
     members_by_heads: dict[tuple[tuple[str, str], ...], list[PageGroup]] = {}
     for protocol in dict.fromkeys(view.group.protocol for view in groups):
         members = [view for view in groups if view.group.protocol == protocol]
         members_by_heads.setdefault(_find_key_heads(members), []).extend(members)
-    blocks, other_rows = list[KeyBlock](), list[dict[str, Any]]()
+    blocks = []
     for heads, members in members_by_heads.items():
-        if len(members) > 1 or len(members_by_heads) == 1:
-            rows = _list_key_rows(members, dict(heads), has_heads=True)
-            blocks.append(KeyBlock([text for _, text in heads], rows))
-        else:
-            other_rows += _list_key_rows(members, dict(heads), has_heads=False)
-    return [*blocks, *([KeyBlock((), other_rows)] if other_rows else [])]
+        rows, n_shown = _list_key_rows(members, dict(heads)), min(len(members), max(max_rows, 0))
+        blocks.append({"heads": [text for _, text in heads], "rows": rows, "n_shown": n_shown})
+        max_rows -= n_shown + 1
+    return blocks
 
 
 def _find_key_heads(groups: Sequence[PageGroup]) -> tuple[tuple[str, str], ...]:
@@ -268,30 +266,20 @@ def _find_key_heads(groups: Sequence[PageGroup]) -> tuple[tuple[str, str], ...]:
     return tuple(heads.items())[:n_numbers]
 
 
-def _list_key_rows(
-    groups: Sequence[PageGroup], heads: Mapping[str, str], *, has_heads: bool
-) -> list[dict[str, Any]]:
+def _list_key_rows(groups: Sequence[PageGroup], heads: Mapping[str, str]) -> list[dict[str, Any]]:
     """List the rows of groups; the strips of the first number have a common scale."""
-    numbers = [_find_averaged_number(group, next(iter(heads), "")) for group, *_ in groups]
+    numbers = [_find_averaged_number(view.group, next(iter(heads), "")) for view in groups]
     means = [number.mean.chosen for number in filter(None, numbers)]
     intervals = [mean.interval for mean in means if mean.interval is not None]
     ends = [end for interval in intervals for end in (interval.lower, interval.upper)]
-    strip_ends = clip_range([mean.mean for mean in means], ends, 1.0)
-    rows = []
+    strip_ends, rows = clip_range([mean.mean for mean in means], ends, 1.0), []
     for view, first_number in zip(groups, numbers, strict=True):
-        strip, group = None, view.group
-        if has_heads and first_number is not None:
+        strip = None
+        if first_number is not None:
             interval, mean = _find_source(first_number).interval, first_number.mean.chosen.mean
             strip = make_mean_strip(strip_ends, interval, mean)
-        cells = [_make_key_cell(group, name, has_label=not has_heads) for name in heads]
-        rows.append({
-            "name": group.name,
-            "stem": view.stem,
-            "n": len(group.samples),
-            "strip": strip,
-            "cells": cells,
-            "spark": _write_mean_curve(view),
-        })  # fmt: skip
+        cells, spark = [_make_key_cell(view.group, name) for name in heads], _write_mean_curve(view)
+        rows.append({"view": view, "strip": strip, "cells": cells, "spark": spark})
     return rows
 
 
@@ -308,8 +296,8 @@ def _find_source(number: GroupNumber) -> MeanInterval | Result:
     return next(iter(number.values.values())) if is_one_test else mean
 
 
-def _make_key_cell(group: Group, name: str, *, has_label: bool) -> Cell:
-    """Make the cell of the mean of a number, with its label and unit if there is no heading."""
+def _make_key_cell(group: Group, name: str) -> Cell:
+    """Make the cell of the mean of a number."""
     number = _find_averaged_number(group, name)
     if number is None:
         return Cell(DASH, tip="no sample has this number")
@@ -319,11 +307,7 @@ def _make_key_cell(group: Group, name: str, *, has_label: bool) -> Cell:
     if (estimate := source.distinct_estimate) is not None:
         written = wording.write_number(mean.mean, source.interval, scale.factor, estimate=estimate)
         tip += f"{'; ' * bool(tip)}interval of the estimate {written.estimate}"
-    text = wording.write_with_interval(mean.mean, source.interval, scale.factor)
-    if not has_label:
-        return Cell(text, tip=tip)
-    with_unit = f"{text} {scale.unit}".strip()
-    return Cell(with_unit, subtext=wording.write_label(name), tip=tip)
+    return Cell(wording.write_with_interval(mean.mean, source.interval, scale.factor), tip=tip)
 
 
 def _write_mean_curve(view: PageGroup) -> str:
@@ -337,16 +321,6 @@ def _write_mean_curve(view: PageGroup) -> str:
         x, y = curve.displacement, curve.force
     rows = simplify_line(x, y, max_points=24, tolerance=0.01)
     return write_sparkline(x[rows], y[rows])
-
-
-def _limit_rows(blocks: Iterable[KeyBlock], max_rows: int) -> list[tuple[KeyBlock, int]]:
-    """Return each block with the number of its rows that the page shows before it is unfolded."""
-    limited_blocks = []
-    for block in blocks:
-        n_rows = min(len(block.rows), max(max_rows, 0))
-        limited_blocks.append((block, n_rows))
-        max_rows -= n_rows + 1
-    return limited_blocks
 
 
 class OpenDecision(NamedTuple):
@@ -422,3 +396,122 @@ def write_page_data(campaign: Campaign, *, report_id: str) -> Markup:
     # JSON is escaped to ASCII, because a name may contain a lone surrogate
     text = json.dumps(data, separators=(",", ":")).replace("&", r"\u0026")
     return Markup(text.replace("<", r"\u003c").replace(">", r"\u003e"))
+
+
+def fill_template(template: str, **values: Any) -> str:
+    """Fill the template of a page; all texts except `Markup` are escaped.
+
+    Parameters
+    ----------
+    template : name of the file, or the text of a template, which contains a brace
+    values : values of all variables of the template
+    """
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+    environment = Environment(
+        loader=FileSystemLoader(Path(__file__).parent),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+    )
+    is_text = "{" in template
+    page = environment.from_string(template) if is_text else environment.get_template(template)
+    return page.render(**values)
+
+
+def read_part(name: str) -> str:
+    """Read a style or a script of pages."""
+    return (files("labpipe.report") / name).read_text(encoding="utf-8")
+
+
+def make_style(footer: str, extra_rules: str = "") -> dict[str, Markup]:
+    """Make the style sheet of a page, and its SHA-256 for the security policy.
+
+    Parameters
+    ----------
+    footer : text at the foot of each printed sheet
+    extra_rules : rules of this page only
+
+    Returns
+    -------
+    ``style`` and ``style_hash`` for the template of the page.
+    """
+    rules = read_part("page_looks.css").replace("var(--footer)", write_css_string(footer))
+    rules += extra_rules
+    return {"style": Markup(rules), "style_hash": compute_hash(rules)}
+
+
+def compute_hash(text: str) -> Markup:
+    """Compute the SHA-256 of a style or a script for the security policy of the page.
+
+    Parameters
+    ----------
+    text : text of the style or the script, as it is in the page
+    """
+    digest = hashlib.sha256(wording.replace_unprintable(text).encode()).digest()
+    return Markup(f"'sha256-{base64.b64encode(digest).decode()}'")
+
+
+def write_css_string(text: str) -> str:
+    """Write a text as an escaped string of a style sheet.
+
+    Parameters
+    ----------
+    text : any text; ASCII letters and digits are kept, all other characters are escaped
+    """
+    escaped = (
+        letter if letter.isascii() and letter.isalnum() else f"\\{ord(letter):x} "
+        for letter in wording.replace_unprintable(text)
+    )
+    return f'"{"".join(escaped)}"'
+
+
+def allow_own_server(page: str) -> str:
+    """Allow a page to connect to the server that sent it.
+
+    Parameters
+    ----------
+    page : HTML page of a report, whose policy forbids connections
+
+    Returns
+    -------
+    The page with a policy that allows connections to its own server. A page without a policy is
+    unchanged; its script saves decisions as a file.
+    """
+    head, policy, remainder = page.partition("connect-src 'none'")
+    return page if "<body" in head or not policy else f"{head}connect-src 'self'{remainder}"
+
+
+def read_logo(path: Path) -> str:
+    """Read the logo of a report.
+
+    Parameters
+    ----------
+    path : path of a PNG or JPEG file
+
+    Returns
+    -------
+    The picture as a ``data:`` address.
+
+    Raises
+    ------
+    UsageError
+        If the file cannot be read, has another format, is damaged or larger than 200 kB.
+    """
+    from PIL import Image, UnidentifiedImageError
+
+    max_kilobytes = 200
+    size = path.stat().st_size if path.is_file() else None
+    fault = "no file" if size is None else f"{size} bytes"
+    try:
+        if size is not None and size <= 1000 * max_kilobytes:
+            content = path.read_bytes()
+            picture = Image.open(BytesIO(content), formats=("PNG", "JPEG"))
+            picture.load()
+            kind = str(picture.format).lower()
+            return f"data:image/{kind};base64,{base64.b64encode(content).decode()}"
+    except UnidentifiedImageError:
+        fault = "a file of another format"
+    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+        fault = f"a file that cannot be read ({error})"
+    raise UsageError.about("report.logo", path, "", kilobytes=max_kilobytes, fault=fault)

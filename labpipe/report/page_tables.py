@@ -18,7 +18,7 @@ from labpipe.records.quality import Reason, Severity
 from labpipe.records.result import Instrument, Result, Status, find_result
 from labpipe.report import figures, wording
 from labpipe.report.figure_page import N_COLOURS, split_pages
-from labpipe.report.issues import DECISIONS, Cause, find_notes, join_sentences
+from labpipe.report.issues import DECISIONS, Cause
 from labpipe.report.plot_records import MeanStrip, clip_range, make_mean_strip
 from labpipe.report.table_records import DASH, Cell, Record, Table, tabulate
 from labpipe.statistics.group_samples import NOT_STATED, SPOOL, list_fields
@@ -390,7 +390,7 @@ def _list_table_notes(group: Group) -> Iterator[str]:
             labels_by_reason.setdefault(reason, []).append(wording.write_label(number.name))
     for reason, labels in labels_by_reason.items():
         numbers = "all numbers" if len(labels) == len(group.numbers) else "; ".join(labels)
-        why = join_sentences([reason])
+        why = wording.join_sentences([reason])
         yield format_sentence("report.no_mean_interval", why=why, numbers=numbers)
     if any(not number.mean.is_pooled and number.mean.chosen.n == 2 for number in averaged_numbers):
         yield format_sentence("report.two_spool_means")
@@ -405,7 +405,7 @@ def _list_mark_notes(group: Group) -> Iterator[str]:
         for result in sample.results:
             if result.name in names and result.status is not Status.OK:
                 mark = DASH if result.status is Status.FAILED else "?"
-                reason = f"{mark} {join_sentences(result.reasons)}"
+                reason = f"{mark} {wording.join_sentences(result.reasons)}"
                 tests_by_reason.setdefault(reason, {})[sample.test] = None
     for reason, tests in tests_by_reason.items():
         yield f"{reason} ({', '.join(tests)})"
@@ -576,7 +576,7 @@ def make_lot_table(groups: Iterable[PageGroup]) -> Table | None:
         rows.append({
             "Lot": Cell(group.name, link=f"#group-{stem}"),
             "Answer": str(lot.answer).upper(),
-            "Why": join_sentences(lot.reasons),
+            "Why": wording.join_sentences(lot.reasons),
             "Limit": no_common_limit if lot.limit is None else limit,
             "Bound": bound,
             "Smallest": smallest,
@@ -659,7 +659,7 @@ def make_bounds_table(campaign: Campaign) -> Table | None:
             scale.label("All slips"): all_slip,
             scale.label("Wires slip"): wires_slip,
             scale.label("Nothing slips"): Cell(nothing_slips, directions),
-            "Share of the range": Cell(share, join_sentences(stiffness.reasons)),
+            "Share of the range": Cell(share, wording.join_sentences(stiffness.reasons)),
         })  # fmt: skip
     notes = format_sentence("report.bounds_of_bundles"), format_sentence("report.share_of_the_way")
     return tabulate("Between slipping and sticking", rows, notes=notes)
@@ -678,7 +678,7 @@ def make_cause_table(cause: Cause) -> Table:
     return tabulate(f"{cause.kind} ({len(cause.issues)})", rows)
 
 
-def make_note_table(campaign: Campaign) -> Table | None:
+def make_note_table(notes: Iterable[Cause]) -> Table | None:
     """Make the table of the notes without consequences, a row per code; None without notes."""
     rows: list[Record] = [
         {
@@ -686,7 +686,7 @@ def make_note_table(campaign: Campaign) -> Table | None:
             "Number": str(len(note.issues)),
             "Where": note.subject,
         }
-        for note in find_notes(campaign)
+        for note in notes
     ]
     return tabulate("Notes without consequences", rows) if rows else None
 
@@ -775,7 +775,7 @@ def describe_problems(test: PageTest) -> str:
     if test.rejection:
         return f"Rejected: {test.rejection}"
     results = [result for result in test.sample.results if result.status is not Status.OK]
-    return join_sentences(reason for result in results for reason in result.reasons)
+    return wording.join_sentences(reason for result in results for reason in result.reasons)
 
 
 def make_source_table(tests: Iterable[PageTest]) -> Table:

@@ -19,7 +19,7 @@ from labpipe.records.group import (
 from labpipe.records.quality import join_reasons
 from labpipe.records.result import Status
 from labpipe.report import comparisons, page_tables, wording
-from labpipe.report.issues import find_causes, find_notes, join_sentences
+from labpipe.report.issues import find_causes
 from labpipe.report.table_records import (
     Record,
     Table,
@@ -119,7 +119,7 @@ def _make_lot_record(group: Group, lot: Lot) -> Record:
         "coverage (%)": 100.0 * lot.coverage,
         "confidence (%)": 100.0 * lot.confidence,
         "observed": page_tables.describe_observations(group.samples),
-        "reason": join_sentences(lot.reasons),
+        "reason": wording.join_sentences(lot.reasons),
     }
 
 
@@ -414,8 +414,8 @@ def _list_bounds(campaign: Campaign) -> Iterator[Record]:
 
 def _list_issues(campaign: Campaign) -> Iterator[Record]:
     """Yield the issues, cause by cause; notes without consequences have no rank."""
-    ranked = [*enumerate(find_causes(campaign), start=1)]
-    for rank, cause in [*ranked, *((None, note) for note in find_notes(campaign))]:
+    causes, notes = find_causes(campaign)
+    for rank, cause in [*enumerate(causes, start=1), *((None, note) for note in notes)]:
         for issue in cause.issues:
             yield {
                 "rank": rank,

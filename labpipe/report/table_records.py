@@ -138,6 +138,12 @@ def make_records(common_cells: Record, columns: Mapping[str, Floats | Ints]) -> 
     return [{**common_cells, **dict(zip(columns, row, strict=True))} for row in rows]
 
 
+def sort_notes(notes: Iterable[tuple[str, QualityNote]]) -> list[tuple[str, QualityNote]]:
+    """Sort pairs of a subject and its note, the most severe note first."""
+    severity_order = list(reversed(Severity))
+    return sorted(notes, key=lambda pair: severity_order.index(pair[1].severity))
+
+
 def make_note_records(head: str, notes: Iterable[tuple[str, QualityNote]]) -> list[Record]:
     """Make a record per note, the most severe first.
 
@@ -146,7 +152,6 @@ def make_note_records(head: str, notes: Iterable[tuple[str, QualityNote]]) -> li
     head : heading of the subjects of the notes
     notes : pairs of the subject of a note and the note
     """
-    severity_order = list(reversed(Severity))
     return [
         {
             head: subject,
@@ -155,7 +160,7 @@ def make_note_records(head: str, notes: Iterable[tuple[str, QualityNote]]) -> li
             "what": note.message,
             "code": note.code,
         }
-        for subject, note in sorted(notes, key=lambda pair: severity_order.index(pair[1].severity))
+        for subject, note in sort_notes(notes)
     ]
 
 

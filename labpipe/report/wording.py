@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from math import isfinite
 from typing import TYPE_CHECKING, NamedTuple
@@ -19,6 +19,7 @@ from labpipe.units import get_conversion_factor
 
 if TYPE_CHECKING:
     from labpipe.records.group import Group, GroupNumber
+    from labpipe.records.quality import QualityNote, Reason
 
 
 class Scale(NamedTuple):
@@ -161,6 +162,24 @@ def replace_names(sentence: str) -> str:
         return text if match.start() == 0 else text[0].lower() + text[1:]
 
     return _RESULT_NAME.sub(write_label_of, sentence)
+
+
+def write_sentence(message: str) -> str:
+    """Turn a message into a sentence; the labels of results replace their names.
+
+    Examples
+    --------
+    >>> write_sentence("the branch ends at 4.2 mm")
+    'The branch ends at 4.2 mm.'
+    """
+    text = replace_names(message)
+    full_stop = "" if not text or text.endswith((".", "?", "!")) else "."
+    return text[:1].upper() + text[1:] + full_stop
+
+
+def join_sentences(reasons: Iterable[Reason | QualityNote | None]) -> str:
+    """Join the sentences of reasons or notes, each once; None is skipped."""
+    return " ".join(dict.fromkeys(write_sentence(reason.message) for reason in reasons if reason))
 
 
 def is_main(name: str) -> bool:

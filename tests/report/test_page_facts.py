@@ -15,9 +15,8 @@ from labpipe.records.curve import DrawnLaw, DrawnShapes
 from labpipe.records.group import Campaign, Group, Sample
 from labpipe.records.result import Instrument
 from labpipe.report.group_plots import make_group_plots
-from labpipe.report.html_pages import fill_template
 from labpipe.report.issues import find_causes
-from labpipe.report.lab_report import describe_campaign, find_open_decisions
+from labpipe.report.lab_report import describe_campaign, fill_template, find_open_decisions
 from labpipe.report.page_tables import (
     arrange_tests,
     compute_report_id,
@@ -107,14 +106,14 @@ def test_decided_and_rejected() -> None:
 
 def test_what_is_to_be_decided_until_somebody_did() -> None:
     campaign = build_campaign()
-    open_decisions = find_open_decisions(find_causes(campaign), arrange_tests(campaign)[1])
+    open_decisions = find_open_decisions(find_causes(campaign)[0], arrange_tests(campaign)[1])
     headings = {decision.cause.heading for decision in open_decisions}
     assert headings == {"Failed", "Doubtful", "Outlier"}
     assert describe_campaign(campaign, open_decisions).endswith(" 3 to decide")
     group = campaign.groups[0]
     decided = tuple(replace(sample, decision="fine (me)") for sample in group.samples)
     settled = replace(campaign, groups=(replace(group, samples=decided),))
-    assert not find_open_decisions(find_causes(settled), arrange_tests(settled)[1])
+    assert not find_open_decisions(find_causes(settled)[0], arrange_tests(settled)[1])
     assert describe_campaign(settled, []).endswith(" 0 to decide")
 
 
