@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from math import inf, isnan, sqrt
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -266,8 +266,6 @@ class Cause:
 def find_causes(campaign: Campaign) -> tuple[list[Cause], list[Cause]]:
     """Group issues by cause and rank them by their effect on a number.
 
-    Issues of one kind with the same last code have one cause; so have all slips.
-
     Parameters
     ----------
     campaign : content of the report
@@ -279,19 +277,30 @@ def find_causes(campaign: Campaign) -> tuple[list[Cause], list[Cause]]:
     notes : notes without consequences, grouped by code, the most frequent first
     """
     groups = {group.name: group for group in campaign.groups}
-    issues_by_cause: dict[Any, list[Issue]] = {}
-    for issue in find_issues(campaign):
-        code = issue.kind if issue.kind is Kind.SLIP else issue.code.rpartition(", ")[-1]
-        issues_by_cause.setdefault((issue.kind, code or issue), []).append(issue)
     causes, notes = [], []
-    for issues in issues_by_cause.values():
-        cause = Cause(tuple(issues))
+    for cause in _group_by_cause(find_issues(campaign)):
         if cause.kind is Kind.NOTE:
             notes.append(cause)
         else:
             causes.append(replace(cause, effect=_find_effect(cause, groups)))
     causes.sort(key=lambda cause: -cause.effect.size if cause.effect else inf)
     return causes, sorted(notes, key=lambda note: len(note.issues), reverse=True)
+
+
+def _group_by_cause(issues: Iterable[Issue]) -> list[Cause]:
+    """Group issues of the same kind with a common code; all slips have one cause."""
+    clusters: list[tuple[Kind, set[str], list[Issue]]] = []
+    for issue in issues:
+        text = issue.kind if issue.kind is Kind.SLIP else issue.code
+        codes = {str(code) for code in text.split(", ") if code}
+        for kind, cluster_codes, members in clusters:
+            if kind is issue.kind and codes & cluster_codes:
+                cluster_codes.update(codes)
+                members.append(issue)
+                break
+        else:
+            clusters.append((issue.kind, codes, [issue]))
+    return [Cause(tuple(members)) for _, _, members in clusters]
 
 
 def _find_effect(cause: Cause, groups: Mapping[str, Group]) -> Effect | None:

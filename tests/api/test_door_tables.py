@@ -12,14 +12,16 @@ import pandas as pd
 import pytest
 
 from labpipe.api.data_frames import (
+    LeftOutWarning,
     Recordings,
     Units,
+    groups,
     make_budget_frame,
     make_curve_frame,
     make_results_frame,
-    make_shape_frame,
+    table,
 )
-from labpipe.api.many_tests import LeftOutWarning, groups, table
+from labpipe.api.one_test import Test
 from labpipe.errors import UsageError
 from labpipe.records.curve import Interval
 from labpipe.records.harness_bundle import Bundle, BundleWire
@@ -226,12 +228,13 @@ def test_curves(result: TestResult) -> None:
 def test_shapes(result: TestResult) -> None:
     shape = result.shape
     assert shape is not None
-    frame = make_shape_frame(shape, SI)
+    test = Test(result)
+    frame = test.shape
     assert frame.columns.names == ["point", "axis"]
     np.testing.assert_array_equal(frame["pull"]["y"], shape.positions[:, -1, 1])
     np.testing.assert_array_equal(frame.index, shape.time)
     assert frame.attrs["units"] == {"time": "s", "position": "m"}
-    shown = make_shape_frame(shape, SHOWN)
+    shown = test.display.shape
     np.testing.assert_allclose(shown["pull"]["x"], 1e3 * shape.positions[:, -1, 0])
     assert shown.attrs["units"]["position"] == "mm"
 
