@@ -26,7 +26,7 @@ from labpipe.errors import (
     sort_by_likeness,
 )
 from labpipe.process.output_paths import RESULT_FILE, find_results, list_files_below
-from labpipe.report.wording import Scale, find_display_unit
+from labpipe.report.wording import Scale, choose_unit
 from labpipe.store.layout import UNSTATED_UNIT
 from labpipe.store.replace import is_unfinished
 from labpipe.store.summaries import SUMMARY_FILE, read_summary
@@ -57,7 +57,7 @@ class Units:
         """Choose factor and unit of a result, or of a change of it."""
         if self.display is None:
             return Scale(1.0, unit)
-        return find_display_unit(name, unit, self.display)
+        return choose_unit(name, unit, self.display)
 
     def scale_quantity(self, quantity: str, unit: str) -> Scale:
         """Choose factor and unit of a quantity, such as ``force``."""

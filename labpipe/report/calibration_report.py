@@ -481,16 +481,16 @@ def make_profile_plot(parameter: CalibratedParameter, heading: str = "") -> Plot
     normal_quantile = 1.959963984540054  # of the probability 0.975, for a 95 % interval
     if not parameter.profiles:
         return Plot(heading=heading, reason=typeset(parameter.explanation))
-    low, high = find_panel_range(parameter)
+    low, high = compute_panel_range(parameter)
     lines, last_number = [], len(parameter.intervals) - 1
     for number, interval in enumerate(parameter.intervals):
         start = low if number == 0 and parameter.is_open_below else interval.lower
         stop = high if number == last_number and parameter.is_open_above else interval.upper
         lines.append(plots.make_span("interval_of_parameter", start, stop))
-    minima = sorted(_find_minimum(profile)[0] for profile in parameter.profiles)
+    minima = sorted(_get_minimum(profile)[0] for profile in parameter.profiles)
     borders = [low, *np.sqrt(np.array(minima[1:]) * np.array(minima[:-1])).tolist(), high]
     for profile in parameter.profiles:
-        best, height = _find_minimum(profile)
+        best, height = _get_minimum(profile)
         solution = minima.index(best)
         lines.append(make_line("profile", *interpolate_profile(profile)))
         lines.append(make_line("profile_point", profile.value, profile.deviance))
@@ -506,24 +506,26 @@ def make_profile_plot(parameter: CalibratedParameter, heading: str = "") -> Plot
         lines.append(make_line("prior", values, deviation**2))
     label, scale = LABELS[parameter.name], SCALES[parameter.name]
     x_axis = Axis(label, scale, low, high, is_log=True)
-    return Plot(x_axis, Axis("Deviance", low=0.0, high=_find_panel_top(parameter)), lines, heading)
+    return Plot(
+        x_axis, Axis("Deviance", low=0.0, high=_compute_panel_top(parameter)), lines, heading
+    )
 
 
-def _find_panel_top(parameter: CalibratedParameter) -> float:
-    """Return the deviance at the top of the panel of a parameter."""
+def _compute_panel_top(parameter: CalibratedParameter) -> float:
+    """Compute the deviance at the top of the panel of a parameter."""
     threshold_factor = 2.6  # shows the profiles well above their thresholds
     ends = (max(profile.threshold_below, profile.threshold_above) for profile in parameter.profiles)
     return threshold_factor * max(ends)
 
 
-def _find_minimum(profile: Profile) -> tuple[float, float]:
-    """Return value and deviance of the solution from which a profile was traced."""
+def _get_minimum(profile: Profile) -> tuple[float, float]:
+    """Get value and deviance of the solution from which a profile was traced."""
     number = int(np.argmin(profile.deviance))
     return float(profile.value[number]), float(profile.deviance[number])
 
 
-def find_panel_range(parameter: CalibratedParameter) -> tuple[float, float]:
-    """Return the range of values that the panel of a parameter shows, SI.
+def compute_panel_range(parameter: CalibratedParameter) -> tuple[float, float]:
+    """Compute the range of values that the panel of a parameter shows, SI.
 
     Parameters
     ----------
@@ -536,7 +538,7 @@ def find_panel_range(parameter: CalibratedParameter) -> tuple[float, float]:
     """
     margin_fraction = 0.12  # of the range of the logarithms of the values
     min_range = 0.02  # of the logarithms
-    values, top = [parameter.value], _find_panel_top(parameter)
+    values, top = [parameter.value], _compute_panel_top(parameter)
     for profile in parameter.profiles:
         profile_values, deviance = interpolate_profile(profile)
         values += profile_values[deviance <= top].tolist()
@@ -561,7 +563,7 @@ def interpolate_profile(profile: Profile) -> tuple[Floats, Floats]:
     a straight line.
     """
     n_fine_points = 200
-    logs, (best, height) = np.log(profile.value), _find_minimum(profile)
+    logs, (best, height) = np.log(profile.value), _get_minimum(profile)
     sign = np.sign(logs - np.log(best))
     fine_logs: Floats = np.union1d(np.linspace(logs[0], logs[-1], n_fine_points), logs)
     root = np.interp(fine_logs, logs, sign * np.sqrt(np.maximum(profile.deviance - height, 0.0)))

@@ -197,9 +197,9 @@ def make_pair_table(pair: Pair) -> Table:
     none, all else equal (19 B2, corrugated-tube)``, and its notes are the caveats of the
     comparison.
     """
-    display, rows = wording.find_display(pair.first), list[Record]()
+    display, rows = wording.get_display(pair.first), list[Record]()
     for difference in pair.differences:
-        scale = wording.find_scale(difference.name, difference.unit, display)
+        scale = wording.choose_scale(difference.name, difference.unit, display)
         margin = nan if difference.margin is None else difference.margin
         rows.append({
             "Number": wording.write_heading(difference.name, scale),
@@ -221,7 +221,7 @@ def make_answer(pair: Pair) -> tuple[Cell, Cell, str, str]:
     pair : groups that differ in one field
     """
     difference = pair.differences[0]
-    difference_text = _write_difference(difference, wording.find_display(pair.first))
+    difference_text = _write_difference(difference, wording.get_display(pair.first))
     first, second = count_values(pair)
     return (
         Cell(name_comparison(pair), describe_context((pair.first, pair.second), pair.field)),
@@ -243,7 +243,7 @@ def _write_difference(difference: Difference, display: Mapping[str, str]) -> str
     max_shown_ratio = 10.0  # a larger upper end is written as "more than +1000 %"
     ends, mean_difference, bound_text = difference.interval, difference.difference, ""
     if difference.change is None:
-        scale = wording.find_scale(difference.name, difference.unit, display)
+        scale = wording.choose_scale(difference.name, difference.unit, display)
         estimate = mean_difference.distinct_estimate
         number = wording.write_number(mean_difference.mean, ends, scale.factor, estimate=estimate)
         unit = f" {scale.unit}".rstrip()
@@ -328,8 +328,8 @@ def _make_curve_plots(
     family: Family, stems: Mapping[str, str], *, is_scaled: bool = False
 ) -> Iterator[Plot]:
     """Yield the plot of the mean first loadings of the groups with their bands, if any."""
-    display = wording.find_display(family.groups[0])
-    x_scale, y_scale = wording.find_units(display, "displacement", "force")
+    display = wording.get_display(family.groups[0])
+    x_scale, y_scale = wording.get_scales(display, "displacement", "force")
     name, heading = "Force", "First loading"
     if is_scaled:
         y_scale, name, heading = plots.PLAIN_NUMBER, "Force / peak force", "Force / peak force"
@@ -358,8 +358,8 @@ def _make_curve_plots(
     yield Plot(x, y, lines, heading, legend=legend, kind="means", title=title, size=size)
 
 
-def find_main_number(family: Family) -> str:
-    """Find the number by which groups are compared: bending stiffness, or the first in common.
+def choose_main_number(family: Family) -> str:
+    """Choose the number by which groups are compared: bending stiffness, or the first in common.
 
     Parameters
     ----------
@@ -384,11 +384,11 @@ def find_main_number(family: Family) -> str:
 
 def _make_mean_plots(family: Family, stems: Mapping[str, str]) -> Iterator[Plot]:
     """Yield the plot of the main number, if any: mean, interval and samples of each group."""
-    name, groups = find_main_number(family), family.groups
+    name, groups = choose_main_number(family), family.groups
     if not name:
         return
     numbers = [next(number for number in group.numbers if number.name == name) for group in groups]
-    scale = wording.find_scale(name, numbers[0].unit, wording.find_display(groups[0]))
+    scale = wording.choose_scale(name, numbers[0].unit, wording.get_display(groups[0]))
     sample_shift = 0.22  # of a row, from the mean to its samples
     lines: list[Line] = []
     for row, (number, group) in enumerate(zip(numbers, groups, strict=True)):

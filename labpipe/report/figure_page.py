@@ -83,8 +83,8 @@ def read_looks() -> dict[str, dict[str, Any]]:
     return looks
 
 
-def _find_settings(look: str) -> dict[str, Any]:
-    """Find the settings of a look, such as ``curve c2`` with the number of a colour."""
+def _read_settings(look: str) -> dict[str, Any]:
+    """Read the settings of a look, such as ``curve c2`` with the number of a colour."""
     kind, _, colour = look.partition(" ")
     settings = {name: value for name, value in read_looks()[kind].items() if name != "sign"}
     if colour:
@@ -202,7 +202,7 @@ def draw_plot(plot: Plot, axes: Axes, colours: Axis | None = None) -> None:
     for line in plot.lines:
         _draw_line(line, plot, axes, colours)
     for entry in plot.legend:
-        settings = {**_find_settings(entry.look), "label": shorten(entry.label, 100)}
+        settings = {**_read_settings(entry.look), "label": shorten(entry.label, 100)}
         (axes.fill if entry.look.startswith("band") else axes.plot)([], [], **settings)
     axes.autoscale_view()
     for axis, drawn_axis in ((plot.x, axes.xaxis), (plot.y, axes.yaxis)):
@@ -220,7 +220,7 @@ def draw_plot(plot: Plot, axes: Axes, colours: Axis | None = None) -> None:
 def _draw_line(line: Line, plot: Plot, axes: Axes, colours: Axis | None) -> Artist:
     from matplotlib.collections import LineCollection, PolyCollection
 
-    settings = {"label": "", **_find_settings(line.look), **line.settings}
+    settings = {"label": "", **_read_settings(line.look), **line.settings}
     x, y = plot.x.scale.factor * line.x, plot.y.scale.factor * line.y
     is_wide, is_high = (bool(np.isinf(ends).any()) for ends in (x, y))
     if line.values is not None and colours is not None:

@@ -15,12 +15,11 @@ from labpipe.errors import ProtocolError
 from labpipe.messages import format_sentence
 from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.schema import Protocol
-from labpipe.records.arrays import Floats, Ints
+from labpipe.records.arrays import Flags, Floats, Ints
 from labpipe.records.causes import IS_COMMON
 from labpipe.records.curve import (
     Branch,
     ClockFit,
-    Curve,
     Direction,
     Interval,
     MeasuredLaw,
@@ -110,7 +109,7 @@ def _make_axes(result: TestResult, *quantities: str) -> tuple[Axis, Axis]:
     """Make the axes of two quantities, or of displacement and force, in the units of a test."""
     x, y = quantities or ("Displacement", "Force")
     names = [quantity.lower().replace(" ", "_") for quantity in (x, y)]
-    x_scale, y_scale = wording.find_units(result.display, *names)
+    x_scale, y_scale = wording.get_scales(result.display, *names)
     return Axis(x, x_scale), Axis(y, y_scale)
 
 
@@ -119,7 +118,7 @@ def _plot_curve(result: TestResult) -> Iterator[Line]:
 
     Lines are solid in loading and dashed in unloading. A curve without branches is grey.
     """
-    curve, branches = result.curve, _find_branches(result)
+    curve, branches = result.curve, _get_branches(result)
     if curve is None:
         return
     x, y = curve.displacement, curve.force
@@ -150,7 +149,7 @@ def _plot_curve(result: TestResult) -> Iterator[Line]:
     yield plots.make_key_entry("peak", label="peak", color=key_colour)
 
 
-def _find_branches(result: TestResult) -> tuple[Branch, ...]:
+def _get_branches(result: TestResult) -> tuple[Branch, ...]:
     return result.curve.branches if result.curve is not None else ()
 
 
@@ -162,25 +161,23 @@ def choose_cycle_colours(count: int) -> list[str]:
 
 
 def make_stiffness_lines_page(result: TestResult) -> Page:
-    """Make the page of the first loading with the lines fitted for stiffness, slips and failure."""
-    loading = None if result.curve is None else result.curve.first_loading
-    lines: list[Line] = []
-    if result.curve is not None and loading is not None:
+    """Make the page of the first loading with the lines fitted for stiffness, slips and failure.
+
+    The loading is also drawn as measured if slips were repaired.
+    """
+    curve, lines, n_bins = result.curve, list[Line](), 1500
+    loading = None if curve is None else curve.first_loading
+    if curve is not None and loading is not None:
         rows = slice(loading.start, loading.stop)
-        loading_lines = _plot_loading(result, result.curve, rows)
-        lines = [*loading_lines, *_plot_fits(result), *_plot_events(result)]
+        x = curve.displacement[rows]
+        if result.aligned is not None and any(slip.decision == "repaired" for slip in result.slips):
+            measured_force = result.aligned.series["force"].values[rows]
+            lines.append(make_thinned_line("as_measured", x, measured_force, n_bins=n_bins))
+        lines.append(make_thinned_line("loading", x, curve.force[rows], n_bins=n_bins))
+        lines += [*_plot_fits(result), *_plot_events(result)]
     reason = _explain_missing(result, "loading branch")
     panels = [Plot(*_make_axes(result), lines, reason=reason)]
     return make_test_page(result, "stiffness-lines", panels, height=92)
-
-
-def _plot_loading(result: TestResult, curve: Curve, rows: slice) -> Iterator[Line]:
-    """Yield a loading branch, also as measured if slips were repaired."""
-    x, n_bins = curve.displacement[rows], 1500
-    if result.aligned is not None and any(slip.decision == "repaired" for slip in result.slips):
-        measured_force = result.aligned.series["force"].values[rows]
-        yield make_thinned_line("as_measured", x, measured_force, n_bins=n_bins)
-    yield make_thinned_line("loading", x, curve.force[rows], n_bins=n_bins)
 
 
 def _plot_fits(result: TestResult) -> Iterator[Line]:
@@ -202,7 +199,7 @@ def _plot_fits(result: TestResult) -> Iterator[Line]:
 
 def _describe_number(result: TestResult, number: Result) -> str:
     """Write the value of a number with its interval and unit."""
-    scale = wording.find_scale(number.name, number.unit, result.display)
+    scale = wording.choose_scale(number.name, number.unit, result.display)
     value = np.nan if number.value is None else number.value
     text = wording.write_number(value, number.interval, scale.factor).text
     return f"{text} {scale.unit}"
@@ -243,7 +240,7 @@ class _Tension(NamedTuple):
 
 def _compute_tension(result: TestResult) -> _Tension | None:
     """Compute stress and strain; None without branches, area, gauge length or valid protocol."""
-    curve, branches, protocol = result.curve, _find_branches(result), _read_protocol(result)
+    curve, branches, protocol = result.curve, _get_branches(result), _read_protocol(result)
     if curve is None or not branches or protocol is None:
         return None
     specimen = protocol.specimen
@@ -356,7 +353,7 @@ def _plot_cloud(result: TestResult) -> Iterator[Line]:
     max_points = 2500
     if result.bending is None:
         return
-    cloud, law, branches = result.bending.cloud, result.bending.law, _find_branches(result)
+    cloud, law, branches = result.bending.cloud, result.bending.law, _get_branches(result)
     x, y = cloud.curvature, cloud.moment
     if law is not None:
         rest_curvature = np.interp(np.abs(cloud.moment_at_rest), law.moment, law.curvature)
@@ -410,14 +407,19 @@ def _make_stiffness_plot(result: TestResult, law: MeasuredLaw, heading: str) -> 
 
 def make_timeline_page(result: TestResult) -> Page:
     """Make the page of force and motion against time, and the residuals of the clocks, if any."""
-    fit = result.aligned.clock_fit if result.aligned is not None else None
-    forces, motions = list(_plot_force(result)), list(_plot_motion(result))
-    scale, motion_name = wording.find_unit(result.display, "time"), "Displacement"
-    if result.aligned is not None and "travel" in result.aligned.series:
-        motion_name = "Travel"
+    aligned, curve = result.aligned, result.curve
+    forces, motions = list[Line](), _plot_motion(result)
+    fit = None if aligned is None else aligned.clock_fit
+    if aligned is not None and "force" in aligned.series:
+        recorded = aligned.series["force"].values
+        forces.append(make_thinned_line("recorded", aligned.time, recorded, n_bins=900))
+    if curve is not None:
+        forces.append(make_thinned_line("force", curve.time, curve.force, n_bins=900))
+    motion_name = "Travel" if aligned and "travel" in aligned.series else "Displacement"
+    scale = wording.get_scale(result.display, "time")
     times = [line.x for line in (*forces, *motions)]
     time = plots.make_axis("Time", scale, times, margin=0.01)
-    force, motion = wording.find_units(result.display, "force", "displacement")
+    force, motion = wording.get_scales(result.display, "force", "displacement")
     panels = [
         Plot(time, Axis("Force", force), forces, reason=_explain_missing(result, "force")),
         Plot(time, Axis(motion_name, motion), motions, reason=_explain_missing(result, "motion")),
@@ -429,18 +431,8 @@ def make_timeline_page(result: TestResult) -> Page:
     return make_test_page(result, "timeline", panels, **layout)
 
 
-def _plot_force(result: TestResult) -> Iterator[Line]:
-    """Yield the recorded force in grey, and the force of the curve above it."""
-    aligned, curve = result.aligned, result.curve
-    if aligned is not None and "force" in aligned.series:
-        recorded = aligned.series["force"].values
-        yield make_thinned_line("recorded", aligned.time, recorded, n_bins=900)
-    if curve is not None:
-        yield make_thinned_line("force", curve.time, curve.force, n_bins=900)
-
-
-def _plot_motion(result: TestResult) -> Iterator[Line]:
-    """Yield the travel, or the displacement if there is none, with the turning points."""
+def _plot_motion(result: TestResult) -> list[Line]:
+    """Plot the travel, or the displacement if there is none, with the turning points."""
     aligned, curve = result.aligned, result.curve
     names = [name for name in ("travel", "displacement") if aligned and name in aligned.series]
     if aligned is not None and names:
@@ -448,43 +440,38 @@ def _plot_motion(result: TestResult) -> Iterator[Line]:
     elif curve is not None:
         time, values = curve.time, curve.displacement
     else:
-        return
-    yield make_thinned_line("motion", time, values, n_bins=900)
-    branches = _find_branches(result)
-    ends = [end for branch in branches for end in (branch.start_time, branch.stop_time)]
-    if ends:
-        turns = np.unique(np.array(ends, dtype=np.float64))
-        heights = np.interp(turns, time, values, left=np.nan, right=np.nan)
-        yield make_line("turning_point", turns, heights)
+        return []
+    branches = _get_branches(result)
+    turns = np.unique([end for branch in branches for end in (branch.start_time, branch.stop_time)])
+    heights = np.interp(turns, time, values, left=np.nan, right=np.nan)
+    motion = make_thinned_line("motion", time, values, n_bins=900)
+    return [motion, *([make_line("turning_point", turns, heights)] if len(turns) else [])]
 
 
 def _make_residual_plot(fit: ClockFit, time: Axis) -> Plot:
-    """Make the panel of the residual of the clock fit at each event, with its 95 % interval."""
-    normal_quantile = 1.96
+    """Make the panel of the residual of the clock fit at each event, with its 95 % interval.
+
+    A label gives offset and drift, each with half its interval, and the residual, if any.
+    """
+    normal_quantile, n_parameters = 1.96, 2  # offset and drift
     event_times, errors = fit.event_times_motion, normal_quantile * fit.event_errors
-    residuals = fit.event_times_force - fit.to_force_time(event_times)
+    residuals, n_events = fit.event_times_force - fit.to_force_time(event_times), len(event_times)
     bars = plots.join_with_gaps(residuals - errors, residuals + errors)
     lines = [
         plots.make_horizontal_line("zero", 0.0),
         make_line("clock_interval", plots.join_with_gaps(event_times, event_times), bars),
         make_line("clock_residual", event_times, residuals),
     ]
-    settings = {"ha": "right", "va": "bottom", "color": GREY}
-    label = plots.Label(_describe_clock_fit(fit), np.inf, np.inf, (0.0, 3.0), settings)
-    return Plot(time, Axis("Residual", wording.Scale(1e3, "ms")), lines, labels=[label])
-
-
-def _describe_clock_fit(fit: ClockFit) -> str:
-    """Write offset and drift, each with half its interval, and the residual, if any."""
-    n_parameters = 2  # offset and drift
-    n_events = len(fit.event_times_motion)
     residual_text = f"residual {1e3 * fit.residual:.2g} ms (rms of {n_events})"
     if n_events <= n_parameters:
         residual_text = f"{wording.write_count(n_events, 'event')} for two unknowns: no residual"
     offset = wording.write_with_interval(fit.offset, fit.offset_interval)
     drift = wording.write_with_interval(fit.drift, fit.drift_interval, 1e6)
     clock_text = f"offset {offset} s,  drift {drift} ppm".replace("-", "\u2212")
-    return f"{clock_text},  {residual_text};  bars: 95 % of each event"
+    text = f"{clock_text},  {residual_text};  bars: 95 % of each event"
+    settings = {"ha": "right", "va": "bottom", "color": GREY}
+    label = Label(text, np.inf, np.inf, (0.0, 3.0), settings)
+    return Plot(time, Axis("Residual", wording.Scale(1e3, "ms")), lines, labels=[label])
 
 
 _FLAG_MARKS: dict[PointFlag, Any] = {
@@ -522,7 +509,7 @@ def make_wire_shapes_page(result: TestResult) -> Page:
         empty_plot = Plot(reason=_explain_missing(result, "shape"))
         return make_test_page(result, "wire-shapes", [empty_plot])
     selection = choose_shape_frames(result, shape)
-    scale = wording.find_unit(result.display, "displacement")
+    scale = wording.get_scale(result.display, "displacement")
     names = "xyz" if selection.deflection_name == _EXCURSION else "xy"
     curves = [_compute_fitted_curve(shape, int(frame)).T for frame in selection.frames]
     points = np.concatenate([shape.positions[selection.frames].reshape(-1, 3), *curves])
@@ -555,10 +542,13 @@ def choose_shape_frames(result: TestResult, shape: Shape) -> FrameSelection:
     At most seven frames from deflection zero upwards. If no deflection is known, only the first
     frame is chosen.
     """
-    deflection, name = _find_tip_deflection(result, shape)
+    deflection = find_loading_deflection(result, shape.time)
+    name = "tip deflection" if _is_clamped(shape) else "deflection"
+    if deflection is None:
+        deflection, name = _compute_tip_excursion(shape.positions), _EXCURSION
     if np.isnan(deflection).all():
         return FrameSelection(np.zeros(1, dtype=np.int64), np.zeros(1), name)
-    scale = wording.find_unit(result.display, "displacement")
+    scale = wording.get_scale(result.display, "displacement")
     return FrameSelection(*choose_frames_at_steps(deflection, scale.factor), name)
 
 
@@ -586,22 +576,18 @@ def choose_frames_at_steps(deflection: Floats, factor: float = 1.0) -> tuple[Int
     return frames, deflections[: len(frames)]
 
 
-def _find_tip_deflection(result: TestResult, shape: Shape) -> tuple[Floats, str]:
-    """Return the deflection of the tip in every frame, m, and its name.
+def _compute_tip_excursion(positions: Floats) -> Floats:
+    """Compute the distance of the tip from its first position, m; NaN where it is not tracked.
 
-    The deflection is NaN outside the first loading branch. Without a loading branch, it is the
-    distance of the tip from its first position. The tip is the last point that has a position in
-    at least one frame.
+    The tip is the last point that has a position in at least one frame.
     """
-    deflection = find_loading_deflection(result, shape.time)
-    if deflection is None:
-        tracked_points = np.flatnonzero(~np.isnan(shape.positions).any(axis=2).all(axis=0))
-        tip = shape.positions[:, tracked_points[-1] if len(tracked_points) else -1]
-        tracked_frames = np.flatnonzero(~np.isnan(tip).any(axis=1))
-        start = tip[tracked_frames[0]] if len(tracked_frames) else np.full(3, np.nan)
-        distance: Floats = np.linalg.norm(tip - start, axis=1)
-        return distance, _EXCURSION
-    return deflection, "tip deflection" if _is_clamped(shape) else "deflection"
+    is_tracked: Flags = np.asarray(np.isfinite(positions).all(axis=2))
+    if not is_tracked.any():
+        return np.full(len(positions), np.nan)
+    tip_index = np.flatnonzero(is_tracked.any(axis=0))[-1:]
+    tip = positions[:, tip_index[0]]
+    distance: Floats = np.linalg.norm(tip - tip[is_tracked[:, tip_index[0]]][0], axis=1)
+    return distance
 
 
 def find_loading_deflection(result: TestResult, time: Floats) -> Floats | None:
@@ -639,7 +625,7 @@ def _describe_offset(result: TestResult, shape: Shape) -> str:
     centre_offset = 0.0 if markers is None else abs(markers.centre_offset)
     if not _is_clamped(shape) or centre_offset < min_offset or not has_curve:
         return ""
-    scale = wording.find_unit(result.display, "displacement")
+    scale = wording.get_scale(result.display, "displacement")
     offset = centre_offset * scale.factor
     return format_sentence("report.markers_beside_axis", offset=offset, unit=scale.unit)
 
@@ -704,7 +690,7 @@ def make_marker_quality_page(result: TestResult) -> Page:
     row_mm, min_panel_mm, frame_mm = 4.2, 25.0, 30.0
     times = [take.markers.time for take in result.recordings.values() if take.markers]
     times = times if result.shape is None else [result.shape.time, *times]
-    time = plots.make_axis("Time", wording.find_unit(result.display, "time"), times, margin=0.01)
+    time = plots.make_axis("Time", wording.get_scale(result.display, "time"), times, margin=0.01)
     flags, tracking = make_flag_plot(result, time), _make_tracking_plot(result, time)
     heights = [max(row_mm * len(flags.y.row_names), min_panel_mm), min_panel_mm]
     return make_test_page(
@@ -763,7 +749,7 @@ def _make_tracking_plot(result: TestResult, time: Axis) -> Plot:
             )
             errors.append(error)
     if errors:
-        scale = wording.find_unit(result.display, "displacement")
+        scale = wording.get_scale(result.display, "displacement")
         return Plot(time, Axis("Body error", scale, low=0.0), errors)
     counts = (~np.isnan(tracks.positions).any(axis=2)).sum(axis=1).astype(np.float64)
     line = plots.make_thinned_line("visible_markers", tracks.time, counts, n_bins=_TIME_BINS)
@@ -839,7 +825,7 @@ def make_budget_bar(
     interval : interval of the number, SI; None without an interval
     display : display unit of each quantity, keyed by quantity
     """
-    text, scale = "", wording.find_scale(number.name, number.unit, display)
+    text, scale = "", wording.choose_scale(number.name, number.unit, display)
     if interval is not None:
         half_width = 0.5 * abs(scale.factor) * (interval.upper - interval.lower)
         half_text = wording.write_number(half_width, None, digits=2).value
@@ -864,7 +850,12 @@ def make_budget_plot(bars: Sequence[BudgetBar]) -> Plot:
         for cause, start, stop in zip(shares, ends[:-1], ends[1:], strict=True):
             parts[cause].append((start, stop, row))
             labels += _label_share(cause, start, stop, row)
-    lines = [_make_share_bars(cause, *np.array(parts[cause]).T) for cause in causes]
+    lines = []
+    for cause in causes:
+        look = "common_cause" if IS_COMMON.get(cause, False) else "cause"
+        settings = {"label": cause, "facecolor": get_cause_colour(cause)}
+        left, right, rows = np.array(parts[cause]).T
+        lines.append(plots.make_bars(look, left, right, rows, height=0.74, **settings))
     if any(IS_COMMON.get(cause, False) for cause in causes):
         lines.append(plots.make_key_entry("common_cause", is_closed=True))
     row_axis = Axis(low=0.5 - len(bars), high=0.5, row_names=tuple(bar.name for bar in bars))
@@ -873,20 +864,13 @@ def make_budget_plot(bars: Sequence[BudgetBar]) -> Plot:
     return Plot(share_axis, row_axis, lines, labels=labels, reason=reason)
 
 
-def _make_share_bars(cause: str, left: Floats, right: Floats, rows: Floats) -> Line:
-    """Make the segments of all bars that show one cause."""
-    look = "common_cause" if IS_COMMON.get(cause, False) else "cause"
-    settings = {"label": cause, "facecolor": find_cause_colour(cause)}
-    return plots.make_bars(look, left, right, rows, height=0.74, **settings)
-
-
 def _label_share(cause: str, start: float, stop: float, row: int) -> Iterator[Label]:
     """Label a segment of a bar with its share; on a hatched segment, with a plain background."""
     min_labelled_share = 0.10  # a smaller segment is too narrow for its number
     max_dark_brightness = 0.45  # on a darker segment, white text is easier to read than black
     if stop - start < min_labelled_share:
         return
-    colour = find_cause_colour(cause)
+    colour = get_cause_colour(cause)
     red, green, blue = bytes.fromhex(colour.removeprefix("#"))
     is_dark = 0.3 * red + 0.59 * green + 0.11 * blue < 255 * max_dark_brightness
     settings: dict[str, Any] = {"ha": "center", "color": "white" if is_dark else "black"}
@@ -895,8 +879,8 @@ def _label_share(cause: str, start: float, stop: float, row: int) -> Iterator[La
     yield Label(f"{100 * (stop - start):.0f}", (start + stop) / 2, -row, settings=settings)
 
 
-def find_cause_colour(cause: str) -> str:
-    """Find the colour of a cause in all figures; light grey for an unknown cause."""
+def get_cause_colour(cause: str) -> str:
+    """Get the colour of a cause in all figures; light grey for an unknown cause."""
     colour: str = figure_page.read_looks()["colours_of_causes"].get(cause, "#ededed")
     return colour
 

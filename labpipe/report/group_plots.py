@@ -166,13 +166,15 @@ def _make_curve_plots(view: PageGroup) -> Iterator[Plot]:
     lines += [line for test in view.tests for line in _plot_fitted_lines(test)]
     lines += make_mean_lines(band)
     lines += [line for test in view.tests for line in _plot_events(test)]
-    x = plots.make_axis("Displacement", view.find_scale("displacement"), [line.x for line in lines])
+    x = plots.make_axis(
+        "Displacement", view.choose_scale("displacement"), [line.x for line in lines]
+    )
     limit_values = (test.find_value(FORCE_LIMIT) for test in view.tests)
     limits = sorted(set(filter(None, limit_values)))
     lines += [plots.make_horizontal_line("limit", limit) for limit in limits]
     curves = (curve for sample in group.samples for curve in (*sample.loading, *sample.unloading))
     forces = [*(curve.force for curve in curves), np.array(limits)]
-    y = _make_force_axis("Force", view.find_scale("force"), forces, band)
+    y = _make_force_axis("Force", view.choose_scale("force"), forces, band)
     title = f"Force against displacement of {wording.write_count(len(group.samples), 'sample')}:"
     mean, caption = f"mean of {band.n} {band.members}", wording.join_sentences([band.reason])
     size = 660, 240
@@ -257,7 +259,7 @@ def make_band_lines(band: Band, look: str = "", group: str = "") -> Iterator[Lin
     """
     if band.n < 2 or not band.has_area:
         return
-    rows = _find_band_rows(band, band.upper)
+    rows = _choose_band_rows(band, band.upper)
     x = band.displacement[rows]
     pointwise = plots.make_area(f"band {look}".strip(), x, band.lower[rows], band.upper[rows])
     yield replace(pointwise, group=group)
@@ -266,8 +268,8 @@ def make_band_lines(band: Band, look: str = "", group: str = "") -> Iterator[Lin
             yield Line("whole", x, edge[rows])
 
 
-def _find_band_rows(band: Band, values: Floats) -> Ints:
-    """Find the points that preserve the shape of a band or a mean."""
+def _choose_band_rows(band: Band, values: Floats) -> Ints:
+    """Choose the points that preserve the shape of a band or a mean."""
     return plots.simplify_line(band.displacement, values, max_points=28, tolerance=0.001)
 
 
@@ -280,7 +282,7 @@ def make_mean_lines(band: Band, look: str = "", group: str = "") -> Iterator[Lin
     """
     if not len(band.displacement) or (band.n < 2 and not group):
         return  # the mean of one sample is that sample
-    rows, marks = _find_band_rows(band, band.mean), band.marks
+    rows, marks = _choose_band_rows(band, band.mean), band.marks
     yield Line(f"mean {look}".strip(), band.displacement[rows], band.mean[rows], group=group)
     if len(marks):
         x = join_with_gaps(band.displacement[marks], band.displacement[marks])
@@ -323,7 +325,7 @@ def _make_shape_plots(view: PageGroup) -> Iterator[Plot]:
             steps = max(steps, shapes.deflection, key=len)
     if not lines:
         return
-    scale, width = view.find_scale("displacement"), _SMALL_PLOT_SIZE[0]
+    scale, width = view.choose_scale("displacement"), _SMALL_PLOT_SIZE[0]
     names, points = ("Along the specimen", "Deflection"), np.vstack(point_sets)
     x_axis, y_axis = plots.make_axes_to_scale(names, scale, points, min_aspect=0.3, margin=0.03)
     length_per_point = (x_axis.high - x_axis.low) / width
@@ -353,9 +355,11 @@ def _make_moment_plots(view: PageGroup) -> Iterator[Plot]:
     if not lines:
         return
     all_lines = [*areas, *lines]
-    x_axis = plots.make_axis("Curvature", view.find_scale("curvature"), [line.x for line in lines])
+    x_axis = plots.make_axis(
+        "Curvature", view.choose_scale("curvature"), [line.x for line in lines]
+    )
     moments = [line.y for line in all_lines]
-    y_axis = plots.make_axis("Bending moment", view.find_scale("moment"), moments)
+    y_axis = plots.make_axis("Bending moment", view.choose_scale("moment"), moments)
     title = "Bending moment against curvature of"
     caption = "Measured from the shapes, first loading."
     caption += " Area: 95 % interval of each sample." if areas else ""
@@ -377,7 +381,9 @@ def _make_scaled_plots(view: PageGroup) -> Iterator[Plot]:
     lines = [*list(make_band_lines(band))[:1], *curves, *make_mean_lines(band)]
     if not lines:
         return
-    x = plots.make_axis("Displacement", view.find_scale("displacement"), [line.x for line in lines])
+    x = plots.make_axis(
+        "Displacement", view.choose_scale("displacement"), [line.x for line in lines]
+    )
     force_ratios = [line.y for line in curves]
     y = _make_force_axis("Force / peak force", plots.PLAIN_NUMBER, force_ratios, band)
     mean, caption = f"mean of {band.n} {band.members}", format_sentence("report.scaled_caption")
@@ -402,7 +408,7 @@ def _make_number_plots(group: Group) -> Iterator[Plot]:
             limit = 1.0 if number.name == PEAK_OVER_LIMIT else group.lot.limit
             lines.append(plots.make_vertical_line("limit", nan if limit is None else limit))
         yield Plot(
-            make_dot_axis(number.name, wording.find_number_scale(group, number), lines),
+            make_dot_axis(number.name, wording.choose_number_scale(group, number), lines),
             Axis(low=0.5 - len(rows), high=0.5, row_names=tuple(rows)),
             lines,
             legend=list_key_entries(lines, hidden=("interval",)),

@@ -123,7 +123,7 @@ def _list_sample_issues(group: Group, sample: Sample) -> Iterator[Issue]:
         names = tuple(result.name for result in results)
         labels, reason = "; ".join(map(wording.write_label, names)), wording.join_sentences(reasons)
         yield Issue(kind, group.name, tests, labels, reason, _join_codes(reasons), names)
-    length, force = wording.find_units(wording.find_display(group), "displacement", "force")
+    length, force = wording.get_scales(wording.get_display(group), "displacement", "force")
     for slip in sample.slips:
         position = wording.write_number(slip.position, slip.position_interval, length.factor)
         drop = wording.write_number(slip.drop, slip.drop_interval, force.factor)
@@ -149,7 +149,7 @@ def _list_number_issues(group: Group) -> Iterator[Issue]:
             if (test, number.name) not in failed_results:
                 reason, codes = wording.join_sentences(reasons), _join_codes(reasons)
                 yield Issue(Kind.LEFT_OUT, group.name, (test,), label, reason, codes, names)
-        scale = wording.find_number_scale(group, number)
+        scale = wording.choose_number_scale(group, number)
         for outlier in number.outliers:
             value = wording.write_number(outlier.value, None, scale.factor).value
             reason = f"{value} {scale.unit}".strip() + (

@@ -26,7 +26,13 @@ from labpipe.report.figure_page import convert_write_errors, save_pages
 from labpipe.report.group_plots import list_group_figures, make_group_plots
 from labpipe.report.issues import Cause, Kind, find_causes
 from labpipe.report.page_tables import PageGroup, PageTest, compute_report_id, list_samples
-from labpipe.report.plot_records import clip_range, make_mean_strip, simplify_line, write_sparkline
+from labpipe.report.plot_records import (
+    Page,
+    clip_range,
+    make_mean_strip,
+    simplify_line,
+    write_sparkline,
+)
 from labpipe.report.report_workbook import save_workbook
 from labpipe.report.table_records import DASH, Cell, Table
 from labpipe.statistics.group_samples import make_field_sort_key
@@ -76,18 +82,15 @@ def write_report(
             path.write_text(wording.replace_unprintable(text), encoding="utf-8")
         save_workbook(campaign, folder / TABLES_FILE)
         if formats:
-            settings: dict[str, Any] = {
-                "png": "png" in formats,
-                "pdf": "pdf" in formats,
-                "dpi": 200,
-            }
-            figures_folder, drawn_pages = folder / FIGURES_FOLDER, _list_figures(campaign)
-            figures = save_pages(drawn_pages, figures_folder, is_journal=is_journal, **settings)
+            figures = save_pages(
+                _list_figures(campaign), folder / FIGURES_FOLDER, png="png" in formats,
+                pdf="pdf" in formats, dpi=200, is_journal=is_journal,
+            )  # fmt: skip
     page_file, *test_page_files = (folder / name for name in pages)
     return [page_file, folder / TABLES_FILE, *test_page_files, *figures]
 
 
-def _list_figures(campaign: Campaign) -> Iterator[Any]:
+def _list_figures(campaign: Campaign) -> Iterator[Page]:
     """Yield the figures of each group, and those of comparisons."""
     stems = page_tables.make_stems(group.name for group in campaign.groups)
     for group, stem in zip(campaign.groups, stems, strict=True):
@@ -246,7 +249,7 @@ def _list_key_blocks(groups: Sequence[PageGroup], max_rows: int) -> list[dict[st
     members_by_heads: dict[tuple[tuple[str, str], ...], list[PageGroup]] = {}
     for protocol in dict.fromkeys(view.group.protocol for view in groups):
         members = [view for view in groups if view.group.protocol == protocol]
-        members_by_heads.setdefault(_find_key_heads(members), []).extend(members)
+        members_by_heads.setdefault(_list_key_heads(members), []).extend(members)
     blocks = []
     for heads, members in members_by_heads.items():
         rows, n_shown = _list_key_rows(members, dict(heads)), min(len(members), max(max_rows, 0))
@@ -255,13 +258,13 @@ def _list_key_blocks(groups: Sequence[PageGroup], max_rows: int) -> list[dict[st
     return blocks
 
 
-def _find_key_heads(groups: Sequence[PageGroup]) -> tuple[tuple[str, str], ...]:
-    """Find names and headings of the first numbers of groups of one protocol."""
+def _list_key_heads(groups: Sequence[PageGroup]) -> tuple[tuple[str, str], ...]:
+    """List names and headings of the first numbers of groups of one protocol."""
     n_numbers = 3
     heads: dict[str, str] = {}
     for group, *_ in groups:
         for number in wording.list_key_numbers(group):
-            scale = wording.find_number_scale(group, number)
+            scale = wording.choose_number_scale(group, number)
             heads.setdefault(number.name, wording.write_heading(number.name, scale))
     return tuple(heads.items())[:n_numbers]
 
@@ -276,7 +279,10 @@ def _list_key_rows(groups: Sequence[PageGroup], heads: Mapping[str, str]) -> lis
     for view, first_number in zip(groups, numbers, strict=True):
         strip = None
         if first_number is not None:
-            interval, mean = _find_source(first_number).interval, first_number.mean.chosen.mean
+            interval, mean = (
+                _choose_interval_source(first_number).interval,
+                first_number.mean.chosen.mean,
+            )
             strip = make_mean_strip(strip_ends, interval, mean)
         cells, spark = [_make_key_cell(view.group, name) for name in heads], _write_mean_curve(view)
         rows.append({"view": view, "strip": strip, "cells": cells, "spark": spark})
@@ -289,8 +295,8 @@ def _find_averaged_number(group: Group, name: str) -> GroupNumber | None:
     return number if number is not None and number.values else None
 
 
-def _find_source(number: GroupNumber) -> MeanInterval | Result:
-    """Return the mean, or the result of the only test if the mean has no interval."""
+def _choose_interval_source(number: GroupNumber) -> MeanInterval | Result:
+    """Choose the mean, or the result of the only test if the mean has no interval."""
     mean = number.mean.chosen
     is_one_test = mean.interval is None and len(number.values) == 1
     return next(iter(number.values.values())) if is_one_test else mean
@@ -301,8 +307,8 @@ def _make_key_cell(group: Group, name: str) -> Cell:
     number = _find_averaged_number(group, name)
     if number is None:
         return Cell(DASH, tip="no sample has this number")
-    mean, source = number.mean.chosen, _find_source(number)
-    scale = wording.find_number_scale(group, number)
+    mean, source = number.mean.chosen, _choose_interval_source(number)
+    scale = wording.choose_number_scale(group, number)
     tip = "" if source is mean else "one test: uncertainty of its measurement"
     if (estimate := source.distinct_estimate) is not None:
         written = wording.write_number(mean.mean, source.interval, scale.factor, estimate=estimate)

@@ -44,7 +44,7 @@ def render_test(result: TestResult, *, report: str = "") -> str:
 
 
 def _list_facts(result: TestResult) -> list[tuple[str, str]]:
-    specimen, length = result.specimen, wording.find_unit(result.display, "displacement")
+    specimen, length = result.specimen, wording.get_scale(result.display, "displacement")
     sizes = specimen.dimensions.items()
     texts = {name: f"{length.factor * size:.4g} {length.unit}" for name, size in sizes}
     texts |= specimen.labels
@@ -73,7 +73,7 @@ def _make_number_table(result: TestResult) -> Table:
     rows: list[Record] = []
     reason_above = ""
     for number in result.results:
-        scale = wording.find_scale(number.name, number.unit, result.display)
+        scale = wording.choose_scale(number.name, number.unit, result.display)
         value = wording.write_result(number, scale.factor)
         reason = wording.join_sentences(number.reasons)
         rows.append({

@@ -84,9 +84,9 @@ class PageGroup(NamedTuple):
         max_detailed_samples = 6
         return len(self.tests) <= max_detailed_samples
 
-    def find_scale(self, quantity: str) -> wording.Scale:
-        """Find the display unit of a quantity in the group."""
-        return wording.find_unit(wording.find_display(self.group), quantity)
+    def choose_scale(self, quantity: str) -> wording.Scale:
+        """Get the display unit of a quantity in the group."""
+        return wording.get_scale(wording.get_display(self.group), quantity)
 
 
 def make_figure_group(group: Group) -> PageGroup:
@@ -121,7 +121,7 @@ def arrange_tests(campaign: Campaign) -> tuple[list[PageGroup], list[PageTest]]:
     tests: list[PageTest] = []
     for group, stem in zip(campaign.groups, stems, strict=True):
         for test in make_figure_group(group).tests:
-            state = find_state(test.sample)
+            state = combine_states(test.sample)
             tests.append(test._replace(number=len(tests), state=state, group=group, stem=stem))
     for sample in campaign.rejected_samples:
         match = find_group_of_rejected(sample, campaign)
@@ -185,8 +185,8 @@ def find_group_of_rejected(sample: Sample, campaign: Campaign) -> Group | None:
     return max(matches, key=count_common_fields, default=None)
 
 
-def find_state(sample: Sample) -> str:
-    """Find the worst status of the results of a test: ``ok``, ``doubtful`` or ``failed``."""
+def combine_states(sample: Sample) -> str:
+    """Combine the states of the results of a test to the worst: ``ok``, ``doubtful``, ``failed``."""
     statuses = {result.status for result in sample.results}
     worst_first = (Status.FAILED, Status.DOUBTFUL)
     return next((str(status) for status in worst_first if status in statuses), str(Status.OK))
@@ -312,7 +312,7 @@ def make_number_table(group: Group) -> Table:
     columns = group.samples if len(group.samples) <= MAX_SAMPLE_COLUMNS else ()
     rows = []
     for row, number in enumerate(group.numbers):
-        scale = wording.find_number_scale(group, number)
+        scale = wording.choose_number_scale(group, number)
         rows.append([
             Cell(wording.write_heading(number.name, scale), tip=number.name),
             Cell("", drawing=_draw_strip(number) if row < n_plots and number.values else None),
@@ -442,7 +442,7 @@ def make_sample_tables(page_group: PageGroup) -> list[Table]:
                 link = f"#t{test.number}"
                 row = {"Test": Cell(sample.test, link=link), "Spool": sample.specimen.spool}
             for number in numbers:
-                scale = wording.find_number_scale(group, number)
+                scale = wording.choose_number_scale(group, number)
                 head = wording.write_heading(number.name, scale)
                 row[head] = _make_sample_cell(number, sample, scale.factor)
             rows.append(row)
@@ -463,7 +463,7 @@ def make_budget_bars(group: Group) -> tuple[list[figures.BudgetBar], Mapping[str
     Up to five bars, of the first means with intervals or, without any, of the single tests; and
     ``colour`` and ``is_common`` of each of their causes.
     """
-    n_bars, display = 5, wording.find_display(group)
+    n_bars, display = 5, wording.get_display(group)
     numbers = [number for number in group.numbers if figures.has_budget_bar(number.name)]
     all_budgets = ((number, summarise_budget(number)) for number in numbers)
     budgets = [(number, budget) for number, budget in all_budgets if budget.test_shares]
@@ -482,7 +482,7 @@ def make_budget_bars(group: Group) -> tuple[list[figures.BudgetBar], Mapping[str
     bars = bars[:n_bars]
     shares = figures.sort_shares([bar.shares for bar in bars])
     cause_looks = {
-        name: {"colour": figures.find_cause_colour(name), "is_common": IS_COMMON.get(name)}
+        name: {"colour": figures.get_cause_colour(name), "is_common": IS_COMMON.get(name)}
         for name in figures.list_drawn_causes(shares)
     }
     bars = [bar._replace(shares=part) for bar, part in zip(bars, shares, strict=True)]
@@ -496,7 +496,7 @@ def make_spool_table(group: Group) -> Table | None:
     for number in group.numbers:
         if not number.values:
             continue
-        scale, decision = wording.find_number_scale(group, number), number.mean.decision
+        scale, decision = wording.choose_number_scale(group, number), number.mean.decision
         row: Record = {"Number": wording.write_heading(number.name, scale)}
         for spool in spools:
             mean = number.mean.spool_means.get(spool)
@@ -516,7 +516,7 @@ def make_spool_table(group: Group) -> Table | None:
 
 def make_slip_table(group: Group) -> Table | None:
     """Make the table of the slips of a group; None without slips."""
-    length, force = wording.find_units(wording.find_display(group), "displacement", "force")
+    length, force = wording.get_scales(wording.get_display(group), "displacement", "force")
     write, rows = wording.write_with_interval, list[Record]()
     for sample in group.samples:
         for slip in sample.slips:
@@ -530,14 +530,14 @@ def make_slip_table(group: Group) -> Table | None:
     return tabulate(f"{group.name}: slips in the grips", rows) if rows else None
 
 
-def find_lot_scale(group: Group, lot: Lot) -> wording.Scale:
-    """Return the display scale of the ratio of a force to the limit of a lot.
+def choose_lot_scale(group: Group, lot: Lot) -> wording.Scale:
+    """Choose the display scale of the ratio of a force to the limit of a lot.
 
     The ratio is shown as a force, or as it is if the samples have several limits.
     """
     if lot.limit is None:
         return wording.Scale(1.0, "")
-    force = wording.find_scale("", "N", wording.find_display(group))
+    force = wording.choose_scale("", "N", wording.get_display(group))
     return force._replace(factor=force.factor * lot.limit)
 
 
@@ -565,7 +565,7 @@ def make_lot_table(groups: Iterable[PageGroup]) -> Table | None:
     for group, stem, *_ in groups:
         if (lot := group.lot) is None:
             continue
-        scale = find_lot_scale(group, lot)
+        scale = choose_lot_scale(group, lot)
         limit, bound, smallest = (
             f"{wording.write_number(ratio, None, scale.factor).value} {scale.unit}".strip()
             if isfinite(ratio)
@@ -599,7 +599,7 @@ def make_verdict_table(group: Group) -> Table | None:
     """
     if group.lot is None:
         return None
-    force = wording.find_scale("", "N", wording.find_display(group))
+    force = wording.choose_scale("", "N", wording.get_display(group))
     sheets = [sample.specimen.observed for sample in group.samples]
     questions = dict.fromkeys(question for sheet in sheets for question in sheet)
     rows = []
@@ -620,9 +620,9 @@ def make_verdict_table(group: Group) -> Table | None:
     return tabulate(f"{group.name}: verdict on each sample", rows)
 
 
-def find_stiffness_scale(campaign: Campaign) -> wording.Scale:
-    """Return the display scale of bending stiffness of the first group; it serves all groups."""
-    return wording.find_unit(wording.find_display(campaign.groups[0]), "bending_stiffness")
+def choose_stiffness_scale(campaign: Campaign) -> wording.Scale:
+    """Choose the display scale of bending stiffness, that of the first group for all groups."""
+    return wording.get_scale(wording.get_display(campaign.groups[0]), "bending_stiffness")
 
 
 def make_bounds_table(campaign: Campaign) -> Table | None:
@@ -638,7 +638,7 @@ def make_bounds_table(campaign: Campaign) -> Table | None:
     """
     if not campaign.bounded_stiffnesses:
         return None
-    scale, rows = find_stiffness_scale(campaign), list[Record]()
+    scale, rows = choose_stiffness_scale(campaign), list[Record]()
     for stiffness in campaign.bounded_stiffnesses:
         all_slip, wires_slip, nothing_slips, smallest, largest = (
             wording.write_number(bound, None, scale.factor, digits=3).value
@@ -760,7 +760,7 @@ def _make_first_number_cell(sample: Sample, numbers: Sequence[GroupNumber]) -> C
     result = find_result(sample.results, name)
     if result is None:
         return Cell(DASH)
-    scale = wording.find_scale(name, result.unit, sample.display)
+    scale = wording.choose_scale(name, result.unit, sample.display)
     cell = make_result_cell(result, scale.factor)
     return cell._replace(subtext=wording.write_heading(name, scale), sort_value=result.value)
 

@@ -198,8 +198,8 @@ def list_key_numbers(group: Group) -> list[GroupNumber]:
     return [number for number in measured_numbers if is_first_cycle(number.name)]
 
 
-def find_display_unit(name: str, unit: str, display: Mapping[str, str]) -> Scale:
-    """Find the display unit of a result.
+def choose_unit(name: str, unit: str, display: Mapping[str, str]) -> Scale:
+    """Choose the display unit of a result.
 
     Parameters
     ----------
@@ -220,24 +220,24 @@ def find_display_unit(name: str, unit: str, display: Mapping[str, str]) -> Scale
     return Scale(1.0 / get_conversion_factor(display_unit, unit), display_unit)
 
 
-def find_display(group: Group) -> Mapping[str, str]:
-    """Return the display units of the first sample of a group, which are those of the group."""
+def get_display(group: Group) -> Mapping[str, str]:
+    """Get the display units of a group, which are those of its first sample."""
     return group.samples[0].display if group.samples else {}
 
 
-def find_scale(name: str, unit: str, display: Mapping[str, str]) -> Scale:
-    """Find the display unit of a result as `find_display_unit` does, with a typeset name."""
-    scale = find_display_unit(name, unit, display)
+def choose_scale(name: str, unit: str, display: Mapping[str, str]) -> Scale:
+    """Choose the display unit of a result as `choose_unit` does, with a typeset name."""
+    scale = choose_unit(name, unit, display)
     return scale._replace(unit=typeset_unit(scale.unit))
 
 
-def find_number_scale(group: Group, number: GroupNumber) -> Scale:
-    """Find the display unit of a number in its group, with a typeset name."""
-    return find_scale(number.name, number.unit, find_display(group))
+def choose_number_scale(group: Group, number: GroupNumber) -> Scale:
+    """Choose the display unit of a number in its group, with a typeset name."""
+    return choose_scale(number.name, number.unit, get_display(group))
 
 
-def find_unit(display: Mapping[str, str], quantity: str) -> Scale:
-    """Find the display unit of a quantity.
+def get_scale(display: Mapping[str, str], quantity: str) -> Scale:
+    """Get the display unit of a quantity.
 
     Parameters
     ----------
@@ -258,9 +258,9 @@ def find_unit(display: Mapping[str, str], quantity: str) -> Scale:
     return Scale(1.0 / get_conversion_factor(unit, SI_UNITS[quantity]), typeset_unit(unit))
 
 
-def find_units(display: Mapping[str, str], *quantities: str) -> list[Scale]:
-    """Find the display units of several quantities with `find_unit`."""
-    return [find_unit(display, quantity) for quantity in quantities]
+def get_scales(display: Mapping[str, str], *quantities: str) -> list[Scale]:
+    """Get the display units of several quantities with `get_scale`."""
+    return [get_scale(display, quantity) for quantity in quantities]
 
 
 def typeset_unit(unit: str) -> str:
@@ -340,7 +340,7 @@ def write_number(
     >>> write_number(1234.567, None).value
     '1235'
     """
-    last_place = find_last_place(value, interval, factor, digits)
+    last_place = compute_last_place(value, interval, factor, digits)
     if not math.isfinite(value):
         return WrittenNumber("\u2013")
     numbers = [value] if interval is None else [value, interval.lower, interval.upper]
@@ -348,10 +348,10 @@ def write_number(
     return WrittenNumber(*_round_together([factor * number for number in numbers], last_place))
 
 
-def find_last_place(
+def compute_last_place(
     value: float, interval: Interval | None, factor: float = 1.0, digits: int = _DEFAULT_DIGITS
 ) -> int:
-    """Find the power of ten of the last digit with which a number is written.
+    """Compute the power of ten of the last digit with which a number is written.
 
     Parameters
     ----------
@@ -362,20 +362,20 @@ def find_last_place(
 
     Examples
     --------
-    >>> find_last_place(0.052284, Interval(0.046271, 0.058296), 1e3)
+    >>> compute_last_place(0.052284, Interval(0.046271, 0.058296), 1e3)
     -1
     """
     if interval is None:
-        return _compute_last_place(abs(factor * value), digits)
+        return _compute_digit_place(abs(factor * value), digits)
     numbers = [factor * number for number in (value, interval.lower, interval.upper)]
     half_width = (max(numbers[1:]) - min(numbers[1:])) / 2.0
     if not all(map(math.isfinite, numbers)) or not half_width > 0.0:
         largest = max(map(abs, filter(math.isfinite, numbers)), default=0.0)
-        return _compute_last_place(largest, digits)
-    return _compute_last_place(half_width, 2)
+        return _compute_digit_place(largest, digits)
+    return _compute_digit_place(half_width, 2)
 
 
-def _compute_last_place(size: float, digits: int) -> int:
+def _compute_digit_place(size: float, digits: int) -> int:
     """Compute the power of ten of the last significant digit of a positive number."""
     if size == 0.0 or not math.isfinite(size):
         return -digits
@@ -436,7 +436,7 @@ def write_with_interval(
         return f"{written.value} ({written.interval})"
     half_width = float(f"{abs(factor) * longer:.1e}")  # two digits
     numbers = [factor * number for number in (value, interval.lower, interval.upper)]
-    last_place = find_last_place(value, interval, factor)
+    last_place = compute_last_place(value, interval, factor)
     number, *_, half_text = _round_together([*numbers, half_width], last_place)
     number, times, power = number.partition(" \u00d7 ")
     text = f"{number} \u00b1 {half_text.partition(times)[0] if times else half_text}"

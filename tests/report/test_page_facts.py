@@ -159,7 +159,7 @@ def test_a_line_is_what_its_steps_say_to_sixteen_bit() -> None:
 
 @pytest.mark.parametrize(("low", "high"), [(0.0, 1.0), (-3.7, 12.0), (1e-5, 3e-5), (4e7, 5e7)])
 def test_ticks_are_round_few_and_inside(low: float, high: float) -> None:
-    shares, texts = zip(*Axis(low=low, high=high).find_ticks(6), strict=True)
+    shares, texts = zip(*Axis(low=low, high=high).choose_ticks(6), strict=True)
     assert 3 <= len(shares) <= 7
     assert -1e-9 <= min(shares) <= max(shares) <= 1 + 1e-9
     values = np.array([float(text.replace("\u2212", "-")) for text in texts])
