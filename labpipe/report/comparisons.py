@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, groupby
-from math import nan
+from math import isfinite, nan
+from typing import NamedTuple
 
 import numpy as np
 
 from labpipe.messages import format_sentence
 from labpipe.records.curve import Interval
-from labpipe.records.group import Campaign, Difference, Group
+from labpipe.records.group import Campaign, Difference, Group, Verdict
 from labpipe.records.harness_bundle import NONE
 from labpipe.report import group_plots, wording
 from labpipe.report import plot_records as plots
@@ -83,8 +85,59 @@ def list_single_field_pairs(campaign: Campaign) -> list[Pair]:
     return [Pair(groups[first], groups[second], tuple(items)) for (first, second), items in pairs]
 
 
-def find_families(campaign: Campaign) -> list[Family]:
-    """Collect groups that all differ from each other in one single field.
+class Question(NamedTuple):
+    """The comparisons of groups that differ in one and the same field.
+
+    Parameters
+    ----------
+    field : name of the field
+    pairs : at least one pair of groups
+    families : groups that all differ from each other; each pair is in at least one family
+    """
+
+    field: str
+    pairs: Sequence[Pair]
+    families: Sequence[Family]
+
+    @property
+    def answers(self) -> Table:
+        """Table of the verdicts, a row per pair."""
+        heads = ("Comparison", "Verdict", "Difference (95 %, corrected)", "n")
+        return Table(f"Verdicts: {name_field(self.field)}", heads, [*map(make_answer, self.pairs)])
+
+    @property
+    def tables(self) -> list[Table]:
+        """Table of each pair."""
+        return list(map(make_pair_table, self.pairs))
+
+    @property
+    def summary(self) -> tuple[str, str, str, str]:
+        """Question, verdict, difference and counts of the pair that differs most.
+
+        With several pairs, the question lists the values of the field, and the verdict is the count
+        of each verdict.
+        """
+        pairs = self.pairs
+        question, verdict, difference, counts = make_answer(max(pairs, key=_rank_pair))
+        if len(pairs) == 1:
+            return question.text, verdict.text, difference, counts
+        values = {value for pair in pairs for value in pair.differences[0].fields[self.field]}
+        sorted_values = sorted(values, key=lambda value: make_field_sort_key(self.field, value))
+        text = f"{name_field(self.field)}: {', '.join(sorted_values)}"
+        n_pairs = Counter(pair.differences[0].verdict for pair in pairs)
+        verdicts = [f"{str(kind).upper()} {n_pairs[kind]}" for kind in Verdict if n_pairs[kind]]
+        return text, ", ".join(verdicts), f"{difference}, largest of {len(pairs)} pairs", counts
+
+
+def _rank_pair(pair: Pair) -> tuple[bool, float]:
+    """Rank a pair: different groups are higher, then a larger difference."""
+    difference = pair.differences[0]
+    size = difference.change if difference.change is not None else difference.difference.mean
+    return difference.verdict is Verdict.DIFFERENT, abs(size) if isfinite(size) else 0.0
+
+
+def list_questions(campaign: Campaign) -> list[Question]:
+    """List the fields in which groups are compared, with their pairs and families.
 
     Parameters
     ----------
@@ -92,22 +145,22 @@ def find_families(campaign: Campaign) -> list[Family]:
 
     Returns
     -------
-    Families in the order of the comparisons. Each pair is in at least one family. A family of more
-    than `MAX_COMPARED_GROUPS` groups is split; its first group, the reference, is in each part.
+    Questions in the order of the comparisons. A family of more than `MAX_COMPARED_GROUPS` groups is
+    split; its first group, the reference, is in each part.
     """
-    families: list[Family] = []
-    for field, pairs in groupby(list_single_field_pairs(campaign), key=lambda pair: pair.field):
-        pairs_of_field = list(pairs)
-        members = [group for pair in pairs_of_field for group in (pair.first, pair.second)]
-        groups = {group.name: group for group in members}
+    questions = []
+    for field, items in groupby(list_single_field_pairs(campaign), key=lambda pair: pair.field):
+        pairs, families = list(items), list[Family]()
+        groups = {group.name: group for pair in pairs for group in (pair.first, pair.second)}
         values = {name: group.fields.get(field, "") for name, group in groups.items()}
         sorted_names = sorted(groups, key=lambda name: make_field_sort_key(field, values[name]))
-        linked_pairs = {frozenset((pair.first.name, pair.second.name)) for pair in pairs_of_field}
+        linked_pairs = {frozenset((pair.first.name, pair.second.name)) for pair in pairs}
         for names in _find_cliques(sorted_names, linked_pairs):
             reference, *other_groups = (groups[name] for name in names)
             parts = split_pages(other_groups, MAX_COMPARED_GROUPS - 1)
             families += [Family(field, (reference, *part)) for part in parts]
-    return families
+        questions.append(Question(field, pairs, families))
+    return questions
 
 
 def _find_cliques(names: Sequence[str], linked_pairs: set[frozenset[str]]) -> Iterator[list[str]]:
@@ -295,7 +348,7 @@ def list_family_figures(campaign: Campaign) -> Iterator[Page]:
     ----------
     campaign : groups and their differences
     """
-    families = find_families(campaign)
+    families = [family for question in list_questions(campaign) for family in question.families]
     contexts = [describe_context(family.groups, family.field) for family in families]
     pairs = list(zip(families, contexts, strict=True))
     names = make_stems(f"difference {family.field}: {context}" for family, context in pairs)

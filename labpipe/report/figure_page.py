@@ -22,7 +22,6 @@ from labpipe.report.plot_records import Axis, Label, Line, Page, Plot, split_at_
 from labpipe.report.wording import replace_unprintable, shorten
 
 if TYPE_CHECKING:
-    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.axis import Axis as DrawnAxis
     from matplotlib.figure import Figure
@@ -217,7 +216,7 @@ def draw_plot(plot: Plot, axes: Axes, colours: Axis | None = None) -> None:
         _draw_label(label, plot, axes)
 
 
-def _draw_line(line: Line, plot: Plot, axes: Axes, colours: Axis | None) -> Artist:
+def _draw_line(line: Line, plot: Plot, axes: Axes, colours: Axis | None) -> None:
     from matplotlib.collections import LineCollection, PolyCollection
 
     settings = {"label": "", **_read_settings(line.look), **line.settings}
@@ -232,14 +231,17 @@ def _draw_line(line: Line, plot: Plot, axes: Axes, colours: Axis | None) -> Arti
         coloured_line.set(cmap=colour_map.cmap, norm=colour_map.norm)
         values = np.minimum(line.values[:-1], line.values[1:])
         coloured_line.set_array(colours.scale.factor * values)
-        return axes.add_collection(coloured_line)
-    if line.is_closed:
-        if is_high:
-            return axes.axvspan(x[0], x[1], **settings)
-        return axes.add_collection(PolyCollection(split_at_gaps(x, y), **settings))
-    if is_wide:
-        return axes.axhline(y[0], **settings)
-    return axes.axvline(x[0], **settings) if is_high else axes.plot(x, y, **settings)[0]
+        axes.add_collection(coloured_line)
+    elif line.is_closed and is_high:
+        axes.axvspan(x[0], x[1], **settings)
+    elif line.is_closed:
+        axes.add_collection(PolyCollection(split_at_gaps(x, y), **settings))
+    elif is_wide:
+        axes.axhline(y[0], **settings)
+    elif is_high:
+        axes.axvline(x[0], **settings)
+    else:
+        axes.plot(x, y, **settings)
 
 
 def _map_colours(axis: Axis) -> Any:

@@ -5,23 +5,19 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
-from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from importlib.resources import files
 from io import BytesIO
-from itertools import groupby
-from math import isfinite
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from markupsafe import Markup
 
 from labpipe.errors import UsageError
-from labpipe.records.group import Campaign, Group, GroupNumber, MeanInterval, Verdict
+from labpipe.records.group import Campaign, Group, GroupNumber, MeanInterval
 from labpipe.records.result import Result
 from labpipe.report import comparisons, page_tables, wording
-from labpipe.report.comparisons import Pair, list_single_field_pairs
 from labpipe.report.figure_page import convert_write_errors, save_pages
 from labpipe.report.group_plots import list_group_figures, make_group_plots
 from labpipe.report.issues import Cause, Kind, find_causes
@@ -34,8 +30,7 @@ from labpipe.report.plot_records import (
     write_sparkline,
 )
 from labpipe.report.report_workbook import save_workbook
-from labpipe.report.table_records import DASH, Cell, Table
-from labpipe.statistics.group_samples import make_field_sort_key
+from labpipe.report.table_records import DASH, Cell
 
 PAGE_FILE, TABLES_FILE, FIGURES_FOLDER = "report.html", "tables.xlsx", "figures"
 SCRIPTS = ("page_tables.js", "page_plots.js", "page_decisions.js")
@@ -120,9 +115,19 @@ def render_page(
     An HTML document that needs no other file and no network. It can be read and printed without its
     script. All texts of the campaign are escaped.
     """
+    max_answers, max_decisions, min_groups = 8, 4, 3
+    n_screen_lines, lines_per_decision = 26, 2  # on a screen of 900 pixels, below the letterhead
     groups, tests = page_tables.arrange_tests(campaign)
-    report_id, script = compute_report_id(campaign), read_page_script()
-    samples = list_samples(campaign)
+    (causes, notes), questions = find_causes(campaign), comparisons.list_questions(campaign)
+    open_decisions = find_open_decisions(causes, tests)
+    n_answers = min(len(questions), max_answers)
+    n_decisions = min(len(open_decisions), max_decisions)
+    max_group_rows = max(n_screen_lines - n_answers - lines_per_decision * n_decisions, min_groups)
+    report_id, script, samples = (
+        compute_report_id(campaign),
+        read_page_script(),
+        list_samples(campaign),
+    )
     protocols = ", ".join(sorted({group.protocol for group in campaign.groups})) or "none"
     origin = [report_id, str(campaign.made_on or ""), f"labpipe {campaign.labpipe_version}".strip()]
     facts = [
@@ -131,6 +136,7 @@ def render_page(
         ("Report", ", ".join(filter(None, origin))),
         ("Protocols", protocols),
     ]
+    footer = f"{campaign.title}  \u00b7  report {report_id}"
     return fill_template(
         "lab_report.html",
         campaign=campaign,
@@ -138,102 +144,27 @@ def render_page(
         script=script,
         script_hash=compute_hash(script),
         page_data=write_page_data(campaign, report_id=report_id),
-        **make_style(
-            f"{campaign.title}  \u00b7  report {report_id}", read_part("page_answers.css")
-        ),
+        **make_style(footer, read_part("page_answers.css")),
         pages=has_test_pages,
         logo=logo,
         facts=facts,
         protocols=protocols,
+        counts=describe_campaign(campaign, open_decisions),
         samples=samples,
         groups=groups,
+        stems={view.group.name: view.stem for view in groups},
         tests=tests,
+        questions=questions,
+        blocks=_list_key_blocks(groups, max_group_rows),
+        open_decisions=open_decisions,
+        folds={"answers": n_answers, "decisions": n_decisions},
+        causes=causes,
+        notes=notes,
         tables=page_tables,
-        join_sentences=wording.join_sentences,
+        comparisons=comparisons,
+        wording=wording,
         make_group_plots=make_group_plots,
-        has_bundles=any(sample.specimen.bundle is not None for sample in samples),
-        remarks_on_pairs=comparisons.list_pair_remarks(campaign),
-        **_make_first_screen(campaign, groups, tests),
     )
-
-
-def _make_first_screen(
-    campaign: Campaign, groups: Sequence[PageGroup], tests: Sequence[PageTest]
-) -> dict[str, Any]:
-    """Return the contents of the first screen: counts, answers, numbers, decisions and causes."""
-    max_answers, max_decisions, min_groups = 8, 4, 3
-    n_screen_lines, lines_per_decision = 26, 2  # on a screen of 900 pixels, below the letterhead
-    (causes, notes), questions = find_causes(campaign), list(_list_questions(campaign, groups))
-    open_decisions = find_open_decisions(causes, tests)
-    n_answers = min(len(questions), max_answers)
-    n_decisions = min(len(open_decisions), max_decisions)
-    max_group_rows = max(n_screen_lines - n_answers - lines_per_decision * n_decisions, min_groups)
-    return {
-        "counts": describe_campaign(campaign, open_decisions),
-        "questions": questions,
-        "blocks": _list_key_blocks(groups, max_group_rows),
-        "open_decisions": open_decisions,
-        "folds": {"answers": n_answers, "decisions": n_decisions},
-        "causes": causes,
-        "notes": notes,
-    }
-
-
-def _list_questions(campaign: Campaign, groups: Sequence[PageGroup]) -> Iterator[dict[str, Any]]:
-    """Yield the comparisons of groups that differ in one field, field by field.
-
-    Yields
-    ------
-    ``field`` and its ``name``; ``question``; ``verdict``, or the count of each verdict if there are
-    several pairs; ``difference`` and ``counts`` of the pair that differs most; ``answers``, the
-    table of all pairs; ``plots``, the plots of each family with its common fields; ``tables`` and
-    ``notes`` of all pairs.
-    """
-    families = comparisons.find_families(campaign)
-    stems = {group.name: stem for group, stem, *_ in groups}
-    answer_heads = ("Comparison", "Verdict", "Difference (95 %, corrected)", "n")
-    for field, pairs_of_field in groupby(
-        list_single_field_pairs(campaign), key=lambda pair: pair.field
-    ):
-        pairs, name = list(pairs_of_field), comparisons.name_field(field)
-        answers = [comparisons.make_answer(pair) for pair in pairs]
-        pair_tables = [comparisons.make_pair_table(pair) for pair in pairs]
-        most_different = pairs.index(max(pairs, key=_compute_pair_rank))
-        question, verdict, difference, counts = answers[most_different]
-        if len(pairs) > 1:
-            values = {value for pair in pairs for value in pair.differences[0].fields[field]}
-            sorted_values = sorted(values, key=lambda value: make_field_sort_key(field, value))
-            question = Cell(f"{name}: {', '.join(sorted_values)}")
-            n_pairs = Counter(pair.differences[0].verdict for pair in pairs)
-            texts = [f"{str(kind).upper()} {n_pairs[kind]}" for kind in Verdict if n_pairs[kind]]
-            verdict = Cell(", ".join(texts))
-            difference += f", largest of {len(pairs)} pairs"
-        yield {
-            "field": field,
-            "name": name,
-            "question": question.text,
-            "verdict": verdict.text,
-            "difference": difference,
-            "counts": counts,
-            "answers": Table(f"Verdicts: {name}", answer_heads, answers),
-            "plots": [
-                (
-                    comparisons.describe_context(family.groups, field),
-                    comparisons.make_family_plots(family, stems),
-                )
-                for family in families
-                if family.field == field
-            ],
-            "tables": [replace(table, notes=()) for table in pair_tables],
-            "notes": list(dict.fromkeys(note for table in pair_tables for note in table.notes)),
-        }
-
-
-def _compute_pair_rank(pair: Pair) -> tuple[bool, float]:
-    """Compute a rank that is higher for different groups, then for a larger difference."""
-    difference = pair.differences[0]
-    size = difference.change if difference.change is not None else difference.difference.mean
-    return difference.verdict is Verdict.DIFFERENT, abs(size) if isfinite(size) else 0.0
 
 
 def _list_key_blocks(groups: Sequence[PageGroup], max_rows: int) -> list[dict[str, Any]]:

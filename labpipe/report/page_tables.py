@@ -186,7 +186,7 @@ def find_group_of_rejected(sample: Sample, campaign: Campaign) -> Group | None:
 
 
 def combine_states(sample: Sample) -> str:
-    """Combine the states of the results of a test to the worst: ``ok``, ``doubtful``, ``failed``."""
+    """Combine the states of the results of a test to the worst of them, such as ``doubtful``."""
     statuses = {result.status for result in sample.results}
     worst_first = (Status.FAILED, Status.DOUBTFUL)
     return next((str(status) for status in worst_first if status in statuses), str(Status.OK))

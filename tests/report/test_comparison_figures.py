@@ -7,14 +7,15 @@ from dataclasses import replace
 import numpy as np
 
 from labpipe.records.curve import Interval
-from labpipe.records.group import Contrast, MeanInterval
+from labpipe.records.group import Campaign, Contrast, MeanInterval
 from labpipe.records.quality import Reason
 from labpipe.report.comparisons import (
     MAX_COMPARED_GROUPS,
+    Family,
     Pair,
-    find_families,
     list_family_figures,
     list_pair_remarks,
+    list_questions,
     list_single_field_pairs,
     make_pair_table,
 )
@@ -31,6 +32,11 @@ from tests.builders.bundle_campaigns import (
 from tests.builders.campaigns import build_campaign, build_difference
 from tests.report.figure_words import all_words, cell_text, table_words
 from tests.store.builders_result import build_result
+
+
+def find_families(campaign: Campaign) -> list[Family]:
+    return [family for question in list_questions(campaign) for family in question.families]
+
 
 TAPING = find_families(bundle_campaign(conduit_cases(), alone="taping"))[0]
 
