@@ -333,7 +333,7 @@ def _group_columns(rows: Sequence[Cells], start: int, last: int) -> tuple[Group,
 
 
 def _convert_tracks(header: Header, columns: Columns) -> tuple[MarkerTracks, list[QualityNote]]:
-    """Convert columns to tracks in SI units, with notes on the clock and on rotations."""
+    """Convert columns to tracks in SI units, with notes on the clock."""
     frames = columns[0]
     if len(invalid_frames := np.flatnonzero(~np.isfinite(frames))):
         place = f"line {header.rows + 1 + int(invalid_frames[0])}, cell 1"
@@ -390,24 +390,21 @@ def make_object_names(objects: Sequence[tuple[str, str]]) -> tuple[str, ...]:
 
 
 def _make_header_notes(header: Header, path: Path) -> Iterator[QualityNote]:
-    """Make notes on version, name of the take, columns that are left out, and repeated names."""
+    """Make notes on version, name of the take, unused columns, and repeated names."""
     if (version := header.properties["Format Version"]) not in _KNOWN_VERSIONS:
         versions = ", ".join(_KNOWN_VERSIONS)
         yield QualityNote.of("readers.version_unseen", "file", version=version, known=versions)
     take = header.properties.get("Take Name", "")
     if take and take != path.stem:
         yield QualityNote.of("readers.take_name_differs", "file", take=take, file=path.name)
-    left_out = Counter(group.type for group in header.groups if group.type not in _CONVERTED_TYPES)
-    if fitted := left_out.pop("Rigid Body Marker", 0):
+    unused_types = Counter(x.type for x in header.groups if x.type not in _CONVERTED_TYPES)
+    if fitted := unused_types.pop("Rigid Body Marker", 0):
         yield QualityNote.of("readers.fitted_markers", "markers", count=fitted)
-    if other_columns := ", ".join(f"{n} of type {kind}" for kind, n in left_out.items()):
+    if other_columns := ", ".join(f"{n} of type {kind}" for kind, n in unused_types.items()):
         yield QualityNote.of("readers.columns_left_out", "columns", types=other_columns)
-    names = Counter((group.type, group.name) for group in header.groups)
-    repeated = [name for (kind, name), n in names.items() if n > 1 and kind in _CONVERTED_TYPES]
-    if repeated:
-        yield QualityNote.of(
-            "readers.objects_of_one_name", "markers", names=", ".join(repeated[:5])
-        )
+    objects = Counter((x.type, x.name) for x in header.groups if x.type in _CONVERTED_TYPES)
+    if repeated_names := ", ".join([name for (_, name), n in objects.items() if n > 1][:5]):
+        yield QualityNote.of("readers.objects_of_one_name", "markers", names=repeated_names)
 
 
 def _compute_time(
