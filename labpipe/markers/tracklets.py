@@ -383,7 +383,7 @@ def name_chains(
     relative : shape (frames, columns, 3), m, positions relative to the clamp
     time : shape (frames,), s
     min_label_time : shortest duration of a valid label, s; shorter stretches are errors
-    min_distance : smallest distance between two markers, m; a closer track is a duplicate
+    min_distance : smallest distance between two markers, m; a closer track is a copy
 
     Returns
     -------
@@ -396,7 +396,7 @@ def name_chains(
     belongs to the marker of its longest label. If two simultaneous chains have the same label, the
     chain with more frames keeps it. The other chain, if it lasts at least `min_label_time`, is
     assigned to the marker that is missing during that time, if there is exactly one. A track that
-    begins at the position of another track is a duplicate, which is used only if no longer track
+    begins at the position of another track is a copy, which is used only if no longer track
     has its label. In a take without labels, the columns with at least half the frames of the
     longest column are the markers.
     """
@@ -405,12 +405,10 @@ def name_chains(
     if has_no_labels:
         is_named = [True] * len(names)
     chains = _collect_chains(tracklets, links, time, is_named, min_label_time)
-    duplicates = [
-        chain for chain in chains if _is_duplicate(chain, tracklets, relative, min_distance)
-    ]
-    markers, rejected_chains = _assign_by_label(chains, duplicates)
+    copies = [chain for chain in chains if _is_copy(chain, tracklets, relative, min_distance)]
+    markers, rejected_chains = _assign_by_label(chains, copies)
     long_chains = [x for x in rejected_chains if time[x.stop - 1] - time[x.start] >= min_label_time]
-    candidates = [chain for chain in long_chains if chain not in duplicates]
+    candidates = [chain for chain in long_chains if chain not in copies]
     short_chains = [chain for chain in rejected_chains if chain not in candidates]
     eliminated, doubtful = _assign_by_elimination(markers, candidates)
     unassigned = short_chains + [chain for chain in chains if chain.label < 0]
@@ -443,22 +441,20 @@ def _collect_chains(
 
 
 def _assign_by_label(
-    chains: list[Chain], duplicates: list[Chain]
+    chains: list[Chain], copies: list[Chain]
 ) -> tuple[dict[int, list[Chain]], list[Chain]]:
-    """Assign chains by label; reject duplicates, and chains that overlap longer ones."""
+    """Assign chains by label; reject copies, and chains that overlap longer ones."""
     markers: dict[int, list[Chain]] = {}
     rejected_chains: list[Chain] = []
     labelled_chains = [chain for chain in chains if chain.label >= 0]
     for chain in sorted(labelled_chains, key=lambda chain: (-chain.frames, chain.start)):
         assigned = markers.setdefault(chain.label, [])
-        is_rejected = any(map(chain.overlaps, assigned)) or (assigned and chain in duplicates)
+        is_rejected = any(map(chain.overlaps, assigned)) or (assigned and chain in copies)
         (rejected_chains if is_rejected else assigned).append(chain)
     return markers, rejected_chains
 
 
-def _is_duplicate(
-    chain: Chain, tracklets: Tracklets, relative: Floats, min_distance: float
-) -> bool:
+def _is_copy(chain: Chain, tracklets: Tracklets, relative: Floats, min_distance: float) -> bool:
     """Return whether the chain begins at the position of another track."""
     column = tracklets.column[chain.tracklets[0]]
     distance = np.linalg.norm(relative[chain.start] - relative[chain.start, column], axis=1)

@@ -265,7 +265,7 @@ class Table:
     names, units : names and units of all columns
     columns : values of the columns that were read, each of shape (n_rows,) in the unit of its
         column, keyed by index of the column
-    other_name : name of the sheet if `part` may be the specimen on it, otherwise empty
+    sheet_name : name of the sheet if `part` may be the specimen on it, otherwise empty
     notes : quality notes on the rows
     first_line : number of the line of the first row in the file, counted from 1
     """
@@ -274,7 +274,7 @@ class Table:
     names: tuple[str, ...]
     units: tuple[str, ...]
     columns: Mapping[int, Floats]
-    other_name: str = ""
+    sheet_name: str = ""
     notes: tuple[QualityNote, ...] = ()
     first_line: int = 1
 
