@@ -58,12 +58,15 @@ _LENGTH_UNITS = {"Meters": 1.0, "Centimeters": 0.01, "Millimeters": 0.001}
 _KNOWN_VERSIONS = ("1.21", "1.23", "1.24", "1.25")
 """Format versions of known files."""
 _CONVERTED_TYPES = ("Marker", "Rigid Body")
+"""Types of objects whose columns are read."""
 _LABELS = ("Type", "Name", "ID")
+"""Labels of the header rows above the row of quantities."""
 _KEYS = (
     *("Format Version", "Take Name", "Take Notes", "Capture Frame Rate", "Export Frame Rate"),
     *("Capture Start Time", "Capture Start Frame", "Total Frames in Take"),
     *("Total Exported Frames", "Rotation Type", "Length Units", "Coordinate Space"),
 )
+"""Known keys in line 1."""
 Columns = Mapping[int, Floats]
 """Columns of shape (frames,), keyed by their index in the file; NaN where blank."""
 Cells = Sequence[str]

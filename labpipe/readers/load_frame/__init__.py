@@ -68,6 +68,7 @@ __all__ = ["assemble_recording", "choose_card", "read", "recognise", "recognise_
 _SEPARATOR_LINE = re.compile(r"\A\"?sep=.\"?\n")
 """Pattern of a first line that states the separator to a spreadsheet."""
 CardNames = str | Sequence[str] | None
+"""Name of the card that must fit, or names of which one must; None for any."""
 
 
 def recognise(path: Path) -> bool:

@@ -51,6 +51,7 @@ from labpipe.records.quality import QualityNote
 
 _TIME_WORD = re.compile(r"(?i)time|zeit|temps|tempo|tiempo|czas|tijd|时间|時間")
 Rows = Sequence[Sequence[str]]
+"""Cells of each row."""
 _Cells = tuple[str, ...]
 
 
@@ -253,6 +254,7 @@ _HEADER_TEXTS = {
 }
 """Rows above the numbers that a dialect requires, for messages, keyed by `Card.names`."""
 Channels = Sequence[ChannelChoice] | None
+"""Names or paths of the wanted channels; None for all."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
