@@ -26,7 +26,7 @@ from labpipe.mechanics.wire.calibration.measured_curves import (
 )
 from labpipe.mechanics.wire.cantilever import StringRig, compute_shape, deflect, make_straight
 from labpipe.messages import format_sentence
-from labpipe.protocol.sheet_grammar import CalibrationPlan, Comparison
+from labpipe.protocol.model_files import CalibrationPlan, Comparison
 from labpipe.readers.curve_files import CurveColumn, read_curve
 from labpipe.records.arrays import Floats, average_blocks
 from labpipe.records.curve import PointFlag
@@ -156,7 +156,7 @@ def _compare_group(
 ) -> ValidationGroup:
     """Compare a calibration with tests of one wire and length."""
     max_deflection = max(float(np.nanmax(curve.deflection)) for curve in curves)
-    noise = float(np.mean([curve.read_error for curve in curves]))
+    noise = float(np.mean([curve.point_error for curve in curves]))
     first_curve = curves[0]
     prediction, errors, reason, doubtful_deflection = None, None, None, np.inf
     try:
@@ -271,15 +271,14 @@ def note_misfits(groups: Sequence[ValidationGroup]) -> tuple[QualityNote, ...]:
     hardly any campaign of the virtual lab had less than 95 %.
     """
     min_inside_fraction = 0.8
-    calibrated_groups = [group for group in groups if group.is_calibrated]
     return tuple(
         QualityNote.of(
             "mechanics.studies.model_misses_tests",
             f"{group.wire}, {1e3 * group.length:.4g} mm",
             share=100.0 * group.errors.inside,
         )
-        for group in calibrated_groups
-        if group.errors is not None and group.errors.inside < min_inside_fraction
+        for group in groups
+        if group.is_calibrated and group.errors and group.errors.inside < min_inside_fraction
     )
 
 
