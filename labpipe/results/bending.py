@@ -232,16 +232,13 @@ class BendingStiffness(DerivedKind):
         """Key of the length in the formula."""
         return SUPPORTS[self.support][0]
 
-    @staticmethod
-    def find_contradictions(entry: Mapping[str, object]) -> Iterator[Fault]:
+    def find_value_faults(self) -> Iterator[Fault]:
         """Find corrections of a cantilever, and those without an input or 'large-deflection'."""
-        corrections = entry.get("corrections")
-        names = corrections if isinstance(corrections, list | tuple) else []
-        if names and entry.get("support") == "cantilever":
+        names = self.corrections
+        if names and self.support == "cantilever":
             expected = "corrections for 'three-point' alone"
             yield Fault(("corrections",), expected, "'cantilever'", "Remove them.")
             return
-        roller = entry.get("roller")
         for name, key in (("roller-radius", "diameter"), ("roller-friction", "friction")):
             if name not in names:
                 continue
@@ -249,7 +246,7 @@ class BendingStiffness(DerivedKind):
                 remedy = "Add 'large-deflection' to the corrections."
                 expected = f"'large-deflection' beside {name!r}"
                 yield Fault(("corrections",), expected, "none", remedy)
-            if not isinstance(roller, Mapping) or roller.get(key) is None:
+            if getattr(self.roller, key, None) is None:
                 remedy = f"Add 'roller: {{{key}: ...}}'."
                 yield Fault(("corrections",), f"'roller.{key}' for {name!r}", "none", remedy)
 
