@@ -511,7 +511,7 @@ def solve_three_point(test: ThreePointTest) -> ThreePointPath:
     """
     arc_length = np.linspace(0.0, 0.5 * test.span + test.overhang, test.n_stations)
     half = HalfBundle(test, test.bundle.build_law(), arc_length)
-    state_at_rest = half.release(half.law.make_unbent_history(test.n_stations))
+    state_at_rest = half.unload(half.law.make_unbent_history(test.n_stations))
     loading = [state_at_rest, *_solve_branch(half, state_at_rest, test.stroke, is_unloading=False)]
     unloading = [loading[-1], *_solve_branch(half, loading[-1], 0.0, is_unloading=True)]
     return ThreePointPath(test, half.arc_length, tuple(loading), tuple(unloading))
@@ -525,7 +525,7 @@ def _solve_branch(
     steps = np.linspace(0.0, 1.0, test.steps_per_branch + 1)[1:] ** test.crowding
     for displacement in (start + steps * (goal - start)).tolist():
         if is_unloading:
-            unloaded_shape = half.release(shape.plays)
+            unloaded_shape = half.unload(shape.plays)
             if unloaded_shape.displacement >= displacement - _MIN_DISPLACEMENT_STEP:
                 yield unloaded_shape
                 return
@@ -593,8 +593,8 @@ class HalfBundle:
             1.0 - 2.0 * build_up_fraction if is_unloading else build_up_fraction
         )
 
-    def release(self, plays: Floats) -> HalfShape:
-        """Compute the shape of an unloaded bundle with a history of plays."""
+    def unload(self, plays: Floats) -> HalfShape:
+        """Unload the bundle: compute its shape without forces, with a history of plays."""
         zero_moment = np.zeros(self.test.n_stations)
         response = self.law.respond(zero_moment, plays)
         shape = self._compute_shape(response.curvature)
