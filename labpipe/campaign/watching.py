@@ -333,13 +333,9 @@ class Watcher:
         show_message: Callable[[str], None],
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._campaign, self._pair, self._draw, self._show_message = (
-            campaign,
-            pair,
-            draw,
-            show_message,
-        )
-        self._clock, self._plan_file = clock, campaign.raw / PLAN_NAME
+        self._campaign, self._pair, self._draw = campaign, pair, draw
+        self._show_message, self._clock = show_message, clock
+        self._plan_file = campaign.raw / PLAN_NAME
         self._plan_signature = _read_signature(self._plan_file)
         self.plan = read_plan(campaign.raw)
         self._tests = defaultdict[Path, _WatchedTest](_WatchedTest)
