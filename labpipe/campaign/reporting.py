@@ -581,7 +581,7 @@ def report_tests(
     return WrittenReport(folder, campaign, paths)
 
 
-def make_campaign(tests: ReadTests, title: str, options: ReportOptions) -> Campaign:
+def make_campaign(tests: ReportTests, title: str, options: ReportOptions) -> Campaign:
     """Group tests, and compare the groups.
 
     Parameters
@@ -633,7 +633,7 @@ def make_campaign(tests: ReadTests, title: str, options: ReportOptions) -> Campa
 
 
 @dataclass(slots=True)
-class ReadTests:
+class ReportTests:
     """The tests of a report.
 
     Parameters
@@ -657,7 +657,7 @@ class ReadTests:
     decisions: list[Decision] = field(default_factory=list)
 
 
-def read_tests(files: Sequence[Path], say: Callable[[str], object]) -> ReadTests:
+def read_tests(files: Sequence[Path], say: Callable[[str], object]) -> ReportTests:
     """Read processed tests.
 
     Parameters
@@ -672,7 +672,7 @@ def read_tests(files: Sequence[Path], say: Callable[[str], object]) -> ReadTests
         If no file can be read, all were rejected, decisions cannot be read, or two tests have the
         same name.
     """
-    tests, decisions_by_file = ReadTests(find_shared_folder(files)), read_decisions_by_file(files)
+    tests, decisions_by_file = ReportTests(find_shared_folder(files)), read_decisions_by_file(files)
     recordings: list[tuple[Path, RecordingIdentity]] = []
     settings_by_protocol: dict[str, Settings] = {}
     for file in files:
@@ -716,7 +716,7 @@ def read_tests(files: Sequence[Path], say: Callable[[str], object]) -> ReadTests
     return tests
 
 
-def _make_groups(tests: ReadTests, grouping_fields: Sequence[str]) -> list[Group]:
+def _make_groups(tests: ReportTests, grouping_fields: Sequence[str]) -> list[Group]:
     """Make the groups of a report, with notes on settings that differ within a group."""
     members, groups = divide_into_groups(tests.samples, grouping_fields), []
     for key, name in name_groups(list(members)).items():
@@ -772,13 +772,6 @@ def _make_group(
     )
 
 
-_SHARED_FIELDS = (
-    *("test", "specimen", "protocol", "results", "slips", "lines", "quality", "run", "date"),
-    *("operator", "instruments", "inputs"),
-)
-"""Fields that a test result and a sample have in common."""
-
-
 def make_sample(result: TestResult) -> Sample:
     """Make a sample of a report from a processed test.
 
@@ -790,16 +783,18 @@ def make_sample(result: TestResult) -> Sample:
     -------
     The sample without shapes, law, source and label.
     """
+    sample_fields, result_fields = (
+        {field.name for field in fields(kind)} for kind in (Sample, TestResult)
+    )
     curve = result.curve
     curves: dict[Direction, list[SampleCurve]] = {direction: [] for direction in Direction}
     if curve is not None:
         for branch in curve.branches:
             curves[branch.direction].append(_average_branch(result, curve, branch))
     return Sample(
-        **{name: getattr(result, name) for name in _SHARED_FIELDS},
+        **{name: getattr(result, name) for name in sample_fields & result_fields},
         loading=tuple(curves[Direction.LOADING]),
         unloading=tuple(curves[Direction.UNLOADING]),
-        display=dict(result.display),
     )
 
 

@@ -156,8 +156,7 @@ def calibrate_tests(
     if figures:
         wire = build_sheet_wire(apply_calibration(specs[name], calibration), wires)
         curve, file = measured_curves[0], loadings_of_wire[0].file
-        max_deflection = float(np.max(curve.deflection))
-        shapes = compare_shapes(file, wire, curve.length, curve.rig, max_deflection)
+        shapes = compare_shapes(file, wire, curve.length, curve.rig, float(curve.deflection.max()))
         study = replace(study, shapes={curve.test: shapes} if shapes else {})
     wire_tables = [
         tabulate_wire(apply_calibration(specs[wire], calibration)) for wire in tested_wires

@@ -156,7 +156,7 @@ def _compare_group(
 ) -> ValidationGroup:
     """Compare a calibration with tests of one wire and length."""
     max_deflection = max(float(np.nanmax(curve.deflection)) for curve in curves)
-    noise = float(np.mean([curve.read_error for curve in curves]))
+    noise = float(np.mean([curve.point_error for curve in curves]))
     first_curve = curves[0]
     prediction, errors, reason, doubtful_deflection = None, None, None, np.inf
     try:

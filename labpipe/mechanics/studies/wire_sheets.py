@@ -23,7 +23,7 @@ from labpipe.errors import (
     format_error,
     sort_by_likeness,
 )
-from labpipe.mechanics.law.thinning import thin
+from labpipe.mechanics.law.thinning import thin_law
 from labpipe.mechanics.wire.materials import RambergOsgood, StressTable
 from labpipe.protocol.grammar import Block
 from labpipe.protocol.wire_rows import (
@@ -173,7 +173,7 @@ def compute_ramberg_osgood(parameters: FormulaRow) -> Curve:
     stress = np.concatenate([[0.0], np.geomspace(first_stress, end_stress, n_dense_points)])
     strain = law.strain(stress)
     strain[-1] = largest_strain
-    points = thin(strain, stress, max_points=max_points + 1)
+    points = thin_law(strain, stress, max_points=max_points + 1)
     return tuple(points.curvature[1:].tolist()), tuple(points.moment[1:].tolist())
 
 
