@@ -66,8 +66,9 @@ from labpipe.statistics.group_samples import (
     make_field_sort_key,
     make_grouping_notes,
 )
-from labpipe.statistics.groups import PoolingLimits, build_group, compare_groups
+from labpipe.statistics.groups import build_group, compare_groups
 from labpipe.statistics.lots import judge_lot
+from labpipe.statistics.means import PoolingLimits
 from labpipe.statistics.significance import judge_family, mark_outliers
 from labpipe.store.replace import lock, replace_files
 from labpipe.store.result_files import ReportedTest, read_reported, read_result

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from itertools import pairwise
-from typing import Literal, TypeAlias
+from typing import TYPE_CHECKING, Literal, TypeAlias
 
 import numpy as np
 
@@ -37,6 +37,9 @@ from labpipe.uncertainty.replicates import (
     fit_smooth_curve,
     make_generator,
 )
+
+if TYPE_CHECKING:
+    from labpipe.results.slack_and_slips import LoadDrop
 
 
 def require_samples(count: int, needed: int, where: str = " in the stretch") -> None:
@@ -440,7 +443,7 @@ def replicate_curves(test: ReducedTest) -> Replicates | None:
     ):
         grid_filters = _make_grid_filters(test, name, averaged.time)
         record = filtered if have_no_filter_effect(grid_filters) else raw
-        records.append(_average_blocks(record, starts))
+        records.append(average_between(record, starts))
         filters.append(partial(_filter_records, filters=grid_filters, cuts=cuts))
     grid = replace(averaged, displacement=records[0], force=records[1])
 
@@ -522,11 +525,6 @@ def _find_block_starts(corners: Sequence[int], curve: Curve) -> Ints:
     return np.concatenate(starts)
 
 
-def _average_blocks(values: Floats, starts: Ints) -> Floats:
-    """Average values over the blocks of a grid."""
-    return values if len(starts) == len(values) else average_between(values, starts)
-
-
 def find_piece_starts(clocks: Clocks, ends: Sequence[float], signal: Signal) -> list[int]:
     """Find the samples of a signal at which a new piece begins.
 
@@ -549,9 +547,9 @@ def _move_to_grid(trace: Trace, starts: Ints) -> Trace:
         branches.append(replace(branch, start=start, stop=stop))
     return replace(
         trace,
-        time=_average_blocks(trace.time, starts),
-        displacement=_average_blocks(trace.displacement, starts),
-        force=_average_blocks(trace.force, starts),
+        time=average_between(trace.time, starts),
+        displacement=average_between(trace.displacement, starts),
+        force=average_between(trace.force, starts),
         branches=tuple(branches),
         failed_at=failed_at and int(np.searchsorted(starts, failed_at, side="right")) - 1,
     )
@@ -637,13 +635,13 @@ def _list_inputs(
     yield from _list_levels(test, starts)
     displacement, time = test.displacement, test.required_curve.time
     for cause, signal in displacement.perturbed.items():
-        change = _average_blocks(signal - displacement.values, starts)
+        change = average_between(signal - displacement.values, starts)
         change = smooth(change) if cause in _CAUSES_BY_FRAME else change
         distribution: Distribution = "uniform" if cause == causes.SHAPE else "normal"
         yield Input(cause, partial(shift_displacement_by, by=change), distribution=distribution)
     for cause, clocks in test.clocks.perturbed.items():
         delay = clocks.to_force_times(time) - test.clocks.to_force_times(time)
-        yield Input(cause, partial(_delay_force, by=_average_blocks(delay, starts)))
+        yield Input(cause, partial(_delay_force, by=average_between(delay, starts)))
     for name, by in test.setup.uncertainties.items():
         cause = name if name in (causes.LENGTH, causes.SPAN) else causes.SECTION
         yield Input(cause, partial(_change_size, name=name, by=by), moves_curve=False, stream=name)
@@ -698,7 +696,7 @@ def _list_levels(test: ReducedTest, starts: Ints) -> Iterator[Input]:
         if signal is not None and (step := _estimate_converter_step(signal.values)):
             yield Input(cause, partial(add, by=step / np.sqrt(12.0)), distribution="uniform")
     drift = test.raw_force.zero_drift * float(np.nanmax(np.abs(curve.force)))
-    time_from_zero = np.abs(_average_blocks(curve.time, starts) - _find_zero_time(test))
+    time_from_zero = np.abs(average_between(curve.time, starts) - _find_zero_time(test))
     for number, mode in enumerate(compute_drift_modes(time_from_zero, drift), start=1):
         stream = f"{causes.DRIFT_OF_ZERO} {number}"
         yield Input(causes.DRIFT_OF_ZERO, partial(add_force, by=mode), stream=stream)
@@ -709,13 +707,13 @@ def _list_repaired(test: ReducedTest) -> list[Slip]:
     return [slip for slip in test.slips if slip.decision is SlipDecision.REPAIRED]
 
 
-def add_slips_back(force: Floats, slips: Sequence[Slip]) -> Floats:
+def add_slips_back(force: Floats, slips: Sequence[Slip | LoadDrop]) -> Floats:
     """Add the losses of slips back to a force.
 
     Parameters
     ----------
     force : shape (n,), N
-    slips : slips with the sample numbers of `force`
+    slips : slips with indices of samples of `force`
 
     Returns
     -------

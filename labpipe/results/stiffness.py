@@ -902,7 +902,10 @@ class ComplianceResult(Kind):
         stretch = curves.select_first_loading(trace)
         d, f = trace.displacement[stretch], trace.force[stretch]
         window = find_compliance_window(d, f, start=self.start, stop=self.stop)
-        compliance = read_part(lambda d, f: curves.compute_slope(f, d), (stretch, window))
-        if (slope := float(compliance(trace)[0])) <= 0.0:
-            raise UnavailableError.of("results.not_positive", slope=slope)
-        return Reading(compliance, len(d[window]), ends_at_samples=True)
+        samples = np.arange(stretch.start, stretch.stop)[window]
+        compute_compliance = read_part(
+            lambda d, f: curves.compute_slope(f, d), convert_to_slice(samples)
+        )
+        if (compliance := float(compute_compliance(trace)[0])) <= 0.0:
+            raise UnavailableError.of("results.not_positive", slope=compliance)
+        return Reading(compute_compliance, len(samples), ends_at_samples=True)

@@ -161,24 +161,16 @@ Decide: TypeAlias = Callable[[Trace], Reading]
 
 
 def read_part(
-    function: Callable[[Floats, Floats], Floats], part: Samples | tuple[slice, Samples]
+    function: Callable[[Floats, Floats], Floats], samples: Samples
 ) -> Callable[[Trace], tuple[Floats]]:
     """Make a function that computes a number from a part of a trace.
 
     Parameters
     ----------
     function : function of displacement and force, shape (..., m), m, N, with values of shape (...)
-    part : samples of the trace, or a stretch of the trace and samples of the stretch
+    samples : the m samples of the trace
     """
-    parts = part if isinstance(part, tuple) else (part,)
-
-    def numbers(trace: Trace) -> tuple[Floats]:
-        displacement, force = trace.displacement, trace.force
-        for samples in parts:
-            displacement, force = displacement[..., samples], force[..., samples]
-        return (function(displacement, force),)
-
-    return numbers
+    return lambda trace: (function(trace.displacement[..., samples], trace.force[..., samples]),)
 
 
 def combine_numbers(function: Callable[..., Floats], *parts: Decide) -> Decide:
