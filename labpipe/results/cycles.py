@@ -11,7 +11,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from labpipe.records.arrays import Flags, Floats, Ints, convert_to_slice, divide
+from labpipe.records.arrays import Flags, Floats, Ints, convert_to_slice, divide, drop_missing
 from labpipe.records.curve import Branch, Curve, Direction
 from labpipe.records.declarations import CURVE_QUANTITIES, Force, Output
 from labpipe.records.estimates import UnavailableError, return_failure
@@ -274,9 +274,17 @@ class PerCycle(Kind):
         """
 
     def list_doubts(self, test: ReducedTest, branches: list[Branch]) -> tuple[Reason, ...]:
-        """Return further doubts about the number of a cycle: a missing sample at its peak."""
-        peak = self.peak_quantity
-        return () if peak is None else _find_gap_at_peak(test, branches, peak)
+        """List further doubts about the number of a cycle: a missing sample next to its peak."""
+        if self.peak_quantity is None:
+            return ()
+        curve, values = test.required_curve, getattr(test.required_curve, self.peak_quantity)
+        cycle_values = values[find_cycle_samples(curve, branches[0].cycle)]
+        signed_values = find_loading_sign(curve, values) * cycle_values
+        top = int(np.argmax(np.nan_to_num(signed_values, nan=-np.inf)))
+        is_gap = np.isnan(cycle_values[max(top - 1, 0) : top + 2])
+        if is_gap.all() or not is_gap.any():
+            return ()
+        return (Reason.of("results.gap_at_peak", quantity=self.peak_quantity),)
 
     def measure(self, test: ReducedTest) -> Iterator[Part]:
         """Measure the number of each cycle."""
@@ -288,21 +296,6 @@ class PerCycle(Kind):
             doubts += self.list_doubts(test, branches)
             period, suffix = _find_period(branches, *self.read_range), f".{number}"
             yield self.make_result(test, outcome, period=period, doubts=doubts, suffix=suffix)
-
-
-def _find_gap_at_peak(
-    test: ReducedTest, branches: list[Branch], quantity: curves.Quantity
-) -> tuple[Reason, ...]:
-    """Find a doubt that a larger sample is missing next to the largest one of a cycle."""
-    curve = test.required_curve
-    values: Floats = getattr(curve, quantity)
-    cycle_values = values[find_cycle_samples(curve, branches[0].cycle)]
-    if np.isnan(cycle_values).all():
-        return ()
-    top = int(np.nanargmax(find_loading_sign(curve, values) * cycle_values))
-    if not np.isnan(cycle_values[max(top - 1, 0) : top + 2]).any():
-        return ()
-    return (Reason.of("results.gap_at_peak", quantity=quantity),)
 
 
 def _find_period(branches: list[Branch], start: float, stop: float) -> Stretch | None:
@@ -342,18 +335,13 @@ def find_truncation(
         return ()
     if isinstance(failure, kinds.FailurePoint) and last.start <= failure.sample < last.stop:
         return ()  # the specimen broke, so the record is complete
-    if quantities == ("force",) and _is_past_peak(test, last):
-        return ()
+    if quantities == ("force",):
+        force = find_loading_sign(curve, curve.force) * curve.force[last.start : last.stop]
+        force = drop_missing(force)
+        if len(force) and force[-3:].max() < 0.9 * force.max():
+            return ()
     end_text = f"{end:.3f} s" if curve.time_unit == "s" else f"sample {round(end) + 1}"
     return (Reason.of("results.partial_cycle", end=end_text, direction=last.direction),)
-
-
-def _is_past_peak(test: ReducedTest, branch: Branch) -> bool:
-    """Check whether the force has fallen below 90 % of its peak where the record ends."""
-    curve = test.required_curve
-    values = (find_loading_sign(curve, curve.force) * curve.force)[branch.start : branch.stop]
-    values = values[~np.isnan(values)]
-    return len(values) > 0 and bool(values[-3:].max() < 0.9 * values.max())
 
 
 def find_cycle_samples(curve: Curve | Trace, number: int) -> slice:

@@ -327,13 +327,15 @@ class ReducedTest:
     def _overlaps(self, doubt: Doubt, period: Stretch | None) -> bool:
         if doubt.period is None or period is None:
             return True
-        start, stop = (self.clocks.to_curve(edge, doubt.clock) for edge in doubt.period)
-        stretches, signals = [period], self.signals
+        stretches, signals = [(*period, self.clocks.curve)], self.signals
         for name, zero in {**signals.moving_zero_stretches, **signals.zero_stretches}.items():
             if signals.quantities.get(name) == doubt.quantity:
-                first, last = (self.clocks.to_curve(x, signals.raw[name].clock) for x in zero)
-                stretches.append((first, last))
-        return any(start <= end and begin <= stop for begin, end in stretches)
+                stretches.append((*zero, signals.raw[name].clock))
+        start, stop = (self.clocks.to_curve(edge, doubt.clock) for edge in doubt.period)
+        return any(
+            start <= self.clocks.to_curve(end, clock) and self.clocks.to_curve(begin, clock) <= stop
+            for begin, end, clock in stretches
+        )
 
 
 def compute_loading_sign(values: Floats) -> float:
@@ -566,13 +568,10 @@ def find_pause(test: ReducedTest, stretch: tuple[float, float]) -> tuple[Reason,
         return ()
     start, stop = edges[long[0]], edges[long[-1] + 1]
     size = (stop - start) // 10
-    change = float(force[edges[-1]] - force[edges[0]])
-    first, last = (
-        np.nanmean(force[start : start + size]),
-        np.nanmean(force[stop - 2 * size : stop - size]),
-    )
-    fall = float(first - last) / change if change else 0.0
-    error = estimate_noise_level(force) / np.sqrt(size) / abs(change) if change else 0.0
+    change = float(force[edges[-1]] - force[edges[0]]) or np.inf
+    first, last = force[start : start + size], force[stop - 2 * size : stop - size]
+    fall = float(np.nanmean(first) - np.nanmean(last)) / change
+    error = estimate_noise_level(force) / np.sqrt(size) / abs(change)
     if not fall > max(min_fall, n_errors * error):
         return ()
     place, duration = 1e3 * float(path[start]), float(time[stop] - time[start])

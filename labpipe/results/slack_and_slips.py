@@ -19,7 +19,11 @@ from labpipe.records.estimates import Estimate, Failure, UnavailableError, retur
 from labpipe.records.quality import Reason
 from labpipe.results import curves
 from labpipe.results.kinds import Kind, Part, ReducedTest, compute_scale_error
-from labpipe.uncertainty.autocorrelation import build_cubic_basis, cut_smooth_stretches, fit_linear
+from labpipe.uncertainty.autocorrelation import (
+    build_polynomial_basis,
+    cut_smooth_stretches,
+    fit_linear,
+)
 from labpipe.uncertainty.intervals import Measured, SmoothNumbers, measure_numbers
 from labpipe.uncertainty.replicates import Decide, Input, Reading, Replicates, Trace, read_part
 
@@ -235,7 +239,7 @@ def _estimate_correlation(f: Floats) -> float:
     It follows from the median over stretches of the correlation of residuals about a cubic.
     """
     width = min(_STRETCH_SAMPLES, len(f))
-    basis = build_cubic_basis(width).T
+    basis = build_polynomial_basis(width, 4)
     starts = range(0, len(f) - width + 1, max(width // 4, 1))
     pieces = np.array([f[start : start + width] for start in starts])
     residuals = pieces - (pieces @ basis) @ basis.T
@@ -253,7 +257,7 @@ def _compute_expected_correlations(width: int) -> tuple[Floats, Floats]:
     (1954)).
     """
     noise_correlations = np.array([*np.linspace(0.0, 0.9, 10), 0.94, 0.97, 0.985])
-    basis = build_cubic_basis(width).T
+    basis = build_polynomial_basis(width, 4)
     lags = np.abs(np.subtract.outer(np.arange(width), np.arange(width)))
     expected = []
     for noise_correlation in noise_correlations:

@@ -402,22 +402,16 @@ def choose_loading_window(
     if limit is not None and not np.isnan(onset.extrapolate_to_zero(displacement, force)[0]):
         zero_time = float(onset.extrapolate_to_zero(time, force)[0])
         first = min(int(np.searchsorted(time, zero_time)), first)
-    if steps > 1:
-        first = max(first, _find_start_of_motion(time, displacement, start, length))
+    travel = displacement - start
+    is_steady = (travel >= _START_FRACTION * length) & (travel <= _STEADY_FRACTION * length)
+    if steps > 1 and is_steady.sum() > 1:
+        # A machine of constant speed passes the onset at this time.
+        start_time = float(curves.compute_zero_crossing(time[is_steady], travel[is_steady]))
+        first = max(first, 0 if np.isnan(start_time) else int(np.searchsorted(time, start_time)))
     taut = slice(first, None)
     path = displacement[taut]
     slope = choose_window(time[taut], path, force[taut], path, start=start, stop=start + length)
     return LoadingSlope(onset, first, slope, float(path[slope.window_samples].mean()) - start)
-
-
-def _find_start_of_motion(time: Floats, displacement: Floats, start: float, length: float) -> int:
-    """Find the sample at which a machine of constant speed passes `start`; 0 if unknown."""
-    path = displacement - start
-    is_steady = (path >= _START_FRACTION * length) & (path <= _STEADY_FRACTION * length)
-    if is_steady.sum() < 2:
-        return 0
-    start_time = float(curves.compute_zero_crossing(time[is_steady], path[is_steady]))
-    return 0 if np.isnan(start_time) else int(np.searchsorted(time, start_time))
 
 
 def choose_unloading_window(
@@ -699,18 +693,16 @@ class LineStiffness(InitialStiffness):
         slope, curve = test.measure_one(self.decide), curves.make_trace(test)
         samples = self.select_finite_samples(curve)
         d, f = curve.displacement[samples], curve.force[samples]
-        start, stop = float(d.min()), float(d.max())
+        stretch = start, stop = float(d.min()), float(d.max())
         start_force = float(f.mean()) + slope.value * (start - float(d.mean()))
-        period = test.find_loading_interval(start, stop)
-        stretch = start, stop
-        pause = kinds.find_pause(test, stretch)
+        period, pause = test.find_loading_interval(*stretch), kinds.find_pause(test, stretch)
         doubts = kinds.find_marked_slips(test, stretch) + pause
         if slope.value <= 0.0:
             doubts = (Reason.of("results.negative_slope"), *doubts)
         yield self.make_result(test, slope, period=period, doubts=doubts)
         window = max(start, 0.0), stop
         yield Stiffness(self.name, self.decide, slope.value, period, window, stretch, pause)
-        yield FittedLine(self.name, slope.value, start_force, start, stop)
+        yield FittedLine(self.name, slope.value, start_force, *stretch)
 
     def select_finite_samples(self, trace: Trace) -> Ints:
         """Select the samples in the window that have a force and a displacement.
@@ -782,14 +774,12 @@ class NormalisedStiffness(DerivedKind):
 
     def measure_outcome(self, test: ReducedTest, stiffness: Stiffness) -> kinds.Outcome:
         """Measure a stiffness over the largest force of all cycles, in which a gain cancels."""
-        trace, peaks = curves.make_trace(test), dict[int, float]()
-        for cycle in range(1, len(test.cycles) + 1):
-            peak = return_failure(cycles.choose_peak_sample)(test, trace, cycle)
-            value = peak.numbers(trace)[0] if isinstance(peak, Reading) else -np.inf
-            peaks[cycle] = float(value)
-        # The last of equal peaks is the largest one.
-        largest_cycle = max(peaks, key=lambda cycle: (peaks[cycle], cycle))
-
+        trace = curves.make_trace(test)
+        force, numbers = trace.force, range(1, len(test.cycles) + 1)
+        samples = [cycles.find_cycle_samples(trace, number) for number in numbers]
+        peaks = [float(np.fmax.reduce(force[x], initial=-np.inf)) for x in samples]
+        # The last of equal peaks is chosen.
+        largest_cycle = max(numbers, key=lambda number: (peaks[number - 1], number))
         choose_peak = partial(cycles.choose_peak_sample, test, number=largest_cycle)
         peak_force = test.measure_one(choose_peak)
         if peak_force.value <= _MIN_SIGNIFICANT_ERRORS * peak_force.error:

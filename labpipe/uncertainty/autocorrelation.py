@@ -77,7 +77,7 @@ def estimate_fast_noise(values: Floats) -> Floats:
     size = min(block_samples, values.shape[-1])
     count = values.shape[-1] // size
     rows = values[..., : count * size].reshape(*values.shape[:-1], count, size)
-    basis = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, size), 3))[0]
+    basis = build_polynomial_basis(size, 3)
     residuals = rows - rows @ basis @ basis.T
     deviation: Floats = np.median(np.sqrt(np.sum(residuals**2, axis=-1) / (size - 3)), axis=-1)
     return deviation
@@ -321,16 +321,22 @@ def cut_smooth_stretches(values: Floats, *, width: int = 100) -> tuple[Floats, .
     if count == 0:
         return ()
     pieces = finite[len(finite) - count * width :].reshape(count, width)
-    basis = build_cubic_basis(width)
-    variances = np.var(pieces - (pieces @ basis.T) @ basis, axis=1)
+    cubics = build_polynomial_basis(width, 4)
+    variances = np.var(pieces - (pieces @ cubics) @ cubics.T, axis=1)
     return tuple(pieces[variances <= 4.0 * np.median(variances)])
 
 
-@lru_cache(maxsize=8)
-def build_cubic_basis(count: int) -> Floats:
-    """Build orthonormal polynomials up to degree three over even samples, shape (4, count)."""
-    basis: Floats = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, count), 4))[0].T
-    return np.ascontiguousarray(basis)
+@lru_cache(maxsize=512)
+def build_polynomial_basis(count: int, columns: int) -> Floats:
+    """Build the first orthonormal polynomials over even samples, shape (count, columns).
+
+    Parameters
+    ----------
+    count : number of samples
+    columns : number of polynomials, one more than the largest degree
+    """
+    x = np.linspace(-1.0, 1.0, count)
+    return np.linalg.qr(np.polynomial.legendre.legvander(x, columns - 1))[0]
 
 
 def compute_covariance(basis: Floats, processes: Processes) -> Floats:
@@ -455,9 +461,9 @@ def fit_linear(
     likelihoods = [window]
     for length in sorted(set(map(len, other_stretches))):
         stretches = np.stack([x for x in other_stretches if len(x) == length])
-        cubics = build_cubic_basis(length)
-        stretches -= (stretches @ cubics.T) @ cubics  # rounding would grow with the size of values
-        likelihood = SpectrumLikelihood.from_values(cubics, stretches, processes, MAX_COSINES)
+        cubics = build_polynomial_basis(length, 4)
+        stretches -= (stretches @ cubics) @ cubics.T  # rounding would grow with the size of values
+        likelihood = SpectrumLikelihood.from_values(cubics.T, stretches, processes, MAX_COSINES)
         likelihoods.append(likelihood)
     noise = SpectrumPosterior.combine(likelihoods, processes.prior)
     shifts, unit_covariance = window.shifts[:, 0], window.unit_covariance

@@ -23,6 +23,7 @@ from labpipe.uncertainty.autocorrelation import (
     Processes,
     SpectrumLikelihood,
     SpectrumPosterior,
+    build_polynomial_basis,
     list_autoregressive_processes,
 )
 
@@ -272,8 +273,7 @@ def estimate_noise(
     variance_factor = 1.0
     if is_alike.mean() < min_alike_fraction and not has_steps:
         variance_factor = power[power >= np.median(power)].mean() / power[is_alike].mean()
-    fast_waves = _measure_fast_wave_power(branches, smooth_curves)
-    fast_waves = _replace_corner_power(*fast_waves, residuals[is_level])
+    fast_waves = _measure_fast_wave_power(branches, smooth_curves, residuals[is_level])
     return _make_noise_model(likelihoods, prior, (longest, count), fast_waves, variance_factor)
 
 
@@ -326,7 +326,7 @@ def _estimate_short_record_noise(
 ) -> NoiseModel:
     """Estimate the noise from rests and residuals of polynomials through the branches."""
     pieces = [
-        (branch[start:stop], _build_legendre_basis(stop - start, degree + 1))
+        (branch[start:stop], build_polynomial_basis(stop - start, degree + 1))
         for branch in branches
         if len(branch) >= MIN_NOISE_SAMPLES
         for start, stop, degree in cut_into_polynomials(branch)
@@ -390,13 +390,7 @@ def _build_piece_basis(width: int, columns: int = _POLYNOMIAL_COLUMNS) -> Floats
     """Build orthonormal polynomials of a piece, one per 8 samples: (width, at most `columns`)."""
     min_samples_per_column = 8
     n_polynomials = int(np.clip(width // min_samples_per_column, min(2, columns), columns))
-    return _build_legendre_basis(width, n_polynomials)
-
-
-def _build_legendre_basis(width: int, columns: int) -> Floats:
-    """Build the first orthonormal polynomials over even samples, shape (width, columns)."""
-    x = np.linspace(-1.0, 1.0, width)
-    return np.linalg.qr(np.polynomial.legendre.legvander(x, columns - 1))[0]
+    return build_polynomial_basis(width, n_polynomials)
 
 
 def _compute_whitened_squares(spectrum: Floats, waves: Floats, columns: Floats) -> Floats:
@@ -408,42 +402,38 @@ def _compute_whitened_squares(spectrum: Floats, waves: Floats, columns: Floats) 
     return squares
 
 
-def _replace_corner_power(
-    angles: Floats, power: Floats, residuals: Floats
-) -> tuple[Floats, Floats]:
-    """Replace the power of fast waves by that of pieces without corners, if corners dominate it."""
-    width = residuals.shape[1]
-    first = int(np.ceil(angles[0] * width / np.pi)) if len(angles) else width
-    if first + 1 >= width:
-        return angles, power
-    piece_power = np.mean(fft.dct(residuals, norm="ortho", axis=1)[:, first:] ** 2, axis=0)
-    if power.mean() <= _CORNER_VARIANCE_RATIO * piece_power.mean():
-        return angles, power
-    return angles, np.interp(angles, np.pi * np.arange(first, width) / width, piece_power)
-
-
 def _measure_fast_wave_power(
-    branches: Sequence[Floats], smooth_curves: Sequence[Floats]
+    branches: Sequence[Floats], smooth_curves: Sequence[Floats], level_residuals: Floats
 ) -> tuple[Floats, Floats]:
-    """Measure the power of fast waves of long branches: first angle of each band, and its power."""
-    residual_pieces = [
+    """Measure the power of fast waves of long branches: first angle of each band, and its power.
+
+    If corners dominate it, the power is that of pieces without corners, whose residuals about a
+    polynomial are `level_residuals` of shape (pieces, width).
+    """
+    branch_residuals = [
         branch - curve
         for branch, curve in zip(branches, smooth_curves, strict=True)
         if len(branch) > 2 * _MIN_RECORD_WAVES
     ]
-    if not residual_pieces:
+    if not branch_residuals:
         return np.zeros(0), np.zeros(0)
-    longest = max(len(residuals) for residuals in residual_pieces)
+    longest = max(map(len, branch_residuals))
     # Processes are known only for the waves of the pieces.
     first = max(_MIN_RECORD_WAVES, min(longest // 8, _PIECES_PER_BRANCH * _HALF_WAVES))
     angles = np.pi * np.arange(first, longest - _BAND_WAVES, _BAND_WAVES) / longest
-    total = np.zeros(len(angles))
-    for residuals in residual_pieces:
+    power = np.zeros(len(angles))
+    for residuals in branch_residuals:
         sums = np.append(0.0, np.cumsum(fft.dct(residuals, norm="ortho") ** 2))
         waves = np.append(angles, np.pi) * len(residuals) / np.pi
         band_sums = np.diff(np.interp(waves, np.arange(len(residuals) + 1), sums))
-        total += band_sums / np.diff(waves) * len(residuals)
-    return angles, total / sum(len(residuals) for residuals in residual_pieces)
+        power += band_sums / np.diff(waves) * len(residuals) / sum(map(len, branch_residuals))
+    piece_power = np.mean(fft.dct(level_residuals, norm="ortho", axis=1) ** 2, axis=0)
+    piece_angles = np.pi * np.arange(len(piece_power)) / len(piece_power)
+    is_fast = piece_angles >= angles[0]
+    piece_power, piece_angles = piece_power[is_fast], piece_angles[is_fast]
+    if len(piece_power) > 1 and power.mean() > _CORNER_VARIANCE_RATIO * piece_power.mean():
+        power = np.interp(angles, piece_angles, piece_power)
+    return angles, power
 
 
 class Piece(NamedTuple):
@@ -476,17 +466,10 @@ def cut_into_polynomials(values: Floats) -> tuple[Piece, ...]:
     >>> [piece.degree for piece in cut_into_polynomials(knee + noise)]
     [1, 1]
     """
-    return _find_pieces(np.ascontiguousarray(values, dtype=np.float64).tobytes())
-
-
-@lru_cache(maxsize=64)
-def _find_pieces(record: bytes) -> tuple[Piece, ...]:
-    """Find the pieces of a record, cached because noise model and smooth curve both use them."""
     # Correlations of neighbouring samples of the noise, up to a correlation time of six samples.
     correlations: tuple[float, ...] = (0.0, 0.3, 0.5, 0.7, 0.85)
     # Fewer samples do not distinguish correlated noise from a bend of the curve.
     min_correlation_samples = 40
-    values = np.frombuffer(record)
     count = len(values)
     if count < min_correlation_samples:
         correlations = correlations[:1]
@@ -533,9 +516,6 @@ def _list_best_cuts(squares: Floats) -> Iterator[tuple[tuple[int, ...], float, t
             smallest = np.min(total, axis=-2)
 
 
-_build_cached_basis = lru_cache(maxsize=512)(_build_legendre_basis)
-
-
 def _compute_squares(values: Floats) -> Floats:
     """Compute residual sums of squares of samples [i, j) about polynomials of degree 1 to 3.
 
@@ -548,7 +528,7 @@ def _compute_squares(values: Floats) -> Floats:
         windows = np.lib.stride_tricks.sliding_window_view(values, length)
         windows = windows - windows.mean(axis=1, keepdims=True)
         degree = min(length - 1, max_degree)
-        polynomials = _build_cached_basis(length, degree + 1)
+        polynomials = build_polynomial_basis(length, degree + 1)
         explained = np.cumsum((windows @ polynomials[:, 1:]) ** 2, axis=1)
         first = np.arange(count - length + 1)
         residual_squares = np.sum(windows**2, axis=1)[:, None] - explained

@@ -390,7 +390,11 @@ def fit_smooth_curve(
         x = (t - t[0]) / (t[-1] - t[0])
         is_rest = branches is not None and not any(b.start <= start < b.stop for b in branches)
         if len(y) <= SHORT_RECORD_SAMPLES and not is_rest:
-            smooth[start:stop][is_finite] = _fit_polynomials(x, y)
+            polynomials = [
+                np.polynomial.Polynomial.fit(x[first:last], y[first:last], degree)(x[first:last])
+                for first, last, degree in cut_into_polynomials(y)
+            ]
+            smooth[start:stop][is_finite] = np.concatenate(polynomials)
             continue
         min_interval_samples = min_rest_interval_samples if is_rest else _MIN_INTERVAL_SAMPLES
         max_count = max_rest_intervals if is_rest else max_intervals
@@ -403,15 +407,6 @@ def fit_smooth_curve(
         if cut != jump and cut - previous > 1 and following - cut > 1:
             _join_pieces(smooth, cut)
     return smooth
-
-
-def _fit_polynomials(x: Floats, y: Floats) -> Floats:
-    """Fit polynomials to the pieces of a short record that `cut_into_polynomials` chooses."""
-    polynomials = np.empty(len(y))
-    for start, stop, degree in cut_into_polynomials(y):
-        piece = slice(start, stop)
-        polynomials[piece] = np.polynomial.Polynomial.fit(x[piece], y[piece], degree)(x[piece])
-    return polynomials
 
 
 def _is_constant(values: Floats, curve: Floats, n_parameters: int) -> bool:

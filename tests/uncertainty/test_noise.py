@@ -14,7 +14,7 @@ from labpipe.uncertainty.autocorrelation import (
     SpectrumLikelihood,
     SpectrumPosterior,
     _compute_half_widths,
-    build_cubic_basis,
+    build_polynomial_basis,
     choose_processes,
     compute_covariance,
     cut_smooth_stretches,
@@ -81,15 +81,18 @@ def test_probable_spectra_and_their_covariances() -> None:
         np.concatenate([[1.0], prior, prior / 2.0, np.tile(prior / 10.0, 5)])
     )
     values = noise(3, 100, 5.0)
-    stretch = SpectrumLikelihood.from_values(build_cubic_basis(100), values, processes, 60)
+    stretch = SpectrumLikelihood.from_values(
+        build_polynomial_basis(100, 4).T, values, processes, 60
+    )
     np.testing.assert_allclose(stretch.spectra, np.vstack(spectra), rtol=1e-9)
-    found = compute_covariance(build_cubic_basis(12), processes)
+    found = compute_covariance(build_polynomial_basis(12, 4).T, processes)
     expected = [
-        build_cubic_basis(12) @ toeplitz(row) @ build_cubic_basis(12).T for row in covariances
+        build_polynomial_basis(12, 4).T @ toeplitz(row) @ build_polynomial_basis(12, 4)
+        for row in covariances
     ]
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12)
     # Generalised least squares by dense matrices, of the cosines that are used.
-    waves = dct(np.vstack([build_cubic_basis(100), values]), norm="ortho")[:, :60]
+    waves = dct(np.vstack([build_polynomial_basis(100, 4).T, values]), norm="ortho")[:, :60]
     for number, spectrum in enumerate(stretch.spectra):
         weighted = waves / spectrum
         products = weighted @ waves.T
@@ -105,7 +108,7 @@ def test_probable_spectra_and_their_covariances() -> None:
         assert stretch.compute_least_squares_covariance()[number] == pytest.approx(plain)
     # Two stretches of one noise, the second twice as large.
     other = SpectrumLikelihood.from_values(
-        build_cubic_basis(100), 2.0 * noise(4, 100, 5.0), processes, 60
+        build_polynomial_basis(100, 4).T, 2.0 * noise(4, 100, 5.0), processes, 60
     )
     posterior, squares = (
         SpectrumPosterior.combine([stretch, other], processes.prior),
