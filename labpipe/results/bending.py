@@ -206,7 +206,6 @@ class Roller:
 _CORRECTION_ORDER = ("large-deflection", "roller-radius", "roller-friction")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class BendingStiffness(DerivedKind):
     """``<name>`` (N m^2): bending stiffness EI of a beam, from a stiffness and its length."""
 
@@ -353,7 +352,6 @@ _MIN_REST_FRAMES, _MIN_TIP_FRAMES, _N_FIRST_FRAMES = 8, 16, 5
 """Numbers of frames: needed at rest, needed with a tip, averaged for the first position."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class TipTravel(Kind):
     """``tip_travel`` (m): largest distance of the tip from its first position."""
 
@@ -378,7 +376,6 @@ class TipTravel(Kind):
         yield self.make_result(test, Estimate(float(distances.max()), error, len(tip)))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class MomentCurvature(Kind):
     """``<name>`` (N m^2): bending stiffness by the measured moment-curvature law."""
 
@@ -454,7 +451,6 @@ class MomentCurvature(Kind):
             )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class MidSpan(RangeKind):
     """``mid_span_bending_stiffness`` (N m^2) and ``mid_span_curvature`` (1/m): of a bent span."""
 
@@ -608,7 +604,6 @@ def _measure_at_turn(
     return Estimate(value, float(errors.std()), len(time_from_turn), interval)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Twist(Kind):
     """``twist`` (rad): rotation of the section at mid-span about the axis."""
 

@@ -32,9 +32,8 @@ from labpipe.uncertainty.replicates import (
     Input,
     Replicates,
     Trace,
-    choose_max_intervals,
     draw_replicates,
-    fit_smooth_curve,
+    fit_smooth_trace,
     make_generator,
 )
 
@@ -432,10 +431,13 @@ def replicate_curves(test: ReducedTest) -> Replicates | None:
     if curve is None or unfiltered is None or not curve.branches:
         return None
     measured = make_trace(test)
-    corners = _list_corners(test)
+    corners = [end for branch in curve.branches for end in (branch.start, branch.stop)]
+    corners += [end for slip in test.slips for end in (slip.start + 1, slip.stop)]
+    corners += [] if measured.failed_at is None else [measured.failed_at + 1]
+    corners = sorted({corner for corner in corners if 0 < corner < len(curve.time)})
     starts = _find_block_starts(corners, curve)
     averaged = _move_to_grid(measured, starts)
-    cuts = [int(np.searchsorted(starts, corner)) for corner in corners]
+    cuts: list[int] = np.searchsorted(starts, corners).tolist()
     records, filters = [], []
     for name, (filtered, raw) in (
         (test.signals.displacement, _read_displacements(test, curve)),
@@ -446,18 +448,13 @@ def replicate_curves(test: ReducedTest) -> Replicates | None:
         records.append(average_between(record, starts))
         filters.append(partial(_filter_records, filters=grid_filters, cuts=cuts))
     grid = replace(averaged, displacement=records[0], force=records[1])
-
-    def smooth(change: Floats) -> Floats:
-        """Smooth the effect of an input, whose noise would raise the largest of many samples."""
-        max_intervals = choose_max_intervals(grid)
-        return fit_smooth_curve(grid.time, change, cuts, max_intervals, branches=grid.branches)
-
+    inputs = tuple(_list_inputs(test, starts, partial(fit_smooth_trace, grid, cuts=cuts)))
     return draw_replicates(
         measured,
         grid,
         cuts,
         (filters[0], filters[1]),
-        tuple(_list_inputs(test, starts, smooth)),
+        inputs,
         seed=test.seed,
         compliance=test.compliance,
         averaged=averaged,
@@ -496,16 +493,6 @@ def select_first_loading(trace: Trace) -> slice:
     if trace.failed_at is not None:
         stop = min(stop, trace.failed_at + 1)
     return slice(start, max(start, stop))
-
-
-def _list_corners(test: ReducedTest) -> list[int]:
-    """List the samples at which a new piece of the record begins: turns, failure, slips."""
-    curve, failure = test.required_curve, test.failure
-    cuts = [end for branch in curve.branches for end in (branch.start, branch.stop)]
-    if isinstance(failure, FailurePoint):
-        cuts.append(failure.sample + 1)
-    cuts += [end for slip in test.slips for end in (slip.start + 1, slip.stop)]
-    return sorted({cut for cut in cuts if 0 < cut < len(curve.time)})
 
 
 def _find_block_starts(corners: Sequence[int], curve: Curve) -> Ints:
@@ -636,6 +623,7 @@ def _list_inputs(
     displacement, time = test.displacement, test.required_curve.time
     for cause, signal in displacement.perturbed.items():
         change = average_between(signal - displacement.values, starts)
+        # The noise of such a change would raise the largest of many samples.
         change = smooth(change) if cause in _CAUSES_BY_FRAME else change
         distribution: Distribution = "uniform" if cause == causes.SHAPE else "normal"
         yield Input(cause, partial(shift_displacement_by, by=change), distribution=distribution)
@@ -651,11 +639,11 @@ def _list_inputs(
         return replace(trace, steps_beyond=x * curve_step)
 
     yield Input(causes.STEP, delay_end, distribution="step", moves_curve=False)
-    for number, slip in enumerate(_list_repaired(test), start=1):
+    for index, slip in enumerate(_list_repaired(test), start=1):
         is_after_slip = np.arange(len(starts)) >= np.searchsorted(starts, slip.stop)
         error = np.where(is_after_slip, slip.drop_interval.standard_error, 0.0)
         add_drop = partial(_add_force, by=error)
-        yield Input(causes.REPAIRED_SLIPS, add_drop, stream=f"{causes.REPAIRED_SLIPS} {number}")
+        yield Input(causes.REPAIRED_SLIPS, add_drop, stream=f"{causes.REPAIRED_SLIPS} {index}")
 
 
 def _list_scales(test: ReducedTest) -> Iterator[Input]:
@@ -667,8 +655,7 @@ def _list_scales(test: ReducedTest) -> Iterator[Input]:
 
     def scale_displacement(trace: Trace, x: float) -> Trace:
         machine_displacement = trace.displacement + compliance * np.nan_to_num(trace.force)
-        change = x * displacement.relative_error
-        return shift_displacement_by(trace, change, by=machine_displacement)
+        return shift_displacement_by(trace, x * displacement.relative_error, machine_displacement)
 
     shift_force = partial(_add_force, by=force.zero_error, compliance=compliance)
     shift_displacement = partial(shift_displacement_by, by=displacement.zero_error)
@@ -770,7 +757,7 @@ def _add_force(trace: Trace, x: float, *, by: float | Floats, compliance: float 
     return replace(trace, force=trace.force + x * by, displacement=trace.displacement - shift)
 
 
-def shift_displacement_by(trace: Trace, x: float, *, by: float | Floats) -> Trace:
+def shift_displacement_by(trace: Trace, x: float, by: float | Floats) -> Trace:
     """Shift the displacement of a trace by a multiple of a length.
 
     Parameters

@@ -250,7 +250,6 @@ def find_last_flagged(flags: Flags) -> Ints:
     return np.where(flags.any(axis=-1), last, -1)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class PerCycle(Kind):
     """A kind of result with one number for each cycle of the curve."""
 
@@ -395,7 +394,6 @@ def select_cycle(trace: Trace, number: int) -> list[Branch]:
     return [branch for branch in trace.branches if branch.cycle == number]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Energy(PerCycle):
     """``energy.<cycle>`` (J): energy dissipated in one cycle."""
 
@@ -458,7 +456,6 @@ def choose_work_samples(trace: Trace, samples: slice) -> Reading:
     return Reading(read_part(integrate_energy, samples), len(force), sampling_correction=correction)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class ResidualDisplacement(PerCycle):
     """``residual_displacement.<cycle>`` (m): displacement at zero force after unloading."""
 
@@ -584,7 +581,6 @@ def choose_peak_sample(
     return Reading(compute_peak, int((~np.isnan(signed_values)).sum()), compute_with_noise)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class PeakForce(PerCycle):
     """``peak_force.<cycle>`` (N): the largest force of a cycle."""
 
@@ -610,7 +606,6 @@ class PeakForce(PerCycle):
         return replace(reading, values=(sign * float(largest),))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class PeakDisplacement(PerCycle):
     """``peak_displacement.<cycle>`` (m): the largest displacement of a cycle."""
 

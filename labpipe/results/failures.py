@@ -177,7 +177,6 @@ def measure_earlier_loss(time: Floats, force: Floats, criteria: LossOfForce) -> 
     return largest_share if largest_share >= criteria.loss else 0.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class FailureResult(Kind):
     """``failure_displacement`` (m) and ``failure_force`` (N), at which the specimen fails."""
 
@@ -343,7 +342,6 @@ def find_loading_before(curve: Curve | Trace, sample: int) -> Branch:
     return ([loading for loading in loadings if loading.start <= sample] or loadings[:1])[-1]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class PeakForceDisplacement(PerCycle):
     """``displacement_at_peak_force.<cycle>`` (m), at the largest force of a cycle."""
 
@@ -380,7 +378,6 @@ class PeakForceDisplacement(PerCycle):
         return replace(reading, n=len(finite))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class EnergyToBreak(Kind):
     """``energy_to_break`` (J): work done up to the failure."""
 
@@ -453,7 +450,6 @@ class LimitCard:
         return tuple(dict.fromkeys(name for row in self.rows for name in row.limits))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class ForceLimit(Kind):
     """``force_limit`` (N) and ``peak_over_limit`` (1): largest force over the smallest allowed."""
 

@@ -1,6 +1,6 @@
 """Define what a kind of result is, and the test that it is measured on.
 
-A kind of result is a frozen dataclass: its fields are the settings of its entry in a protocol, its
+A kind of result is a class: its fields are the settings of its entry in a protocol, its
 class variables are its name, outputs, needs and methods. `measure` yields the numbers of a test,
 stiffnesses for later entries, lines and notes. Grammar, cross-checks, JSON Schema, descriptions and
 the reference page derive from the list `labpipe.results.KINDS`.
@@ -11,7 +11,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias, TypeVar, dataclass_transform
 
 import numpy as np
 
@@ -369,9 +369,12 @@ Errors: TypeAlias = Mapping[str, float]
 """Standard errors from outside the fit, in the unit of the number, by cause."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass_transform(frozen_default=True, kw_only_default=True)
+@dataclass(frozen=True, kw_only=True)
 class Kind(ABC):
     """A kind of result; its fields are the settings of an entry in a protocol.
+
+    Subclasses become frozen dataclasses without a decorator.
 
     ``method`` describes how the outputs are measured, ``methods`` each of them if they differ. It
     may have settings as fields; ``over_mm`` is the setting ``over`` in millimetres.
@@ -382,6 +385,10 @@ class Kind(ABC):
     needs: ClassVar[Needs] = Needs(branches=True)
     method: ClassVar[str] = ""
     methods: ClassVar[tuple[str, ...]] = ()
+
+    def __init_subclass__(cls) -> None:
+        """Make a frozen dataclass of a subclass."""
+        dataclass(frozen=True, kw_only=True)(cls)
 
     @abstractmethod
     def measure(self, test: ReducedTest) -> Iterator[Part]:
@@ -610,7 +617,6 @@ def find_machine_compliance(test: ReducedTest, stiffness: float) -> tuple[Reason
     return (Reason.of("results.machine_compliance", usual=usual, share=share),)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class ClockResult(Kind):
     """``clock_offset`` (s), ``clock_drift`` (1): clock of the force against that of the motion."""
 

@@ -320,7 +320,6 @@ def find_contact_doubts(segments: tuple[Measured, ...], hinges: Hinges) -> tuple
     return (Reason.of("results.late_contact", start=1e3 * start),)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class _TwoLineKind(RangeKind):
     """A kind of result from two lines through a range of the first loading."""
 
@@ -394,7 +393,6 @@ def _make_lines(
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class TwoSegments(_TwoLineKind):
     """``segment_stiffness_first``, ``segment_stiffness_second``, ``break_point``: two lines."""
 
@@ -426,7 +424,6 @@ class TwoSegments(_TwoLineKind):
         yield from _make_lines(segments, hinges, names)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Kink(_TwoLineKind):
     """``kink_displacement`` (m) and ``kink_force`` (N): where the first loading gets less steep."""
 
@@ -760,7 +757,6 @@ class _Corner:
         return 0.5 * self.remaining_ratio[:, None] * (errors - self.noisy_base[:, None])
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Plateau(Kind):
     """``end_slope`` (1), ``plateau_displacement`` (m), ``plateau_force`` (N): end of a loading."""
 
@@ -779,7 +775,7 @@ class Plateau(Kind):
 
     def compute(self, test: ReducedTest) -> list[Part]:
         """Measure the plateau, whose onset is left out if the slope at the end is not available."""
-        end_slope, *onset = super(Plateau, self).compute(test)
+        end_slope, *onset = super().compute(test)
         has_end_slope = isinstance(end_slope, Result) and end_slope.value is not None
         return [end_slope, *onset] if has_end_slope else [end_slope]
 

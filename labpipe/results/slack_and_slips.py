@@ -407,7 +407,6 @@ def list_slack_doubts(measured_slack: Measured) -> tuple[Reason, ...]:
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class SlipResults(Kind):
     """``slip_position.<n>`` (m) and ``slip_drop.<n>`` (N) of each slip, if there are any."""
 
@@ -580,7 +579,6 @@ def _subtract_slack_effect(quantity: Input, smooth: Trace, decide: Decide) -> In
     return replace(quantity, perturb=perturb)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class SlackResult(Kind):
     """``slack`` (m): displacement at which the specimen becomes taut."""
 

@@ -490,7 +490,6 @@ def find_compliance_window(
     return convert_to_slice(window_samples)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class UnloadingStiffness(PerCycle):
     """``unloading_stiffness.<cycle>`` (N/m): slope just after each turn."""
 
@@ -514,7 +513,6 @@ class UnloadingStiffness(PerCycle):
         return Reading(read_part(compute, slice(None)), n_samples)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class LoadingStiffness(PerCycle):
     """``loading_stiffness.<cycle>`` (N/m): slope just after the onset of the force."""
 
@@ -554,7 +552,6 @@ class LoadingStiffness(PerCycle):
         return choose_loading_window(*columns, length=self.over)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Hardening(Kind):
     """``hardening.<cycle>`` (1): ``loading_stiffness`` of a later cycle over that of the first."""
 
@@ -599,7 +596,6 @@ class Hardening(Kind):
             )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class RangeKind(Kind):
     """A kind of result that is measured over a range of displacement of the first loading."""
 
@@ -648,7 +644,6 @@ def _choose_secant_window(trace: Trace, start: float, stop: float) -> Reading:
     return Reading(numbers, slope.n_samples, noisy_numbers, ends_at_samples=True)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class InitialStiffness(RangeKind):
     """``initial_stiffness`` (N/m): slope at the start of the first loading."""
 
@@ -669,7 +664,6 @@ class InitialStiffness(RangeKind):
         yield Stiffness(result.name, decide, outcome.value, period, window, doubts=doubts)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class LineStiffness(InitialStiffness):
     """``<name>`` (N/m): straight line over a window of the first loading."""
 
@@ -688,7 +682,7 @@ class LineStiffness(InitialStiffness):
     def measure(self, test: ReducedTest) -> Iterator[Part]:
         """Fit a least-squares line or, for a test with a shape, a line with time as instrument."""
         if test.shape is not None:
-            yield from super(LineStiffness, self).measure(test)
+            yield from super().measure(test)
             return
         slope, curve = test.measure_one(self.decide), curves.make_trace(test)
         samples = self.select_finite_samples(curve)
@@ -729,7 +723,6 @@ class LineStiffness(InitialStiffness):
         return Reading(slope, len(samples), ends_at_samples=True)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class DerivedKind(Kind):
     """A kind of result that is computed from a stiffness above it in the list."""
 
@@ -755,7 +748,6 @@ class DerivedKind(Kind):
         yield self.make_result(test, outcome, **context)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class NormalisedStiffness(DerivedKind):
     """``<of>_per_peak_force`` (1/m): a stiffness over the largest force of the same sample."""
 
@@ -788,7 +780,6 @@ class NormalisedStiffness(DerivedKind):
         return test.measure_one(quotient)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Modulus(DerivedKind):
     """``<name>`` (Pa): stiffness x gauge length / area."""
 
@@ -865,7 +856,6 @@ def compute_area(sizes: Mapping[str, float], section: str = "") -> float:
     raise UnavailableError.of("results.no_area", missing=missing)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class ComplianceResult(Kind):
     """``compliance`` (m/N): compliance of frame and grips, from a test of a stiff bar."""
 

@@ -342,7 +342,6 @@ class PullQuantity:
     doubts: tuple[Reason, ...] = ()
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class TensionResult(Kind):
     """A kind of result in stress and strain, which may need an elastic line."""
 
@@ -477,7 +476,6 @@ def _find_strain_jump(pull: Pull, stop: int) -> tuple[Reason, ...]:
     return (Reason.of("results.strain_jumps", jump=jump, stress=stress),)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class ElasticModulus(TensionResult):
     """``elastic_modulus`` (Pa): slope of the elastic line."""
 
@@ -509,7 +507,7 @@ class ElasticModulus(TensionResult):
 
     def measure(self, test: ReducedTest) -> Iterator[Part]:
         """Measure the slope, and yield the line for figures."""
-        yield from super(ElasticModulus, self).measure(test)
+        yield from super().measure(test)
         pull = test.require(test.pull)
         path = test.required_curve.displacement[_select_new_strains(make_trace(test))[pull.window]]
         start, stop = float(np.nanmin(path)), float(np.nanmax(path))
@@ -525,7 +523,6 @@ def _read_slope(pull: Pull) -> float:
     return pull.slope
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class ProofStress(TensionResult):
     """``<name>`` (Pa): stress where the curve meets the elastic line shifted by a strain."""
 
@@ -564,7 +561,6 @@ def _find_meeting_sample(pull: Pull, offset: float) -> int:
     return int(np.argmax(is_below))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class YieldStress(TensionResult):
     """``upper_yield_stress`` and ``lower_yield_stress`` (Pa): stresses at a yield with a fall."""
 
@@ -632,7 +628,6 @@ def _find_trough(plateau: Floats, clear_change: float) -> int:
     return int(np.nanargmin(plateau))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class TensileStrength(TensionResult):
     """``tensile_strength`` (Pa): the largest force over the original area."""
 
@@ -676,7 +671,6 @@ def _find_extensometer_end(test: ReducedTest, pull: Pull) -> tuple[Reason, ...]:
     return (Reason.of("results.extension_stops", last=float(strain[is_last][-1]) - pull.toe),)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class MaximumForceElongation(TensionResult):
     """``elongation_at_maximum_force`` and ``plastic_elongation_at_maximum_force`` (1)."""
 
@@ -737,7 +731,6 @@ def _make_extensometer_error(pull: Pull, what: str) -> UnavailableError:
     return UnavailableError.of("results.extensometer_off", what=what, last=last)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class BreakElongation(TensionResult):
     """``elongation_at_break`` and ``plastic_elongation_at_break`` (1): at the last sample."""
 

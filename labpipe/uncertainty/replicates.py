@@ -336,15 +336,19 @@ def make_generator(seed: bytes, name: str) -> np.random.Generator:
     return np.random.Generator(np.random.SFC64(int.from_bytes(digest, "little")))
 
 
-def choose_max_intervals(trace: Trace) -> int:
-    """Choose the largest number of spline intervals per piece of a record.
+def fit_smooth_trace(
+    trace: Trace, values: Floats, cuts: Sequence[int], *, jump: int | None = None
+) -> Floats:
+    """Fit a smooth curve to a quantity on the samples of a trace.
 
     Parameters
     ----------
-    trace : the record; one with several branches is cyclic
+    trace : one curve
+    values, cuts, jump : as for `fit_smooth_curve`
     """
     # With 40 intervals, the spline of a tensile curve would follow noise of low frequency.
-    return 40 if len(trace.branches) > 1 else 12
+    max_intervals, branches = 40 if len(trace.branches) > 1 else 12, trace.branches
+    return fit_smooth_curve(trace.time, values, cuts, max_intervals, jump=jump, branches=branches)
 
 
 def fit_smooth_curve(
@@ -478,13 +482,12 @@ def draw_replicates(
     -------
     The replicates, equal for equal arguments.
     """
-    n_intervals, branches = choose_max_intervals(unfiltered), unfiltered.branches
-    time, noisy, noises, smooth = unfiltered.time, [], {}, []
+    noisy, noises, smooth = [], {}, []
     jump = None if unfiltered.failed_at is None else unfiltered.failed_at + 1
     has_resolution = any(quantity.cause == RESOLUTION_OF_FORCE for quantity in inputs)
     for name, apply_filters in zip(("displacement", "force"), filters, strict=True):
         values: Floats = getattr(unfiltered, name)
-        curve = fit_smooth_curve(time, values, cuts, n_intervals, jump=jump, branches=branches)
+        curve = fit_smooth_trace(unfiltered, values, cuts, jump=jump)
         has_steps = has_resolution and name == "force"
         noise = _estimate_record_noise(values, curve, unfiltered, cuts, has_steps=has_steps)
         noisy.append(_add_noise_and_filter(curve, noise, apply_filters, make_generator(seed, name)))
