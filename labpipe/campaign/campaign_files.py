@@ -153,14 +153,13 @@ class OutcomeFiles:
     signature: str
 
     @property
-    def has_results(self) -> bool:
-        """Whether the results are complete."""
-        return f"{SUMMARY_FILE}:" in self.signature and f"{RESULT_FILE}:" in self.signature
+    def names(self) -> set[str]:
+        """Names of the files."""
+        return {part.partition(":")[0] for part in self.signature.split()}
 
-    @property
-    def has_failure(self) -> bool:
-        """Whether the last attempt to process the test failed."""
-        return f"{FAILURE_FILE}:" in self.signature
+
+NO_OUTCOME = OutcomeFiles(Path(), "")
+"""Outcome files of a test that was never processed."""
 
 
 def list_processed(campaign: CampaignFolders) -> dict[str, OutcomeFiles]:

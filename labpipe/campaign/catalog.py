@@ -14,8 +14,10 @@ import socket
 import sqlite3
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, closing, contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
+from dataclasses import fields
 from functools import cache
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -25,6 +27,7 @@ from labpipe.campaign.campaign_files import UNKNOWN, MadeOf, OutcomeFiles
 from labpipe.errors import StoreError, UsageError
 from labpipe.messages import format_sentence
 from labpipe.process.output_paths import RESULT_FILE
+from labpipe.store.layout import ResultRow
 from labpipe.store.replace import lock, map_errors
 from labpipe.store.summaries import FAILURE_FILE, SUMMARY_FILE, compute_entry_seal, read_summary
 
@@ -89,27 +92,6 @@ TestRow.__test__ = False  # type: ignore[attr-defined]  # pytest must not collec
 _REAL_COLUMNS: Final = ("value", "lower", "upper", "level", "estimate")
 
 
-class ResultRow(NamedTuple):
-    """A row of the table ``results``; numbers are SI, and None if not available.
-
-    Parameters
-    ----------
-    name, value, unit, lower, upper, level, estimate, status : fields of a result in summary.json
-    code, reason : codes and messages of a doubtful or failed result; empty for other results
-    """
-
-    name: str
-    value: float | None
-    unit: str
-    lower: float | None
-    upper: float | None
-    level: float | None
-    estimate: float | None
-    status: str
-    code: str
-    reason: str
-
-
 class FileState(NamedTuple):
     """State of the files of a test when its row was made.
 
@@ -160,13 +142,13 @@ def write_json(content: Mapping[str, Any]) -> str:
     return json.dumps(content, ensure_ascii=False, sort_keys=True)
 
 
-def read_outcome(folder: str, files: OutcomeFiles | None) -> Entry:
+def read_outcome(folder: str, files: OutcomeFiles) -> Entry:
     """Read the outcome of a test.
 
     Parameters
     ----------
     folder : folder of the test relative to the campaign
-    files : outcome files of the test; None if it has none
+    files : outcome files of the test
 
     Returns
     -------
@@ -176,16 +158,14 @@ def read_outcome(folder: str, files: OutcomeFiles | None) -> Entry:
     the same key as the results is ignored, because the process that wrote these results was killed
     before it deleted the older failure.
     """
-    entry = Entry(TestRow(folder))
-    if files is None:
-        return entry
-    if files.has_results:
+    entry, names = Entry(TestRow(folder)), files.names
+    if {SUMMARY_FILE, RESULT_FILE} <= names:
         entry = _read_summary(folder, files.folder / SUMMARY_FILE)
-    elif f"{SUMMARY_FILE}:" in files.signature:
+    elif SUMMARY_FILE in names:
         entry = Entry(TestRow(folder, why=f"{RESULT_FILE} is missing"))
-    failure = _read_failure(files.folder / FAILURE_FILE) if files.has_failure else {}
+    failure = _read_failure(files.folder / FAILURE_FILE) if FAILURE_FILE in names else {}
     run = failure.get("run") or ""
-    if not files.has_failure or (run and run == entry.row.run):
+    if FAILURE_FILE not in names or (run and run == entry.row.run):
         return entry
     row = entry.row._replace(
         state=FAILED,
@@ -251,10 +231,10 @@ def _parse_result(entry: Mapping[str, Any]) -> ResultRow:
     if seal and seal != compute_entry_seal(entry):
         message = f"the numbers of {entry['name']} were changed"
         raise ValueError(message)
-    fields: dict[str, Any] = {name: str(entry[name]) for name in ("name", "unit", "status")}
-    fields |= {key: None if entry[key] is None else float(str(entry[key])) for key in _REAL_COLUMNS}
+    cells: dict[str, Any] = {name: str(entry[name]) for name in ("name", "unit", "status")}
+    cells |= {key: None if entry[key] is None else float(str(entry[key])) for key in _REAL_COLUMNS}
     return ResultRow(
-        **fields,
+        **cells,
         code=", ".join(str(reason["code"]) for reason in entry["reasons"]),
         reason="; ".join(str(reason["message"]) for reason in entry["reasons"]),
     )
@@ -269,7 +249,7 @@ def _read_failure(path: Path) -> dict[str, Any]:
 
 
 CATALOG: Final = "catalog.sqlite"
-SCHEMA: Final = 3
+SCHEMA: Final = 4
 """Version of the tables, in ``user_version``.
 
 Tables of a newer version are refused; those of an older version are rebuilt.
@@ -278,17 +258,22 @@ APPLICATION_ID: Final = 0x4C425043
 """``application_id`` of the file: the letters LBPC."""
 
 
-def _define_columns(row: type[TestRow | ResultRow]) -> str:
+RESULT_COLUMNS: Final = tuple(field.name for field in fields(ResultRow))
+"""Columns of a result in the table ``results``."""
+_get_result_cells = attrgetter(*RESULT_COLUMNS)
+
+
+def _define_columns(names: Iterable[str]) -> str:
     """Write the column definitions of a table in SQL: text, or a number that may be null."""
     return ", ".join(
-        f"{name} {'real' if name in _REAL_COLUMNS else 'text not null'}" for name in row._fields
+        f"{name} {'real' if name in _REAL_COLUMNS else 'text not null'}" for name in names
     )
 
 
 _TABLES = f"""
-create table tests ({_define_columns(TestRow)}, primary key (folder)) without rowid;
+create table tests ({_define_columns(TestRow._fields)}, primary key (folder)) without rowid;
 create table results (
-    folder text not null, place integer not null, {_define_columns(ResultRow)},
+    folder text not null, place integer not null, {_define_columns(RESULT_COLUMNS)},
     primary key (folder, place)
 ) without rowid;
 create table seen (folder text primary key, content text not null, marks text not null);
@@ -321,11 +306,6 @@ class Claim(NamedTuple):
     def machine(self) -> str:
         """Name of the machine."""
         return self.host.split()[0]
-
-
-def make_claim() -> Claim:
-    """Make a claim of this process at the present time."""
-    return Claim(_identify_host(), os.getpid(), str(psutil.Process().create_time()), time.time())
 
 
 def is_alive(claim: Claim) -> bool:
@@ -373,7 +353,9 @@ class Catalog:
     is_in_memory : whether the catalog is only in memory and is lost when the process ends
     """
 
-    def __init__(self, connection: sqlite3.Connection, path: Path, *, is_in_memory: bool) -> None:
+    def __init__(
+        self, connection: sqlite3.Connection, path: Path, *, is_in_memory: bool = False
+    ) -> None:
         self._connection, self.path, self.is_in_memory = connection, path, is_in_memory
 
     def close(self) -> None:
@@ -424,7 +406,7 @@ class Catalog:
         ----------
         folder : folder of the test
         """
-        columns = ", ".join(ResultRow._fields)
+        columns = ", ".join(RESULT_COLUMNS)
         sql = f"select {columns} from results where folder = ? order by place"
         return tuple(ResultRow(*row) for row in self._fetch_all(sql, folder))
 
@@ -456,7 +438,10 @@ class Catalog:
                     _delete(connection, folder)
                     _insert(connection, "tests", [entry.row])
                     _insert(connection, "seen", [(folder, *entry.file_state)])
-                    rows = [(folder, place, *row) for place, row in enumerate(entry.results)]
+                    rows = [
+                        (folder, place, *_get_result_cells(row))
+                        for place, row in enumerate(entry.results)
+                    ]
                     _insert(connection, "results", rows)
 
     def remove_tests(self, folders: Iterable[str]) -> None:
@@ -497,7 +482,9 @@ class Catalog:
             claims = self._fetch_all("select * from running where folder = ?", folder)
             if any(is_alive(Claim(*claim[1:])) for claim in claims):
                 return False
-            _insert(connection, "running", [(folder, *make_claim())])
+            start_time = str(psutil.Process().create_time())
+            claim = Claim(_identify_host(), os.getpid(), start_time, time.time())
+            _insert(connection, "running", [(folder, *claim)])
         return True
 
     def release_tests(self, *folders: str) -> None:
@@ -571,25 +558,15 @@ def _connect(path: Path | None) -> sqlite3.Connection:
     return connection
 
 
-def _can_write(path: Path) -> bool:
-    """Return whether a catalog, and files beside it, can be written."""
-    can_write_file = not path.exists() or os.access(path, os.W_OK)
-    return can_write_file and os.access(path.parent, os.W_OK | os.X_OK)
-
-
-class _NoCatalog(Exception):  # noqa: N818  not an error, because the catalog is rebuilt
-    """The catalog is missing or unusable; the message gives the reason."""
-
-
 def open_catalog(folder: Path, notes: list[str]) -> Catalog:
     """Open the catalog of a campaign; make an empty catalog if there is none that is usable.
 
     Parameters
     ----------
-    folder : folder of the results. It is made if it does not exist; if it is read-only, the catalog
-        is in memory
-    notes : list to which a message is added if an unusable catalog was replaced, or if an empty
-        catalog was made in memory
+    folder : folder of the results. It is made if it does not exist. If it is read-only, an empty
+        catalog is made in memory
+    notes : list to which a message is added if the catalog is in memory, or if an unusable catalog
+        was replaced; that one is kept as ``catalog.sqlite.damaged``
 
     Raises
     ------
@@ -598,72 +575,45 @@ def open_catalog(folder: Path, notes: list[str]) -> Catalog:
         opened or made.
     """
     path, lock_timeout = folder / CATALOG, 30.0  # s, for another process that makes the catalog
-    with suppress(_NoCatalog):
-        return _open_file(path)
     with suppress(OSError):
         folder.mkdir(parents=True, exist_ok=True)
-    if not _can_write(path):
+    is_file_writable = not path.exists() or os.access(path, os.W_OK)
+    if not (is_file_writable and os.access(folder, os.W_OK | os.X_OK)):
         notes.append(format_sentence("campaign.catalog_in_memory", path=path))
-        return make_catalog(folder)
-    with lock(folder, timeout=lock_timeout):
-        try:
-            return _open_file(path)  # another process has just made it
-        except _NoCatalog as reason:
-            if path.exists():
-                notes.append(format_sentence("campaign.catalog_rebuilt", path=path, why=reason))
-            return make_catalog(folder)
+        return Catalog(_make_tables(_connect(None)), path, is_in_memory=True)
+    with lock(folder, timeout=lock_timeout), convert_sqlite_errors(path), map_errors(path):
+        if path.exists():
+            try:
+                return Catalog(_open_file(path), path)
+            except sqlite3.DatabaseError as error:
+                if _get_primary_code(error) in _BUSY_CODES | _REFUSED_CODES:
+                    raise
+                why = format_sentence("campaign.damaged_catalog", why=error)
+                notes.append(format_sentence("campaign.catalog_rebuilt", path=path, why=why))
+            path.replace(path.with_name(f"{CATALOG}.damaged"))
+        for ending in ("-wal", "-shm", "-journal"):
+            path.with_name(CATALOG + ending).unlink(missing_ok=True)
+        return Catalog(_make_tables(_connect(path)), path)
 
 
-def _open_file(path: Path) -> Catalog:
-    """Open a catalog; if it or its folder is read-only, open a copy in memory."""
-    if not path.is_file():
-        raise _NoCatalog(format_sentence("campaign.missing_catalog"))
-    is_writable = _can_write(path)
+def _open_file(path: Path) -> sqlite3.Connection:
+    """Connect to an existing catalog after checking its tables."""
+    connection = _connect(path)
     try:
-        with ExitStack() as stack:
-            connection = stack.enter_context(closing(_connect(path)))
-            _check_tables(connection, path)
-            if is_writable:
-                stack.pop_all()
-                return Catalog(connection, path, is_in_memory=False)
-            memory = _connect(None)
-            connection.backup(memory)
-            return Catalog(memory, path, is_in_memory=True)
-    except sqlite3.DatabaseError as error:
-        if is_writable and _get_primary_code(error) in _BUSY_CODES | _REFUSED_CODES:
-            with convert_sqlite_errors(path):
-                raise
-        raise _NoCatalog(format_sentence("campaign.damaged_catalog", why=error)) from error
+        _check_tables(connection, path)
+    except BaseException:
+        connection.close()
+        raise
+    return connection
 
 
-def make_catalog(folder: Path) -> Catalog:
-    """Make an empty catalog.
-
-    Parameters
-    ----------
-    folder : folder of the results. If it does not exist, or if it or the file is read-only, the
-        catalog is made in memory. An existing file is kept as ``catalog.sqlite.damaged``
-
-    Raises
-    ------
-    StoreError
-        If the file cannot be made.
-    """
-    path = folder / CATALOG
-    is_writable = _can_write(path)
-    if is_writable:
-        with map_errors(path):
-            if path.exists():
-                path.replace(path.with_name(f"{CATALOG}.damaged"))
-            for ending in ("", "-wal", "-shm", "-journal"):
-                path.with_name(CATALOG + ending).unlink(missing_ok=True)
-    with convert_sqlite_errors(path):
-        connection = _connect(path if is_writable else None)
-        connection.executescript(
-            f"begin immediate; {_TABLES} pragma application_id = {APPLICATION_ID};"
-            f" pragma user_version = {SCHEMA}; commit;"
-        )
-    return Catalog(connection, path, is_in_memory=not is_writable)
+def _make_tables(connection: sqlite3.Connection) -> sqlite3.Connection:
+    """Make the empty tables of a new catalog, and return the connection."""
+    connection.executescript(
+        f"begin immediate; {_TABLES} pragma application_id = {APPLICATION_ID};"
+        f" pragma user_version = {SCHEMA}; commit;"
+    )
+    return connection
 
 
 def _check_tables(connection: sqlite3.Connection, path: Path) -> None:

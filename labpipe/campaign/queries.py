@@ -12,7 +12,7 @@ from itertools import count
 from pathlib import Path
 from typing import IO, Any, Final
 
-from labpipe.campaign.catalog import Catalog, ResultRow
+from labpipe.campaign.catalog import RESULT_COLUMNS, Catalog
 from labpipe.errors import UsageError, sort_by_likeness
 from labpipe.statistics.lots import PEAK_OVER_LIMIT
 
@@ -27,7 +27,7 @@ _COMPUTED_COLUMNS: Final = {
 """SQL expressions of columns that no table has, keyed by column."""
 QUERY_COLUMNS: Final = {
     name: _COMPUTED_COLUMNS.get(name)
-    or (f"results.{name}" if name in ResultRow._fields else f"tests.{name}")
+    or (f"results.{name}" if name in RESULT_COLUMNS else f"tests.{name}")
     for name in (
         *("test", "folder", "state", "type", "spool", "sample", "name", "value", "unit", "lower"),
         *("upper", "level", "estimate", "status", "code", "verdict", "reason", "why", "protocol"),

@@ -71,7 +71,7 @@ from labpipe.statistics.lots import judge_lot
 from labpipe.statistics.means import PoolingLimits
 from labpipe.statistics.significance import judge_family, mark_outliers
 from labpipe.store.replace import lock, replace_files
-from labpipe.store.result_files import ReportedTest, read_reported, read_result
+from labpipe.store.result_files import read_reported, read_result
 from labpipe.store.summaries import SUMMARY_FILE, check_summary
 
 _SECTIONS = ("align", "steps", "curve", "branches", "results")
@@ -679,17 +679,20 @@ def read_tests(files: Sequence[Path], say: Callable[[str], object]) -> ReadTests
     for file in files:
         say(file.parent.name)
         try:
-            reported_test = read_reported(file, choose_frames)
-            result = reported_test.result
+            result, shapes, law = read_reported(file, choose_frames)
             check_summary(result, file.parent / SUMMARY_FILE)
             protocol = parse_protocol(result.protocol_yaml, str(file))
         except LabpipeError as error:
             tests.left_out[str(file)] = str(error)
             continue
-        specimen = add_dimensions(result.specimen, protocol.specimen)
-        completed_test = replace(reported_test, result=replace(result, specimen=specimen))
-        _, label = find_decision_folder(file, tests.folder)
-        sample = make_sample(completed_test, source=str(file), label=label)
+        sample = replace(
+            make_sample(result),
+            specimen=add_dimensions(result.specimen, protocol.specimen),
+            shapes=shapes,
+            law=law,
+            source=str(file),
+            label=find_decision_folder(file, tests.folder)[1],
+        )
         decisions = decisions_by_file.get(file, ())
         tests.decisions.extend(decisions)
         if decision := find_decision_in_force(decisions, run=result.run):
@@ -777,16 +780,18 @@ _SHARED_FIELDS = (
 """Fields that a test result and a sample have in common."""
 
 
-def make_sample(test: ReportedTest, *, source: str, label: str = "") -> Sample:
+def make_sample(result: TestResult) -> Sample:
     """Make a sample of a report from a processed test.
 
     Parameters
     ----------
-    test : processed test, as read for a report
-    source : path of its file
-    label : label of the test in its campaign
+    result : processed test
+
+    Returns
+    -------
+    The sample without shapes, law, source and label.
     """
-    result, curve = test.result, test.result.curve
+    curve = result.curve
     curves: dict[Direction, list[SampleCurve]] = {direction: [] for direction in Direction}
     if curve is not None:
         for branch in curve.branches:
@@ -796,10 +801,6 @@ def make_sample(test: ReportedTest, *, source: str, label: str = "") -> Sample:
         loading=tuple(curves[Direction.LOADING]),
         unloading=tuple(curves[Direction.UNLOADING]),
         display=dict(result.display),
-        source=source,
-        label=label,
-        shapes=test.shapes,
-        law=test.law,
     )
 
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from labpipe.campaign.campaign_files import (
+    NO_OUTCOME,
     CampaignFolders,
     HashedInputs,
     InputReader,
@@ -159,7 +160,7 @@ class CatalogSync:
         new_entries: dict[str, Entry] = {}
         folders = sorted(raw.sheets.keys() | outcomes.keys())
         for folder in folders:
-            sheet, files = raw.sheets.get(folder), outcomes.get(folder)
+            sheet, files = raw.sheets.get(folder), outcomes.get(folder, NO_OUTCOME)
             entry = self._make_new_entry(folder, sheet, files, states.get(folder))
             if entry is not None:
                 new_entries[folder] = entry
@@ -234,19 +235,18 @@ class CatalogSync:
         return self.campaign.raw / folder / SHEET_NAME
 
     def _make_new_entry(
-        self, folder: str, sheet: Path | None, files: OutcomeFiles | None, state: FileState | None
+        self, folder: str, sheet: Path | None, files: OutcomeFiles, state: FileState | None
     ) -> Entry | None:
         """Make the entry of a test; return None if the catalog is up to date."""
-        signature = files.signature if files is not None else ""
         stored_inputs = parse_inputs(state.inputs_json) if state is not None else None
         inputs, key = self._recent_inputs.pop(folder, stored_inputs), ""
-        if sheet is not None and signature:
+        if sheet is not None and files.signature:
             inputs = self._input_reader.read_inputs(sheet, inputs)
             key = inputs.key
         decisions = self._decisions.decisions_by_test.get(folder, ()) if self._decisions else ()
         decisions_hash = hash_text(repr(decisions)) if decisions else ""
         # Inputs without outcome files are not read; then it only matters whether there is a sheet.
-        fingerprint = f"{signature} {key or sheet is not None} {decisions_hash}"
+        fingerprint = f"{files.signature} {key or sheet is not None} {decisions_hash}"
         if state is not None and state.fingerprint == fingerprint and inputs == stored_inputs:
             return None
         entry = read_outcome(folder, files)

@@ -59,9 +59,7 @@ def compute_powers(u: Floats, terms: int) -> Floats:
 
 def compute_power_slopes(u: Floats, terms: int) -> Floats:
     """Compute the derivatives of the powers of u, shape (n, terms)."""
-    slopes = np.zeros((len(u), terms))
-    slopes[:, 1:] = np.arange(1, terms) * compute_powers(u, terms)[:, :-1]
-    return slopes
+    return compute_powers(u, terms) @ np.diag(np.arange(1.0, terms), k=1)
 
 
 def build_curve_basis(*, terms: int, length: float, clamped: bool, free_tip: bool) -> CurveBasis:
@@ -109,10 +107,8 @@ def build_marker_design(basis: CurveBasis, arc_length: Floats, centre_offset: fl
     Shape (2 markers, 2 unknowns). The rows are x, then y of the markers; the columns are the
     unknowns of x, then those of y.
     """
-    axis, offset = (
-        basis.compute_values(arc_length),
-        centre_offset * basis.compute_slopes(arc_length),
-    )
+    axis = basis.compute_values(arc_length)
+    offset = centre_offset * basis.compute_slopes(arc_length)
     return np.block([[axis, -offset], [offset, axis]])
 
 
@@ -179,13 +175,12 @@ def fit_rest_curve(
         values = basis.compute_values(arc_length)
         out_of_plane = np.linalg.lstsq(values, markers[:, 2], rcond=None)[0]
         coefficients = np.vstack([in_plane, out_of_plane]) @ basis.matrix.T
-        curve_length = _compute_curve_lengths(coefficients, arc_length, length)
+        previous_arc_length = arc_length
+        arc_length = _compute_curve_lengths(coefficients, arc_length, length)
         tangent = coefficients[:, 1] / np.linalg.norm(coefficients[:, 1])
         shift = coefficients[:, 0] @ tangent - offsets.grip if clamped else 0.0
-        curve_length += shift if clamped else -curve_length[0]
-        change = np.abs(curve_length - arc_length).max()
-        arc_length = curve_length
-        if change < max_change:
+        arc_length += shift if clamped else -arc_length[0]
+        if np.abs(arc_length - previous_arc_length).max() < max_change:
             break
     length, direction = float(arc_length[-1]) + offsets.pull, tangent if clamped else None
     ends = EndConditions(length=length, direction=direction, free_tip=free_tip)
@@ -252,10 +247,9 @@ class FrameFits:
     def residual(self) -> Floats:
         """Root mean square misfit per coordinate, shape (frames,), m."""
         is_fitted = np.isfinite(self.misfit)
-        squares = np.where(is_fitted, self.misfit, 0.0) ** 2
+        squares = np.where(is_fitted, self.misfit**2, 0.0).sum(axis=(1, 2))
         count = is_fitted.sum(axis=(1, 2))
-        mean = squares.sum(axis=(1, 2)) / np.maximum(count, 1)
-        return np.asarray(np.where(count > 0, np.sqrt(mean), np.nan), dtype=np.float64)
+        return np.asarray(np.sqrt(squares / np.where(count > 0, count, np.nan)), dtype=np.float64)
 
     def estimate_noise(self, rest_frames: Selection) -> float:
         """Estimate the standard deviation of a marker coordinate, m, from the misfit at rest.
@@ -504,31 +498,30 @@ def fit_shape(
         raise ValueError(format_sentence("markers.few_at_rest", count=count, needed=MIN_MARKERS))
     mean_markers = np.nanmean(markers[rest], axis=0)
     fit_rest = partial(fit_rest_curve, mean_markers, clamped=clamped, free_tip=free_tip)
-    perturbed_offsets = offsets.perturb(uncertainties) if clamped else {}
-    perturbed_tip = {}
-    for cause, increased_offsets in perturbed_offsets.items():
-        rest_curve = fit_rest(offsets=increased_offsets, max_change=perturbed_max_change)
-        fit = fit_frames(
-            markers - rest_curve.clamped_end,
-            rest_curve.arc_length,
-            increased_offsets.centre,
-            rest_curve.ends,
-            terms=terms,
+
+    def fit_all(curve: RestCurve, offsets: Offsets, terms: int = terms) -> FrameFits:
+        origin = curve.clamped_end if clamped else np.zeros(3)
+        return fit_frames(
+            markers - origin, curve.arc_length, offsets.centre, curve.ends, terms=terms
         )
-        perturbed_tip[cause] = fit.last_point[:, 1]
+
+    perturbed_tip = {}
+    for cause, increased_offsets in (offsets.perturb(uncertainties) if clamped else {}).items():
+        perturbed_curve = fit_rest(offsets=increased_offsets, max_change=perturbed_max_change)
+        perturbed_tip[cause] = fit_all(perturbed_curve, increased_offsets).last_point[:, 1]
     rest_curve = fit_rest(offsets=offsets)
-    ends = rest_curve.ends
+    ends, fit = rest_curve.ends, fit_all(rest_curve, offsets)
+    tip_systematic = np.full_like(fit.gain, np.nan)
+    if fit.n_spare > 0:
+        tip_systematic = fit_all(rest_curve, offsets, terms + 1).last_point - fit.last_point
     markers = markers - (rest_curve.clamped_end if clamped else 0.0)
-    fit_inputs = (markers, rest_curve.arc_length, offsets.centre, ends)
-    fit = fit_frames(*fit_inputs, terms=terms)
-    finer_fit = fit_frames(*fit_inputs, terms=terms + 1) if fit.n_spare > 0 else None
     marker_flags = np.where(is_in_sight(markers), flags[:, is_seen_at_rest], PointFlag.MISSING)
     marker_names = np.array(names)[is_seen_at_rest].tolist()
     points = [(markers, marker_flags, rest_curve.arc_length, marker_names)]
     if clamped:
         is_visible = is_in_sight(markers).any(axis=1, keepdims=True)
-        positions = np.where(is_visible, np.zeros(3), np.nan)
-        points.insert(0, _make_point(positions, 0.0, CLAMPED_END))
+        clamped_end = np.where(is_visible, np.zeros(3), np.nan)
+        points.insert(0, _make_point(clamped_end, 0.0, CLAMPED_END))
     if ends.length > rest_curve.arc_length[-1]:
         points.append(_make_point(fit.last_point, ends.length, PULL_POINT))
     point_positions, point_flags, arc_length, point_names = zip(*points, strict=True)
@@ -547,11 +540,7 @@ def fit_shape(
         residual=fit.residual,
         marker_noise=fit.estimate_noise(rest),
         tip_gain=fit.gain,
-        tip_systematic=(
-            np.full_like(fit.gain, np.nan)
-            if finer_fit is None
-            else finer_fit.last_point - fit.last_point
-        ),
+        tip_systematic=tip_systematic,
         perturbed_tip=perturbed_tip,
         notes=tuple(_make_notes(names, is_seen_at_rest, fit, time)),
     )

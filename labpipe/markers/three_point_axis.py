@@ -1,4 +1,4 @@
-"""Find sections of markers on a specimen in three-point bending; fit its shape and curvature."""
+"""Assign markers on a specimen in three-point bending to sections, and fit its shape and twist."""
 
 from __future__ import annotations
 
@@ -10,14 +10,18 @@ import numpy as np
 from labpipe.messages import format_sentence
 from labpipe.records.arrays import ArrayRecord, Flags, Floats, Ints
 
-SIDES = {"load": ((1.0, 0.0),), "away": ((-1.0, 0.0),), "side": ((0.0, 1.0), (0.0, -1.0))}
+MARKER_DIRECTIONS = {
+    "load": ((1.0, 0.0),),
+    "away": ((-1.0, 0.0),),
+    "side": ((0.0, 1.0), (0.0, -1.0)),
+}
 """Possible directions (y, z) from the axis to the markers, keyed by the side of the markers."""
-TERMS = 3
+N_TERMS = 3
 """Number of powers in the curvature of a shape."""
 _GRID_POINTS = 161
 """Number of points of the grid on which shapes are integrated."""
 _MAX_SLOPE_SINE = 0.97
-"""Largest sine of the slope of a shape."""
+"""Limit of the sine of the slope of a shape, to which larger values are clipped."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,36 +35,37 @@ class Sections(ArrayRecord):
     ----------
     markers : shape (frames, markers, 3), m, positions; NaN where missing
     rest_xyz : shape (markers, 3), m, mean positions of the markers over the frames at rest
-    section : shape (markers,), index of the section of each marker, counted along x from 0
-    columns : shape (markers,), indices of the markers among all recorded markers
+    section_index : shape (markers,), index of the section of each marker, counted along x from 0
+    marker_columns : shape (markers,), indices of the markers among all recorded markers
     rotation_lab_to_specimen : shape (3, 3), rotation from the frame of the cameras
     """
 
     markers: Annotated[Floats, "frames", "markers", 3]
     rest_xyz: Annotated[Floats, "markers", 3]
-    section: Annotated[Ints, "markers"]
-    columns: Annotated[Ints, "markers"]
+    section_index: Annotated[Ints, "markers"]
+    marker_columns: Annotated[Ints, "markers"]
     rotation_lab_to_specimen: Annotated[Floats, 3, 3]
 
     @property
     def count(self) -> int:
         """Number of sections."""
-        return int(self.section.max()) + 1 if len(self.section) else 0
+        return int(self.section_index.max(initial=-1)) + 1
 
     @property
     def x(self) -> Floats:
         """Position x of each section at rest, shape (sections,), m."""
-        return np.array([self.rest_xyz[self.section == k, 0].mean() for k in range(self.count)])
+        x = self.rest_xyz[:, 0]
+        return np.array([x[self.section_index == index].mean() for index in range(self.count)])
 
 
-def find_sections(markers_lab: Floats, *, rest: Flags, min_distance: float) -> Sections:
-    """Determine frame and sections of a specimen on two supports.
+def find_sections(markers_lab: Floats, is_at_rest: Flags, *, min_distance: float) -> Sections:
+    """Determine the coordinate frame and the sections of a specimen on two supports.
 
     Parameters
     ----------
     markers_lab : shape (frames, markers, 3), m, in the frame of the cameras; NaN where missing
-    rest : shape (frames,), flags of frames in which the specimen is straight and at rest
-    min_distance : smallest distance of two sections along the axis, m; closer markers share a
+    is_at_rest : shape (frames,), flags of frames in which the specimen is straight and at rest
+    min_distance : smallest distance between two sections along the axis, m; closer markers share a
         section
 
     Returns
@@ -79,33 +84,35 @@ def find_sections(markers_lab: Floats, *, rest: Flags, min_distance: float) -> S
     rotation about the axis).
     """
     min_frames_at_rest = 3
-    is_measured = np.isfinite(markers_lab[rest]).all(axis=2).sum(axis=0) >= min_frames_at_rest
+    n_frames = np.isfinite(markers_lab[is_at_rest]).all(axis=2).sum(axis=0)
+    is_measured = n_frames >= min_frames_at_rest
     markers = markers_lab[:, is_measured]
     if markers.shape[1] < 3:
         raise ValueError(format_sentence("markers.few_section_markers", count=markers.shape[1]))
-    rest_xyz = np.nanmean(markers[rest], axis=0)
+    rest_xyz = np.nanmean(markers[is_at_rest], axis=0)
     centre = rest_xyz.mean(axis=0)
     x = np.linalg.svd(rest_xyz - centre, full_matrices=False)[2][0]
     station = (rest_xyz - centre) @ x
-    section: Ints = np.empty(len(station), dtype=np.int64)
+    section_index: Ints = np.empty(len(station), dtype=np.int64)
     order = np.argsort(station)
-    section[order] = np.append(0, np.cumsum(np.diff(station[order]) > min_distance))
-    y = _find_motion_direction(markers - rest_xyz, section, x)
+    section_index[order] = np.append(0, np.cumsum(np.diff(station[order]) > min_distance))
+    y = _find_motion_direction(markers - rest_xyz, section_index, x)
     rotation = np.stack([x, y, np.cross(x, y)])
     return Sections(
         markers=(markers - centre) @ rotation.T,
         rest_xyz=(rest_xyz - centre) @ rotation.T,
-        section=section,
-        columns=np.flatnonzero(is_measured),
+        section_index=section_index,
+        marker_columns=np.flatnonzero(is_measured),
         rotation_lab_to_specimen=rotation,
     )
 
 
-def _find_motion_direction(motion: Floats, section: Ints, x: Floats) -> Floats:
-    """Find the direction perpendicular to x in which the section that moves farthest moves."""
+def _find_motion_direction(motion: Floats, section_index: Ints, x: Floats) -> Floats:
+    """Find the direction of motion, perpendicular to x, of the section with the largest motion."""
     min_motion = 1e-6  # m, below the resolution of cameras
-    paths_yz = motion - (motion @ x)[..., None] * x
-    paths = np.stack([paths_yz[:, section == k].mean(axis=1) for k in range(section.max() + 1)])
+    motion_across = motion - (motion @ x)[..., None] * x
+    sections = [section_index == index for index in range(section_index.max() + 1)]
+    paths = np.stack([motion_across[:, in_section].mean(axis=1) for in_section in sections])
     max_distances = np.nanmax(np.nan_to_num(np.linalg.norm(paths, axis=2)), axis=1)
     path = paths[int(np.argmax(max_distances))]
     path = path[np.isfinite(path).all(axis=1)]
@@ -117,7 +124,7 @@ def _find_motion_direction(motion: Floats, section: Ints, x: Floats) -> Floats:
 
 
 def fit_rest_axis(sections: Sections, *, radius: float, direction: tuple[float, float]) -> Floats:
-    """Fit the position of the axis of the cylinder in the plane normal to it.
+    """Fit y and z of the axis at rest, from which all markers have the same distance.
 
     Parameters
     ----------
@@ -131,8 +138,8 @@ def fit_rest_axis(sections: Sections, *, radius: float, direction: tuple[float, 
 
     Notes
     -----
-    The squares of the distances from the axis minus `radius` are minimised by the Gauss-Newton
-    method with steps of minimum norm. Markers in one row do not determine the direction to the
+    The sum of squares of (distance from the axis - radius) is minimised by the Gauss-Newton method
+    with steps of minimum norm. Markers in one row do not determine the direction to the
     axis, which is then `direction`. For a radius of zero, the axis is the mean of the markers.
     """
     max_steps = 20
@@ -158,43 +165,41 @@ def compute_twist(sections: Sections, slope: Floats, *, radius: float) -> tuple[
     Returns
     -------
     twist : shape (frames, sections), rad, from y towards z; NaN where a marker of the section is
-        missing, or where `lever` is 0
-    lever : shape (sections,), m, lever arm of the markers: noise of standard deviation s causes a
-        standard deviation s / lever of the twist. It is 0 for a section with one marker, or with
-        markers too close to show the twist
+        missing, or where `lever_arm` is 0
+    lever_arm : shape (sections,), m, lever arm of the markers: noise of standard deviation s causes
+        a standard deviation s / lever_arm of the twist. It is 0 for a section with one marker, or
+        with markers too close together to determine the twist
 
     Notes
     -----
-    The twist is the best rotation of the markers of a section from rest about their mean, in the
-    plane normal to the axis. It does not depend on the radius or the position of the axis. With the
-    positions a at rest and b in a frame as complex numbers, it is the angle of sum(conj(a) b), the
-    two-dimensional solution of Kabsch.
+    The twist is the least-squares rotation of the markers of a section from rest about their mean,
+    in the plane normal to the axis. It does not depend on the radius or the position of the axis.
+    With the positions a at rest and b in a frame as complex numbers, it is the angle of
+    sum(conj(a) b), the two-dimensional solution of Kabsch.
     """
-    min_spread = 0.3  # radii; closer markers do not show the twist
-    frames = len(sections.markers)
-    twist = np.full((frames, sections.count), np.nan)
-    lever = np.zeros(sections.count)
+    min_spread = 0.3 * max(radius, 1e-9)  # closer markers do not determine the twist
+    twist = np.full((len(sections.markers), sections.count), np.nan)
+    lever_arm = np.zeros(sections.count)
     for index in range(sections.count):
-        in_section = sections.section == index
+        in_section = sections.section_index == index
         position_at_rest = sections.rest_xyz[in_section, 1] + 1j * sections.rest_xyz[in_section, 2]
         position_at_rest = position_at_rest - position_at_rest.mean()
         spread = float(np.sqrt(np.sum(np.abs(position_at_rest) ** 2)))
-        if in_section.sum() < 2 or spread < min_spread * max(radius, 1e-9):
+        if in_section.sum() < 2 or spread < min_spread:
             continue
-        lever[index] = spread
+        lever_arm[index] = spread
+        x, y, z = np.moveaxis(sections.markers[:, in_section], 2, 0)
         angle = slope[:, index, None]
-        section_markers = sections.markers[:, in_section]
-        height = -np.sin(angle) * section_markers[..., 0] + np.cos(angle) * section_markers[..., 1]
-        position = height + 1j * section_markers[..., 2]
+        position = np.cos(angle) * y - np.sin(angle) * x + 1j * z
         position = position - position.mean(axis=1, keepdims=True)
         twist[:, index] = np.angle(np.sum(np.conj(position_at_rest) * position, axis=1))
-    return twist, lever
+    return twist, lever_arm
 
 
 def compute_section_centres(
     sections: Sections, axis: Floats, slope: Floats, twist: Floats
 ) -> Floats:
-    """Compute the point on the axis of every section.
+    """Compute the point of the axis at every section.
 
     Parameters
     ----------
@@ -214,36 +219,28 @@ def compute_section_centres(
     `slope` in the plane of bending. The offset of a marker from the axis is subtracted, and the
     markers of a section are averaged.
     """
-    frames, x = len(sections.markers), sections.x
-    filled_twist = _fill_twist(twist)
-    centres = np.full((frames, sections.count, 3), np.nan)
+    x, filled_twist = sections.x, _fill_twist(twist)
+    centres = np.full((*slope.shape, 3), np.nan)
     for index in range(sections.count):
-        in_section = sections.section == index
-        offset = sections.rest_xyz[in_section] - np.array([x[index], *axis])
-        phi, angle = filled_twist[:, index, None], slope[:, index, None]
-        offset_across = np.cos(phi) * offset[:, 1] - np.sin(phi) * offset[:, 2]
-        offset_z = np.sin(phi) * offset[:, 1] + np.cos(phi) * offset[:, 2]
-        offset_x = np.cos(angle) * offset[:, 0] - np.sin(angle) * offset_across
-        offset_y = np.sin(angle) * offset[:, 0] + np.cos(angle) * offset_across
-        points = sections.markers[:, in_section] - np.stack([offset_x, offset_y, offset_z], axis=2)
-        is_measured = np.isfinite(points).all(axis=2)
-        total = np.where(is_measured[..., None], points, 0.0).sum(axis=1)
-        has_points = is_measured.any(axis=1)
-        count = is_measured.sum(axis=1)[has_points, None]
-        centres[has_points, index] = total[has_points] / count
+        in_section = sections.section_index == index
+        offset_x, offset_y, offset_z = (sections.rest_xyz[in_section] - [x[index], *axis]).T
+        twisted = (offset_y + 1j * offset_z) * np.exp(1j * filled_twist[:, index, None])
+        bent = (offset_x + 1j * twisted.real) * np.exp(1j * slope[:, index, None])
+        offset = np.stack([bent.real, bent.imag, twisted.imag], axis=2)
+        points = sections.markers[:, in_section] - offset
+        is_measured = np.isfinite(points).all(axis=2, keepdims=True)
+        total, count = np.where(is_measured, points, 0.0).sum(axis=1), is_measured.sum(axis=1)
+        centres[:, index] = np.where(count > 0, total, np.nan) / np.maximum(count, 1)
     return centres
 
 
 def _fill_twist(twist: Floats) -> Floats:
     """Interpolate missing twists between sections; set the twist to 0 in frames without any."""
-    numbers = np.arange(twist.shape[1])
-    has_twist = np.isfinite(twist)
-    filled_twist = np.zeros_like(twist)
-    for pattern in np.unique(has_twist, axis=0):
-        frames = (has_twist == pattern).all(axis=1)
-        if pattern.any():
-            rows = twist[frames][:, pattern]
-            filled_twist[frames] = [np.interp(numbers, numbers[pattern], row) for row in rows]
+    has_twist, indices = np.isfinite(twist), np.arange(twist.shape[1])
+    filled_twist = np.where(has_twist.any(axis=1, keepdims=True), twist, 0.0)
+    for frame in np.flatnonzero(np.isnan(filled_twist).any(axis=1)):
+        is_known = has_twist[frame]
+        filled_twist[frame] = np.interp(indices, indices[is_known], twist[frame, is_known])
     return filled_twist
 
 
@@ -251,8 +248,9 @@ def _fill_twist(twist: Floats) -> Floats:
 class BentAxis:
     """Shapes of the bent axis on two supports, in every frame.
 
-    sin(slope) = tilt - sum_k c_k W_k(x), where W_k is the integral of u^k from mid-span to x, and
-    u = 1 - 2 abs(x) / span between the supports and 0 beyond them; y is the integral of tan(slope).
+    The curvature is sum_k c_k u^k with u = 1 - 2 abs(x) / span between the supports and 0 beyond
+    them. With the integral W_k of u^k from mid-span to x, sin(slope) = tilt - sum_k c_k W_k(x), and
+    y is the integral of tan(slope).
 
     Parameters
     ----------
@@ -285,9 +283,11 @@ class BentAxis:
         return float(np.sqrt(np.sum(self.residual[is_valid] ** 2 * n_points) / freedom.sum()))
 
     def compute_slope_sine(self, x: Floats) -> Floats:
-        """Compute the sine of the slope at positions x from mid-span, shape (frames, n), m.
+        """Compute the sine of the slope, clipped to `_MAX_SLOPE_SINE`, shape (frames, n).
 
-        Its magnitude is limited to `_MAX_SLOPE_SINE`.
+        Parameters
+        ----------
+        x : shape (frames, n), m, positions from mid-span
         """
         integrals = _integrate_powers(x, self.span, self.coefficients.shape[1])
         sine = self.tilt[:, None] - np.einsum("fnk,fk->fn", integrals, self.coefficients)
@@ -295,14 +295,12 @@ class BentAxis:
 
     def compute_y(self, x: Floats) -> Floats:
         """Compute y, shape (frames, n), m, at positions x from mid-span, shape (n,), m."""
-        half_range = float(np.abs(x).max()) + 1e-6
-        grid = np.linspace(-half_range, half_range, _GRID_POINTS)
-        sine = self.compute_slope_sine(np.broadcast_to(grid, (len(self.tilt), _GRID_POINTS)))
+        grid = _make_grid(x, margin=1e-6)
+        sine = self.compute_slope_sine(np.broadcast_to(grid, (len(self.tilt), len(grid))))
         rise = _integrate(sine / np.sqrt(1.0 - sine**2), grid)
-        cell = np.clip(((x + half_range) / (grid[1] - grid[0])).astype(int), 0, _GRID_POINTS - 2)
-        weight = (x - grid[cell]) / (grid[1] - grid[0])
-        y = (1.0 - weight) * rise[:, cell] + weight * rise[:, cell + 1] + self.height[:, None]
-        return np.asarray(y, dtype=np.float64)
+        return (
+            _interpolate(rise, grid, np.broadcast_to(x, (len(rise), len(x)))) + self.height[:, None]
+        )
 
     @property
     def deflection(self) -> Floats:
@@ -311,8 +309,8 @@ class BentAxis:
         return np.asarray(self.height - ends.mean(axis=1), dtype=np.float64)
 
     @property
-    def support_slope(self) -> Floats:
-        """Mean tangent of the slope at the supports, towards mid-span, shape (frames,)."""
+    def mean_support_gradient(self) -> Floats:
+        """Mean dy/dx at both supports, shape (frames,), positive if y rises towards mid-span."""
         ends = np.broadcast_to([-0.5 * self.span, 0.5 * self.span], (len(self.tilt), 2))
         sine = self.compute_slope_sine(ends)
         tangent = sine / np.sqrt(1.0 - sine**2)
@@ -330,22 +328,22 @@ class SpanShape(ArrayRecord):
     centres : shape (frames, sections, 3), m, points of the axis relative to mid-span of the axis at
         rest
     twist : shape (frames, sections), rad, rotation about the axis; NaN where unknown
-    lever : shape (sections,), m, lever arm of the markers for the twist, from `compute_twist`
+    lever_arm : shape (sections,), m, lever arm of the markers for the twist, from `compute_twist`
     curvature_fewer_terms : shape (frames,), 1/m, curvature at mid-span of a fit with one term fewer
-    side_change : relative change of the curvature at mid-span if the markers are assumed on the
-        other side of the specimen; 0 if only one side is possible
+    side_change : relative change of the curvature at mid-span if the markers are assumed to be on
+        the other side of the specimen; 0 if only one side is possible
     """
 
     axis: BentAxis
     mid_span: float
     centres: Annotated[Floats, "frames", "sections", 3]
     twist: Annotated[Floats, "frames", "sections"]
-    lever: Annotated[Floats, "sections"]
+    lever_arm: Annotated[Floats, "sections"]
     curvature_fewer_terms: Annotated[Floats, "frames"]
     side_change: float
 
 
-def fit_span(
+def fit_specimen_shape(
     sections: Sections, *, span: float, radius: float, side: str, is_bent: Flags
 ) -> SpanShape:
     """Fit the bent axis of a specimen on two supports to its markers, in every frame.
@@ -355,7 +353,7 @@ def fit_span(
     sections : markers and their sections
     span : distance between the supports, m
     radius : distance from the axis to the centre of a marker, m
-    side : side of the specimen with the markers, a key of `SIDES`
+    side : side of the specimen with the markers, a key of `MARKER_DIRECTIONS`
     is_bent : shape (frames,), flags of frames with a bent specimen, to find mid-span
 
     Returns
@@ -376,19 +374,19 @@ def fit_span(
     position with the smallest residuals over at most 30 frames with a bent specimen.
     """
     max_frames, min_reach = 30, 0.6  # reach of the sections relative to half the span
-    if sections.count < TERMS + 3:
-        count, needed = sections.count, TERMS + 3
+    if (count := sections.count) < (needed := N_TERMS + 3):
         raise ValueError(format_sentence("markers.few_sections", count=count, needed=needed))
     x = np.sort(sections.x)
     n_inside = max(int(np.sum((x >= start) & (x <= start + span))) for start in x)
-    if n_inside < TERMS + 2:
-        facts = {"count": sections.count, "inside": n_inside, "span": 1e3 * span}
-        raise ValueError(format_sentence("markers.few_inside", needed=TERMS + 2, **facts))
-    bent_frames = np.flatnonzero(is_bent)
-    numbers = np.linspace(0, len(bent_frames) - 1, min(max_frames, len(bent_frames))).astype(int)
-    sampled_frames = replace(sections, markers=sections.markers[bent_frames[numbers]])
+    if n_inside < (needed := N_TERMS + 2):
+        facts = {"count": count, "inside": n_inside, "span": 1e3 * span}
+        raise ValueError(format_sentence("markers.few_inside", needed=needed, **facts))
+    bent_markers = sections.markers[is_bent]
+    n_sampled = min(max_frames, len(bent_markers))
+    sampled_positions = np.linspace(0, len(bent_markers) - 1, n_sampled).astype(int)
+    sampled_frames = replace(sections, markers=bent_markers[sampled_positions])
     fits = []
-    for direction in SIDES[side]:
+    for direction in MARKER_DIRECTIONS[side]:
         axis = fit_rest_axis(sections, radius=radius, direction=direction)
         mid_span, misfit = _find_mid_span(sampled_frames, axis, span, radius)
         shapes = _fit_shapes(sampled_frames, axis, mid_span, span, radius)
@@ -436,24 +434,15 @@ def _fit_shapes(
 ) -> SpanShape:
     """Fit the shapes of all frames for a given position of mid-span and of the axis at rest."""
     origin = np.array([mid_span, axis[0], axis[1]])
-    slope = np.zeros((len(sections.markers), sections.count))
-    centres, twist, lever = _locate_centres(sections, axis, slope, radius)
-    shapes = fit_bent_axis(centres - origin, span=span, terms=TERMS)
-    for _ in range(2):
-        slope = np.arcsin(shapes.compute_slope_sine(np.nan_to_num(centres[..., 0] - mid_span)))
-        centres, twist, lever = _locate_centres(sections, axis, slope, radius)
-        shapes = fit_bent_axis(centres - origin, span=span, terms=TERMS, start=shapes)
-    simpler_shapes = fit_bent_axis(centres - origin, span=span, terms=TERMS - 1)
-    curvature = simpler_shapes.mid_span_curvature
-    return SpanShape(shapes, mid_span, centres - origin, twist, lever, curvature, 0.0)
-
-
-def _locate_centres(
-    sections: Sections, axis: Floats, slope: Floats, radius: float
-) -> tuple[Floats, Floats, Floats]:
-    """Locate the points of the axis for given slopes of the sections, with twist and lever."""
-    twist, lever = compute_twist(sections, slope, radius=radius)
-    return compute_section_centres(sections, axis, slope, twist), twist, lever
+    slope, previous_fit = np.zeros((len(sections.markers), sections.count)), None
+    for _ in range(3):
+        twist, lever_arm = compute_twist(sections, slope, radius=radius)
+        centres = compute_section_centres(sections, axis, slope, twist) - origin
+        shapes = fit_bent_axis(centres, span=span, terms=N_TERMS, start=previous_fit)
+        slope = np.arcsin(shapes.compute_slope_sine(np.nan_to_num(centres[..., 0])))
+        previous_fit = shapes
+    curvature = fit_bent_axis(centres, span=span, terms=N_TERMS - 1).mid_span_curvature
+    return SpanShape(shapes, mid_span, centres, twist, lever_arm, curvature, 0.0)
 
 
 def fit_bent_axis(
@@ -486,10 +475,10 @@ def fit_bent_axis(
     if start is not None:
         parameters, steps = np.column_stack([start.coefficients, start.tilt, start.height]), 1
     parameters = np.nan_to_num(parameters)
-    chunks = []
-    for begin in range(0, len(points), chunk_frames):
-        frames = slice(begin, begin + chunk_frames)
-        chunks.append(_fit_chunk(points[frames], span, parameters[frames], steps))
+    chunks = [
+        _fit_chunk(points[i : i + chunk_frames], span, parameters[i : i + chunk_frames], steps)
+        for i in range(0, len(points), chunk_frames)
+    ]
     coefficients, tilt, height, residual, freedom = (
         np.concatenate(column) for column in zip(*chunks, strict=True)
     )
@@ -503,11 +492,9 @@ def _fit_chunk(points: Floats, span: float, parameters: Floats, steps: int) -> t
     has_enough = is_measured.sum(axis=1) >= terms + 3
     x: Floats = np.where(is_measured, points[..., 0], 0.0)
     y: Floats = np.where(is_measured, points[..., 1], 0.0)
-    half_range = float(np.abs(x).max()) + 1e-3
-    grid = np.linspace(-half_range, half_range, _GRID_POINTS)
-    integrals = _integrate_powers(grid[None], span, terms)[0]
+    grid = _make_grid(x, margin=1e-3)
     # Derivatives of the sine with respect to coefficients and tilt.
-    columns = np.concatenate([-integrals, np.ones((_GRID_POINTS, 1))], axis=1)
+    columns = np.column_stack([-_integrate_powers(grid, span, terms), np.ones(len(grid))])
     weight = is_measured.astype(np.float64)
     for _ in range(steps):
         design, model = _linearise(parameters, columns, grid, x)
@@ -535,17 +522,24 @@ def _linearise(
     sine = np.clip(parameters[:, :-1] @ columns.T, -_MAX_SLOPE_SINE, _MAX_SLOPE_SINE)
     cosine = np.sqrt(1.0 - sine**2)
     rise = _integrate(sine / cosine, grid)
-    derivatives = _integrate((columns.T[None] / cosine[:, None] ** 3), grid)
+    derivatives = _integrate(columns.T[None] / cosine[:, None] ** 3, grid)
+    design = [_interpolate(derivatives[:, k], grid, x) for k in range(columns.shape[1])]
+    y = _interpolate(rise, grid, x) + parameters[:, -1:]
+    return np.stack([*design, np.ones_like(x)], axis=2), y
+
+
+def _make_grid(x: Floats, margin: float) -> Floats:
+    """Make a uniform grid, symmetric about 0, that extends beyond all x by a margin, m."""
+    half_range = float(np.abs(x).max()) + margin
+    return np.linspace(-half_range, half_range, _GRID_POINTS)
+
+
+def _interpolate(values: Floats, grid: Floats, x: Floats) -> Floats:
+    """Interpolate values (frames, grid points) at x (frames, n) linearly; shape (frames, n)."""
     position = (x - grid[0]) / (grid[1] - grid[0])
     cell = np.clip(position.astype(int), 0, len(grid) - 2)
-    weight = position - cell
-    rows = np.arange(len(x))[:, None]
-    y = (1.0 - weight) * rise[rows, cell] + weight * rise[rows, cell + 1]
-    design = [
-        (1.0 - weight) * derivatives[rows, k, cell] + weight * derivatives[rows, k, cell + 1]
-        for k in range(columns.shape[1])
-    ]
-    return np.stack([*design, np.ones_like(x)], axis=2), y + parameters[:, -1:]
+    weight, rows = position - cell, np.arange(len(x))[:, None]
+    return np.asarray((1.0 - weight) * values[rows, cell] + weight * values[rows, cell + 1])
 
 
 def _integrate(values: Floats, grid: Floats) -> Floats:

@@ -119,11 +119,12 @@ def repair_tracks(
         needed, name_list = MIN_MARKERS, ", ".join(marker_names) or "none"
         text = format_sentence("markers.few_markers", count=count, needed=needed, names=name_list)
         raise ValueError(text)
-    take = TrackletTake(names, tracks.frames, time, tracklets)
     positions, flags = _assemble_markers(measured, tracklets, links, naming)
     _fill_gaps(positions, flags, origin, time)
-    notes = make_repair_notes(take, links, naming, is_frozen, flags, measured=measured)
-    return RepairedTracks(marker_names, positions, flags, notes)
+    repair = Repair(
+        names, tracks.frames, time, measured, is_frozen, tracklets, links, naming, flags
+    )
+    return RepairedTracks(marker_names, positions, flags, tuple(repair.make_notes()))
 
 
 def _copy_tracks(tracks: MarkerTracks, along: Sequence[str]) -> Floats:
@@ -217,139 +218,156 @@ _MAX_NOTES = 10
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class TrackletTake:
-    """Tracklets of a take.
+class Repair:
+    """Repair of a take, from which notes on repairs and on remaining faults are made.
 
     Parameters
     ----------
     names : names of the columns
     frames, time : shape (frames,), number and time, s, of each frame
-    tracklets : tracklets of all columns
+    measured : shape (frames, columns, 3), m, positions; NaN where missing or frozen
+    is_frozen : shape (frames, columns), flags of samples that were removed as frozen
+    tracklets, links, naming : tracklets of all columns, links between them, and their markers
+    flags : shape (frames, markers), values of `PointFlag` after filling
     """
 
     names: tuple[str, ...]
     frames: Floats
     time: Floats
+    measured: Floats
+    is_frozen: Flags
     tracklets: Tracklets
+    links: Links
+    naming: Naming
+    flags: NDArray[np.uint8]
 
-    def describe(self, start: int, stop: int) -> str:
+    def make_notes(self) -> Iterator[QualityNote]:
+        """Make notes on repairs and on remaining faults, in the order of their kinds."""
+        markers = [self.names[label] for label in self.naming.markers]
+        yield from self._make_missing_notes()
+        yield from self._make_stretch_notes("markers.pose_frozen", self.is_frozen, self.names)
+        yield from self._make_relabel_notes()
+        for label, chain in self.naming.eliminated:
+            message = "markers.label_by_elimination"
+            yield self._make_span_note(message, label, chain.start, chain.stop)
+        yield from self._make_jump_notes()
+        for message, flag in (
+            ("markers.gap_filled", PointFlag.FILLED),
+            ("markers.gap_left", PointFlag.MISSING),
+        ):
+            yield from self._make_stretch_notes(message, self.flags == flag, markers)
+        yield from self._make_ambiguity_notes()
+        yield from self._make_dropped_notes()
+
+    def _describe(self, start: int, stop: int) -> str:
         """Describe a stretch of frames, `stop` excluded."""
         first, last = f"{self.frames[start]:.0f}", f"{self.frames[stop - 1]:.0f}"
         frames = f"frame {first}" if stop - start == 1 else f"frames {first} to {last}"
         return f"{frames} ({self.time[start]:.3f} s to {self.time[stop - 1]:.3f} s)"
 
+    def _make_span_note(
+        self, message: str, label: int, start: int, stop: int, *times: tuple[float, float]
+    ) -> QualityNote:
+        """Make a note on a column in a stretch of frames, `stop` excluded."""
+        name, span = self.names[label], self._describe(start, stop)
+        return QualityNote.of(message, f"{name}, {span}", *times, name=name, span=span)
 
-def make_repair_notes(
-    take: TrackletTake,
-    links: Links,
-    naming: Naming,
-    is_frozen: Flags,
-    flags: NDArray[np.uint8],
-    *,
-    measured: Floats,
-) -> tuple[QualityNote, ...]:
-    """Make notes on repairs and on remaining faults.
-
-    Parameters
-    ----------
-    take : tracklets of the take, with names, frame numbers and times
-    links, naming : links between the tracklets, and their markers
-    is_frozen : shape (frames, columns), flags of samples that were removed as frozen
-    flags : shape (frames, markers), values of `PointFlag` after filling
-    measured : shape (frames, columns, 3), m, positions; NaN where missing or frozen
-
-    Returns
-    -------
-    The notes, in the order of their kinds.
-    """
-    markers = [take.names[label] for label in naming.markers]
-    return (
-        *_make_missing_notes(take, naming, measured),
-        *_make_stretch_notes("markers.pose_frozen", take, is_frozen, take.names),
-        *_make_relabel_notes(take, naming, measured),
-        *(
-            _make_span_note("markers.label_by_elimination", take, label, chain.start, chain.stop)
-            for label, chain in naming.eliminated
-        ),
-        *_make_jump_notes(take, links, naming),
-        *_make_stretch_notes("markers.gap_filled", take, flags == PointFlag.FILLED, markers),
-        *_make_stretch_notes("markers.gap_left", take, flags == PointFlag.MISSING, markers),
-        *_make_ambiguity_notes(take, links, naming),
-        *_make_dropped_notes(take, naming, measured),
-    )
-
-
-def _make_span_note(
-    message: str, take: TrackletTake, label: int, start: int, stop: int, *times: tuple[float, float]
-) -> QualityNote:
-    """Make a note on a column in a stretch of frames, `stop` excluded."""
-    name, span = take.names[label], take.describe(start, stop)
-    return QualityNote.of(message, f"{name}, {span}", *times, name=name, span=span)
-
-
-def _make_missing_notes(
-    take: TrackletTake, naming: Naming, measured: Floats
-) -> Iterator[QualityNote]:
-    """Yield a note on each named column without a marker of its own."""
-    visible_columns = np.flatnonzero(is_in_sight(measured).any(axis=0)).tolist()
-    named_columns = [column for column, name in enumerate(take.names) if not is_unlabelled(name)]
-    for column in named_columns:
-        if column not in naming.markers:
-            marker = take.names[column]
-            yield QualityNote.of(
-                "markers.marker_under_another_label"
-                if column in visible_columns
-                else "markers.marker_missing",
-                marker,
-                marker=marker,
-            )
-
-
-def _make_stretch_notes(
-    message: str, take: TrackletTake, mask: Flags, names: Sequence[str]
-) -> Iterator[QualityNote]:
-    """Yield a note on each flagged stretch of a marker, or a common note on many stretches."""
-    for name, flags in zip(names, mask.T, strict=True):
-        stretches = find_runs(flags)
-        spans = [take.describe(*ends) for ends in stretches]
-        texts = [f"{stop - start} frames" for start, stop in stretches]
-        notes = [(x, f"{text}, {x}") for x, text in zip(spans, texts, strict=True)]
-        if len(stretches) > _MAX_NOTES:
-            longest = max(stretches, key=lambda stretch: stretch[1] - stretch[0])
-            count = f"{len(stretches)} times, {int(flags.sum())} frames"
-            whole_span = take.describe(stretches[0][0], stretches[-1][1])
-            notes = [(whole_span, f"{count}, longest {take.describe(*longest)}")]
-        for span, text in notes:
-            yield QualityNote.of(message, f"{name}, {span}", name=name, span=text)
-
-
-def _make_relabel_notes(
-    take: TrackletTake, naming: Naming, measured: Floats
-) -> Iterator[QualityNote]:
-    """Yield a note on each exchange of labels, and on each stretch without a label."""
-    exchanges: dict[tuple[int, int], list[tuple[str, str]]] = {}
-    for label, chains in naming.markers.items():
-        indices = _list_tracklets(chains)
-        for column, group in groupby(indices, key=lambda i: int(take.tracklets.column[i])):
-            if column == label:
-                continue
-            run = list(group)
-            start, stop = int(take.tracklets.start[run[0]]), int(take.tracklets.stop[run[-1]])
-            name, other_label = take.names[label], take.names[column]
-            text, span = f"{name} was labelled as {other_label}", take.describe(start, stop)
-            if is_unlabelled(other_label):
-                track = measured[start:stop, column]
-                gap = _describe_distance(measured[:, label], track, start, stop)
-                where = f"{name}, {span}"
+    def _make_missing_notes(self) -> Iterator[QualityNote]:
+        """Yield a note on each named column without a marker of its own."""
+        is_visible = np.asarray(is_in_sight(self.measured).any(axis=0))
+        for column, name in enumerate(self.names):
+            if column not in self.naming.markers and not is_unlabelled(name):
                 yield QualityNote.of(
-                    "markers.unlabelled_merged", where, text=text, span=span, gap=gap
+                    "markers.marker_under_another_label"
+                    if is_visible[column]
+                    else "markers.marker_missing",
+                    name,
+                    marker=name,
                 )
-            else:
-                exchanges.setdefault((start, stop), []).append((name, text))
-    for (start, stop), markers in sorted(exchanges.items()):
-        names, texts = (", ".join(items) for items in zip(*markers, strict=True))
-        span = take.describe(start, stop)
-        yield QualityNote.of("markers.label_switch", f"{names}, {span}", texts=texts, span=span)
+
+    def _make_stretch_notes(
+        self, message: str, mask: Flags, names: Sequence[str]
+    ) -> Iterator[QualityNote]:
+        """Yield a note on each flagged stretch of a marker, or a common note on many stretches."""
+        for name, flags in zip(names, mask.T, strict=True):
+            stretches = find_runs(flags)
+            spans = [self._describe(*ends) for ends in stretches]
+            texts = [f"{stop - start} frames" for start, stop in stretches]
+            notes = [(x, f"{text}, {x}") for x, text in zip(spans, texts, strict=True)]
+            if len(stretches) > _MAX_NOTES:
+                longest = max(stretches, key=lambda stretch: stretch[1] - stretch[0])
+                count = f"{len(stretches)} times, {int(flags.sum())} frames"
+                whole_span = self._describe(stretches[0][0], stretches[-1][1])
+                notes = [(whole_span, f"{count}, longest {self._describe(*longest)}")]
+            for span, text in notes:
+                yield QualityNote.of(message, f"{name}, {span}", name=name, span=text)
+
+    def _make_relabel_notes(self) -> Iterator[QualityNote]:
+        """Yield a note on each exchange of labels, and on each stretch without a label."""
+        exchanges: dict[tuple[int, int], list[tuple[str, str]]] = {}
+        column_of, tracklets = self.tracklets.column, self.tracklets
+        for label, chains in self.naming.markers.items():
+            indices = _list_tracklets(chains)
+            for column, group in groupby(indices, key=lambda index: int(column_of[index])):
+                if column == label:
+                    continue
+                run = list(group)
+                start, stop = int(tracklets.start[run[0]]), int(tracklets.stop[run[-1]])
+                name, other_label = self.names[label], self.names[column]
+                text, span = f"{name} was labelled as {other_label}", self._describe(start, stop)
+                if not is_unlabelled(other_label):
+                    exchanges.setdefault((start, stop), []).append((name, text))
+                    continue
+                track = self.measured[start:stop, column]
+                facts = {"gap": _describe_distance(self.measured[:, label], track, start, stop)}
+                facts |= {"text": text, "span": span}
+                yield QualityNote.of("markers.unlabelled_merged", f"{name}, {span}", **facts)
+        for (start, stop), markers in sorted(exchanges.items()):
+            names, texts = (", ".join(items) for items in zip(*markers, strict=True))
+            span = self._describe(start, stop)
+            yield QualityNote.of("markers.label_switch", f"{names}, {span}", texts=texts, span=span)
+
+    def _make_jump_notes(self) -> Iterator[QualityNote]:
+        """Yield a note on each jump between successive chains of a marker."""
+        for label, chains in self.naming.markers.items():
+            for previous, following in pairwise(chains):
+                is_linked = self.links.successor[previous.tracklets[-1]] >= 0
+                if (frame := following.start) == previous.stop and not is_linked:
+                    yield self._make_span_note("markers.marker_jump", label, frame, frame + 1)
+
+    def _make_ambiguity_notes(self) -> Iterator[QualityNote]:
+        """Yield a note on each ambiguous link, and on each doubtful chain."""
+        tracklets = self.tracklets
+        for first, second in self.links.ambiguous[:_MAX_NOTES]:
+            last_frame = int(tracklets.stop[first]) - 1
+            span = self._describe(last_frame, int(tracklets.start[second]) + 1)
+            names = ", ".join(self.names[tracklets.column[index]] for index in (first, second))
+            where, period = f"{names}, {span}", (float(self.time[last_frame]), float(self.time[-1]))
+            yield QualityNote.of("markers.label_ambiguous", where, period, names=names, span=span)
+        for chain in self.naming.doubtful:
+            start, stop = chain.start, chain.stop
+            period = float(self.time[start]), float(self.time[stop - 1])
+            yield self._make_span_note("markers.second_track", chain.label, start, stop, period)
+
+    def _make_dropped_notes(self) -> Iterator[QualityNote]:
+        """Yield a note on each of the first chains of no marker, and a common one on the others."""
+        tracklets = self.tracklets
+        chains = sorted(self.naming.leftover, key=lambda chain: (chain.start, chain.stop))
+        for chain in chains[:_MAX_NOTES]:
+            columns = tracklets.column[list(chain.tracklets)]
+            names = ", ".join(dict.fromkeys(self.names[column] for column in columns))
+            span = self._describe(chain.start, chain.stop)
+            points = [
+                self.measured[tracklets.start[i] : tracklets.stop[i], tracklets.column[i]]
+                for i in chain.tracklets
+            ]
+            # The size is the diagonal of the bounding box of the track, mm.
+            size = 1e3 * float(np.linalg.norm(np.ptp(np.concatenate(points), axis=0)))
+            where = f"{names}, {span}"
+            yield QualityNote.of("markers.track_dropped", where, names=names, span=span, size=size)
+        if count := len(unlisted := chains[_MAX_NOTES:]):
+            frames = sum(chain.frames for chain in unlisted)
+            yield QualityNote.of("markers.tracks_dropped", "markers", count=count, frames=frames)
 
 
 def _describe_distance(track: Floats, continuation: Floats, start: int, stop: int) -> str:
@@ -358,54 +376,6 @@ def _describe_distance(track: Floats, continuation: Floats, start: int, stop: in
     gaps = [np.linalg.norm(track[frame] - end) for frame, end in ends if 0 <= frame < len(track)]
     largest = float(np.fmax.reduce(gaps, initial=-np.inf))
     return f", {1e3 * largest:.2f} mm apart where they meet" if np.isfinite(largest) else ""
-
-
-def _make_jump_notes(take: TrackletTake, links: Links, naming: Naming) -> Iterator[QualityNote]:
-    """Yield a note on each jump between successive chains of a marker."""
-    for label, chains in naming.markers.items():
-        for previous, following in pairwise(chains):
-            if following.start == previous.stop and links.successor[previous.tracklets[-1]] < 0:
-                frame = following.start
-                yield _make_span_note("markers.marker_jump", take, label, frame, frame + 1)
-
-
-def _make_ambiguity_notes(
-    take: TrackletTake, links: Links, naming: Naming
-) -> Iterator[QualityNote]:
-    """Yield a note on each ambiguous link, and on each doubtful chain."""
-    tracklets = take.tracklets
-    for first, second in links.ambiguous[:_MAX_NOTES]:
-        last_frame = int(tracklets.stop[first]) - 1
-        span = take.describe(last_frame, int(tracklets.start[second]) + 1)
-        names = f"{take.names[tracklets.column[first]]}, {take.names[tracklets.column[second]]}"
-        where, period = f"{names}, {span}", (float(take.time[last_frame]), float(take.time[-1]))
-        yield QualityNote.of("markers.label_ambiguous", where, period, names=names, span=span)
-    for chain in naming.doubtful:
-        start, stop = chain.start, chain.stop
-        period = float(take.time[start]), float(take.time[stop - 1])
-        yield _make_span_note("markers.second_track", take, chain.label, start, stop, period)
-
-
-def _make_dropped_notes(
-    take: TrackletTake, naming: Naming, measured: Floats
-) -> Iterator[QualityNote]:
-    """Yield a note on each of the first chains of no marker, and a common note on the others."""
-    chains = sorted(naming.leftover, key=lambda chain: (chain.start, chain.stop))
-    for chain in chains[:_MAX_NOTES]:
-        columns = take.tracklets.column[list(chain.tracklets)]
-        names = ", ".join(dict.fromkeys(take.names[column] for column in columns))
-        span = take.describe(chain.start, chain.stop)
-        tracks = take.tracklets
-        points = [
-            measured[tracks.start[i] : tracks.stop[i], tracks.column[i]] for i in chain.tracklets
-        ]
-        # diagonal of the bounding box of the track, mm
-        size = 1e3 * float(np.linalg.norm(np.ptp(np.concatenate(points), axis=0)))
-        where = f"{names}, {span}"
-        yield QualityNote.of("markers.track_dropped", where, names=names, span=span, size=size)
-    if count := len(unlisted := chains[_MAX_NOTES:]):
-        frames = sum(chain.frames for chain in unlisted)
-        yield QualityNote.of("markers.tracks_dropped", "markers", count=count, frames=frames)
 
 
 def group_rings(names: Sequence[str]) -> dict[str, tuple[str, ...]]:

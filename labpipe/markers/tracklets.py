@@ -312,8 +312,9 @@ def _group_by_value(keys: Ints) -> dict[int, list[int]]:
     return indices_by_value
 
 
-_UNLABELLED = re.compile(r"unlabell?ed", re.IGNORECASE)
-"""Beginning of the name of a track that the motion-capture program did not name."""
+_UNLABELLED = re.compile(r"(?i:(.*:)?unlabell?ed.*)|Marker-\d+")
+"""Pattern of the names of unlabelled tracks, such as ``Unlabeled 2379`` (Motive table style 1.23),
+``Unlabeled:108`` (1.21), and ``Marker-1718`` (row style 1.1)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -358,8 +359,8 @@ class Naming:
 
 
 def is_unlabelled(name: str) -> bool:
-    """Return whether the motion-capture program did not name a track."""
-    return _UNLABELLED.match(name.rpartition(":")[2]) is not None or bool(_UNLABELLED.match(name))
+    """Return whether a track has only the automatic name of the motion-capture program."""
+    return _UNLABELLED.fullmatch(name) is not None
 
 
 def name_chains(

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from labpipe.errors import ProcessingError, sort_by_likeness
 from labpipe.markers.specimen_frame import SpecimenFrame, find_specimen_frame
 from labpipe.markers.specimen_shape import Offsets, ShapeFit, compute_deflection, fit_shape
-from labpipe.markers.three_point_axis import Sections, SpanShape, find_sections, fit_span
+from labpipe.markers.three_point_axis import Sections, SpanShape, find_sections, fit_specimen_shape
 from labpipe.markers.track_repair import compute_ring_centres, group_rings, repair_tracks
 from labpipe.markers.tracklets import find_frozen_samples, is_unlabelled
 from labpipe.messages import format_sentence
@@ -335,11 +335,11 @@ def fit_three_point_shape(
         return _reject_span(prepared, Failure.of("process.no_span"))
     is_at_rest = np.asarray(time <= time[0] + step.over)
     try:
-        sections = find_sections(repaired.positions, rest=is_at_rest, min_distance=step.section)
+        sections = find_sections(repaired.positions, is_at_rest, min_distance=step.section)
         deflections = np.abs(sections.markers[..., 1] - sections.rest_xyz[:, 1])
         max_deflections = np.max(np.nan_to_num(deflections), axis=1)  # of each frame
         is_bent = max_deflections > bent_fraction * max_deflections.max()
-        shape = fit_span(
+        shape = fit_specimen_shape(
             sections,
             span=span,
             radius=settings.centre_offset,
@@ -367,7 +367,7 @@ def fit_three_point_shape(
         "process.three_point_shape",
         take.role,
         count=sections.count,
-        n_around=int((shape.lever > 0.0).sum()),
+        n_around=int((shape.lever_arm > 0.0).sum()),
         noise=1e6 * shape.axis.noise,
     )
     return prepared, [note]
@@ -384,11 +384,10 @@ def _make_span_shape(
 ) -> Shape:
     """Make the shape from the section centres, with a power series of the axis for figures."""
     degree, n_fitted = 9, 61  # degree of the power series; number of points to which it is fitted
-    section_flags = flags[:, sections.columns]
+    section_flags = flags[:, sections.marker_columns]
     is_finite = np.isfinite(shape.centres).all(axis=2)
-    flags_of_sections = np.stack(
-        [section_flags[:, sections.section == k].max(axis=1) for k in range(sections.count)], axis=1
-    )
+    in_sections = [sections.section_index == index for index in range(sections.count)]
+    flags_of_sections = np.stack([section_flags[:, x].max(axis=1) for x in in_sections], axis=1)
     x = sections.x - shape.mid_span
     relative_x = np.linspace(0.0, 1.0, n_fitted)
     y = shape.axis.compute_y(x[0] + relative_x * (x[-1] - x[0]))

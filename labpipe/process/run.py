@@ -43,15 +43,9 @@ from labpipe.protocol.yaml_text import parse_yaml
 from labpipe.records.curve import Bending
 from labpipe.records.recording import Recording
 from labpipe.records.result import Status, TestResult
+from labpipe.store.parts import RawTest
 from labpipe.store.replace import finish_moves, is_unfinished, lock, map_errors, replace_files
-from labpipe.store.result_files import (
-    RawTest,
-    read_name,
-    read_raw,
-    read_result,
-    read_run,
-    write_result,
-)
+from labpipe.store.result_files import read_name, read_raw, read_result, read_run, write_result
 from labpipe.store.summaries import (
     FAILURE_FILE,
     SUMMARY_FILE,

@@ -34,7 +34,7 @@ import numpy as np
 
 from labpipe.errors import ReadError
 from labpipe.readers.channels import ChannelChoice
-from labpipe.readers.number_table import Body, read_columns
+from labpipe.readers.number_table import Body, compare_row_counts, read_columns
 from labpipe.readers.raw_files import (
     ContentError,
     map_read_errors,
@@ -44,7 +44,7 @@ from labpipe.readers.raw_files import (
 )
 from labpipe.readers.recording_checks import make_clock_notes, make_track_notes
 from labpipe.readers.workbooks import clear_sheet_cache, format_rows, is_workbook, open_sheets
-from labpipe.records.arrays import Floats, Ints
+from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote
 from labpipe.records.recording import Clock, MarkerTracks, Recording, RigidBody
 from labpipe.units import parse_count
@@ -269,7 +269,11 @@ def parse_header(rows: Sequence[Cells]) -> Header:
     last = next((i for i, row in enumerate(rows) if row and row[0].strip() == "Frame"), None)
     if last is None:
         raise ContentError.of("readers.no_row_of_frames", f"lines 1 to {len(rows)}")
-    start, time_column = _find_leading_columns(rows[last])
+    # An optional column ``TimeCode`` (version 1.24) is before or after the column of times.
+    titles = [cell.strip().casefold().replace(" ", "") for cell in rows[last][:3]]
+    leading_columns = [0, *(i for i, title in enumerate(titles) if title.startswith("time"))]
+    time_column = next((i for i in leading_columns[1:] if titles[i] != "timecode"), None)
+    start = leading_columns[-1] + 1
     labels = _find_label_rows(rows[1:last], start, last)
     if unit not in _LENGTH_UNITS:
         units = ", ".join(_LENGTH_UNITS)
@@ -290,21 +294,6 @@ def _parse_keys(cells: Cells) -> dict[str, str]:
             cells[i]: ",".join(cells[i + 1 : end]) for i, end in zip(starts, ends, strict=True)
         }
     return {key.strip(): value.strip().rstrip(",") for key, value in pairs.items() if key.strip()}
-
-
-def _find_leading_columns(row: Cells) -> tuple[int, int | None]:
-    """Find the first column of an object, and the column of times or None.
-
-    An optional column ``TimeCode`` (version 1.24) is before or after the column of times.
-    """
-    start, time_column = 1, None
-    for i, cell in enumerate(row[1:3], start=1):
-        title = cell.strip().casefold().replace(" ", "")
-        if title == "timecode":
-            start = i + 1
-        elif title.startswith("time"):
-            start, time_column = i + 1, i
-    return start, time_column
 
 
 def _find_label_rows(rows: Sequence[Cells], start: int, last: int) -> dict[str, Cells]:
@@ -368,11 +357,6 @@ def _convert_tracks(header: Header, columns: Columns) -> tuple[MarkerTracks, lis
         ),
         unit_in_file=header.properties["Length Units"],
     )
-    if converted_names := ", ".join(
-        body.name for body in bodies if _find_euler_axes(body, header.properties)
-    ):
-        order = header.properties["Rotation Type"]
-        notes.append(QualityNote.of("readers.rotation_from_euler", converted_names, order=order))
     return tracks, notes
 
 
@@ -490,76 +474,49 @@ def _find_position(group: Group, header: Header) -> list[int]:
 
 
 def _convert_body(name: str, group: Group, header: Header, columns: Columns) -> RigidBody:
-    """Convert the columns of a rigid body to SI units, with NaN without a mean error."""
+    """Convert the columns of a rigid body to SI units, with NaN for quantities not exported."""
     position = _stack_columns(columns, _find_position(group, header)) * header.length_unit
     error_columns = [i for (x, axis), i in group.columns.items() if "Error" in x and not axis]
     error = columns[error_columns[0]] if error_columns else np.full(len(position), np.nan)
-    rotation = _convert_rotation(group, header.properties, columns)
+    quaternion = group.find_columns("Rotation", "XYZW")
+    rotation = (
+        _stack_columns(columns, quaternion) if quaternion else np.full((len(position), 4), np.nan)
+    )
     return RigidBody(name, position, rotation, error * header.length_unit)
 
 
-def _convert_rotation(group: Group, properties: Mapping[str, str], columns: Columns) -> Floats:
-    """Convert quaternions x, y, z, w or, without them, Euler angles; NaN without both."""
-    if (quaternion := group.find_columns("Rotation", "XYZW")) is not None:
-        return _stack_columns(columns, quaternion)
-    rotation = np.full((len(columns[0]), 4), np.nan)
-    if angles := _find_euler_axes(group, properties):
-        from scipy.spatial.transform import Rotation
-
-        degrees = _stack_columns(columns, angles)
-        rows, order = np.isfinite(degrees).all(axis=1), properties["Rotation Type"]
-        if rows.any():
-            rotation[rows] = Rotation.from_euler(order, degrees[rows], degrees=True).as_quat()
-    return rotation
-
-
-def _find_euler_axes(group: Group, properties: Mapping[str, str]) -> list[int] | None:
-    """Find the columns of Euler angles in their order, if there are any and no quaternions."""
-    order = properties.get("Rotation Type", "")
-    if sorted(order) != ["X", "Y", "Z"] or group.find_columns("Rotation", "XYZW"):
-        return None
-    return group.find_columns("Rotation", order)
+NumbersByFrame = dict[int, list[float]]
+"""Numbers of one object, keyed by index of the frame line."""
 
 
 @dataclass(slots=True)
-class _RowStyleBody:
-    """Data of one rigid body in a row-style export.
-
-    Parameters
-    ----------
-    name, id : name and id of the body
-    markers : positions (m) of each of its measured markers, keyed by index of the frame line
-    poses : position (m) and quaternion, keyed by index of the frame line, while it is tracked
-    errors : mean error (mm), keyed by index of the frame line, while it is tracked
-    """
-
-    name: str
-    id: str
-    markers: list[dict[int, list[float]]]
-    poses: dict[int, list[float]] = field(default_factory=dict)
-    errors: dict[int, float] = field(default_factory=dict)
-
-
-@dataclass(slots=True)
-class _Take:
+class _RowStyleTake:
     """A row-style take while its lines are read.
 
     Parameters
     ----------
-    version, title, handedness, info : contents of the header lines
-    bodies : rigid bodies, keyed by name
+    title, handedness, info : contents of the header lines
+    bodies : id and number of markers of each rigid body, keyed by name
     frames : frame number, time (s), number of bodies and number of points of each frame line
-    points : positions (m) of labelled points, keyed by label and id, then by index of the
-        frame line
+    poses : position (m), quaternion and mean error (mm) of each body, keyed by its name
+    markers : position (m) of each measured marker of the bodies, keyed by its name and the id of
+        its body
+    points : position (m) of each labelled point, keyed by its name and id
     """
 
-    version: str = "1.0"
     title: str = ""
     handedness: str = ""
     info: dict[str, str] = field(default_factory=dict)
-    bodies: dict[str, _RowStyleBody] = field(default_factory=dict)
+    bodies: dict[str, tuple[str, int]] = field(default_factory=dict)
     frames: list[tuple[float, float, int, int]] = field(default_factory=list)
-    points: dict[tuple[str, str], dict[int, list[float]]] = field(default_factory=dict)
+    poses: dict[str, NumbersByFrame] = field(default_factory=dict)
+    markers: dict[tuple[str, str], NumbersByFrame] = field(default_factory=dict)
+    points: dict[tuple[str, str], NumbersByFrame] = field(default_factory=dict)
+
+    @property
+    def version(self) -> str:
+        """Version of the format."""
+        return self.info.get("version", "1.0")
 
 
 def parse_rows(text: str) -> Recording:
@@ -585,8 +542,22 @@ def parse_rows(text: str) -> Recording:
     A lost body repeats its last pose. Its pose and mean error are NaN in frames in which the
     counter of frames since it was last tracked is not 0. A faulty last line is omitted with a note.
     """
-    take, notes = _Take(), []
-    lines = text.splitlines()
+    take, notes = _read_lines(text.splitlines())
+    tracks = _build_row_style_tracks(take)
+    bodies = {name: {"id": id_, "markers": n} for name, (id_, n) in take.bodies.items()}
+    properties: dict[str, object] = {
+        "title": take.title,
+        "handedness": take.handedness,
+        "info": take.info,
+        "rigid_bodies": bodies,
+    }
+    notes += _make_row_style_notes(take, tracks)
+    return make_recording("motive-csv", take.version, tracks, properties, notes)
+
+
+def _read_lines(lines: Sequence[str]) -> tuple[_RowStyleTake, list[QualityNote]]:
+    """Read all lines, with a note on a faulty last line."""
+    take, notes = _RowStyleTake(), []
     for number, line in enumerate(lines, start=1):
         try:
             if cells := next(csv.reader([line]), []):
@@ -600,29 +571,31 @@ def parse_rows(text: str) -> Recording:
         raise ContentError.of("readers.take_version", "info", version=take.version)
     if not take.frames:
         raise ContentError.of("readers.no_frames", f"lines 1 to {len(lines)}")
+    return take, notes
+
+
+def _make_row_style_notes(take: _RowStyleTake, tracks: MarkerTracks) -> Iterator[QualityNote]:
+    """Make notes on unit, number of frames, lost bodies and visible markers."""
     n_bodies, n_points = np.array(take.frames)[:, 2:].astype(int).T
-    bodies = {x.name: {"id": x.id, "markers": len(x.markers)} for x in take.bodies.values()}
-    properties: dict[str, object] = {
-        "title": take.title,
-        "handedness": take.handedness,
-        "info": take.info,
-        "rigid_bodies": bodies,
-        "visible_markers": {"least": int(n_points.min()), "most": int(n_points.max())},
-        "frames_without_body": int((n_bodies == 0).sum()),
-    }
-    notes += _make_row_style_notes(take, n_bodies, n_points)
-    return make_recording(
-        "motive-csv", take.version, _build_row_style_tracks(take), properties, notes
-    )
+    total, without_body = len(n_bodies), int((n_bodies == 0).sum())
+    yield QualityNote.of("readers.unit_assumed", "take")
+    yield from compare_row_counts(parse_count(take.info.get("framecount", "")), total)
+    if without_body:
+        yield QualityNote.of("readers.frames_without_body", "take", count=without_body, total=total)
+    ends = {"least": n_points.min(), "most": n_points.max()}
+    yield QualityNote.of("readers.visible_markers", "markers", **ends)
+    n_body_markers = np.isfinite(tracks.positions[:, : len(take.markers), 0]).sum(axis=1)
+    count = np.maximum(n_points - n_body_markers, 0).sum()
+    if count and not take.points:  # version 1.0 does not label points
+        yield QualityNote.of("readers.anonymous_markers", "markers", count=count)
 
 
-def _read_line(take: _Take, cells: list[str]) -> None:
+def _read_line(take: _RowStyleTake, cells: list[str]) -> None:
     match cells[0]:
         case "comment":
             take.title = take.title or cells[1]
         case "info":
             take.info[cells[1]] = cells[2]
-            take.version = take.info.get("version", take.version)
         case "righthanded" | "lefthanded" as handedness:
             take.handedness = handedness
         case "frame":
@@ -631,13 +604,15 @@ def _read_line(take: _Take, cells: list[str]) -> None:
             if parse_count(cells[1]) is not None and cells[3] in take.bodies:
                 _read_body(take, cells)
             else:
-                markers = [dict[int, list[float]]() for _ in range(int(cells[3]))]
-                take.bodies[cells[1]] = _RowStyleBody(cells[1], cells[2], markers)
+                name, id_, count = cells[1], cells[2], int(cells[3])
+                take.bodies[name], take.poses[name] = (id_, count), {}
+                for number in range(1, count + 1):
+                    take.markers[f"{name}-Marker {number}", id_] = {}
         case _:
             require(False, "unknown row type")
 
 
-def _read_frame(take: _Take, cells: list[str]) -> None:
+def _read_frame(take: _RowStyleTake, cells: list[str]) -> None:
     """Read a frame line with number, time, bodies with their poses, and visible points."""
     # The cells of a body are id, x y z, qx qy qz qw, yaw pitch roll.
     pose_cells = 11
@@ -647,9 +622,10 @@ def _read_frame(take: _Take, cells: list[str]) -> None:
     n_cells = start + 1 + width * n_points
     require(len(cells) == n_cells, f"{len(cells)} instead of {n_cells} cells")
     frame = float(cells[1]), float(cells[2]), count, n_points
-    bodies = {body.id: body for body in take.bodies.values()}
+    names_by_id = {id_: name for name, (id_, _) in take.bodies.items()}
     poses = [
-        (bodies[cells[i]], _parse_floats(cells[i + 1 : i + 8])) for i in range(4, start, pose_cells)
+        (names_by_id[cells[i]], _parse_floats(cells[i + 1 : i + 8]))
+        for i in range(4, start, pose_cells)
     ]
     points = [
         (cells[i + 3 : i + width], _parse_floats(cells[i : i + 3]))
@@ -657,16 +633,16 @@ def _read_frame(take: _Take, cells: list[str]) -> None:
     ]
     row = len(take.frames)  # all cells have been read, so no part of a faulty line is stored
     take.frames.append(frame)
-    for body, pose in poses:
-        body.poses[row] = pose
+    for name, pose in poses:
+        take.poses[name][row] = [*pose, np.nan]
     for label, position in points:
         if len(label) == 2:
             take.points.setdefault((label[1], label[0]), {})[row] = position
 
 
-def _read_body(take: _Take, cells: list[str]) -> None:
+def _read_body(take: _RowStyleTake, cells: list[str]) -> None:
     """Read a body line with counter, markers of the model, measured markers and mean error."""
-    count, model_cells = int(cells[6]), 4 if take.version != "1.0" else 3
+    name, count, model_cells = cells[3], int(cells[6]), 4 if take.version != "1.0" else 3
     n_cells = 7 + (model_cells + 5) * count + 1
     require(len(cells) == n_cells, f"{len(cells)} instead of {n_cells} cells")
     start = 7 + model_cells * count
@@ -674,69 +650,42 @@ def _read_body(take: _Take, cells: list[str]) -> None:
     error, is_tracked = float(cells[-1]), int(cells[5]) == 0
     follows_frame = bool(take.frames) and float(cells[1]) == take.frames[-1][0]
     require(follows_frame, f"frame {cells[1]} has no frame line before it")
-    body, row = take.bodies[cells[3]], len(take.frames) - 1
-    for marker, position in zip(body.markers, positions, strict=False):
-        marker[row] = position
+    row, (id_, n_markers) = len(take.frames) - 1, take.bodies[name]
+    for number, position in enumerate(positions[:n_markers], start=1):
+        take.markers[f"{name}-Marker {number}", id_][row] = position
     if is_tracked:
-        body.errors[row] = error
+        take.poses[name].setdefault(row, [np.nan] * 8)[-1] = error
     else:
-        body.poses.pop(row, None)  # it is the last known pose
+        take.poses[name].pop(row, None)  # it is the last known pose
 
 
 def _parse_floats(cells: Sequence[str]) -> list[float]:
     return [float(cell) for cell in cells]
 
 
-def _build_row_style_tracks(take: _Take) -> MarkerTracks:
+def _build_row_style_tracks(take: _RowStyleTake) -> MarkerTracks:
     """Build tracks of the measured markers of bodies and, in version 1.1, other labelled points."""
     frame_numbers, time = np.array(take.frames)[:, :2].T
-    columns = {
-        (f"{body.name}-Marker {number}", body.id): marker
-        for body in take.bodies.values()
-        for number, marker in enumerate(body.markers, start=1)
-    }
-    body_markers = {name for name, _ in columns}
-    columns |= {
-        label: points for label, points in take.points.items() if label[0] not in body_markers
-    }
-    positions = np.full((len(time), len(columns), 3), np.nan)
-    for i, column in enumerate(columns.values()):
-        positions[list(column), i] = [*column.values()] or np.empty((0, 3))
+    body_markers = {name for name, _ in take.markers}
+    points = {label: xyz for label, xyz in take.points.items() if label[0] not in body_markers}
+    markers = take.markers | points
+    positions = [_fill_frames(position, 3, len(time)) for position in markers.values()]
+    poses = {name: _fill_frames(pose, 8, len(time)) for name, pose in take.poses.items()}
     return MarkerTracks(
         time=time,
         frames=frame_numbers,
         rate=derive_rate(time),
-        names=make_object_names([*columns]),
-        positions=positions,
-        bodies=tuple(_build_row_style_body(body, len(time)) for body in take.bodies.values()),
+        names=make_object_names([*markers]),
+        positions=np.stack(positions, axis=1) if positions else np.empty((len(time), 0, 3)),
+        bodies=tuple(  # the mean error is in mm per marker, while positions are in metres
+            RigidBody(name, pose[:, :3], pose[:, 3:7], 1e-3 * pose[:, 7])
+            for name, pose in poses.items()
+        ),
     )
 
 
-def _build_row_style_body(body: _RowStyleBody, n_frames: int) -> RigidBody:
-    """Build a rigid body, with NaN in frames in which it is lost."""
-    pose, error = np.full((n_frames, 7), np.nan), np.full(n_frames, np.nan)
-    for row, values in body.poses.items():
-        pose[row] = values
-    for row, value in body.errors.items():
-        error[row] = 1e-3 * value  # in mm per marker, while positions are in metres
-    return RigidBody(body.name, pose[:, :3], pose[:, 3:], error)
-
-
-def _make_row_style_notes(take: _Take, n_bodies: Ints, n_points: Ints) -> Iterator[QualityNote]:
-    """Make notes on unit, number of frames, lost bodies and visible markers."""
-    total, without_body = len(take.frames), int((n_bodies == 0).sum())
-    yield QualityNote.of("readers.unit_assumed", "take")
-    stated_count = parse_count(take.info.get("framecount", ""))
-    if stated_count not in {None, total}:
-        yield QualityNote.of("readers.rows_differ", "file", stated=stated_count, held=total)
-    if without_body:
-        yield QualityNote.of("readers.frames_without_body", "take", count=without_body, total=total)
-    min_points, max_points = int(n_points.min()), int(n_points.max())
-    yield QualityNote.of("readers.visible_markers", "markers", least=min_points, most=max_points)
-    points_without_body = n_points.copy()
-    for marker in (marker for body in take.bodies.values() for marker in body.markers):
-        for row, position in marker.items():
-            points_without_body[row] -= not np.isnan(position[0])
-    count = points_without_body[points_without_body > 0].sum()
-    if count and not take.points:  # version 1.0 does not label points
-        yield QualityNote.of("readers.anonymous_markers", "markers", count=count)
+def _fill_frames(numbers: NumbersByFrame, width: int, n_frames: int) -> Floats:
+    """Arrange the numbers of an object by frame, shape (n_frames, width), with NaN elsewhere."""
+    table = np.full((n_frames, width), np.nan)
+    table[list(numbers)] = [*numbers.values()] or np.empty((0, width))
+    return table

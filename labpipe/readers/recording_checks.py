@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -20,9 +19,6 @@ TIME_VARIABLE = "time_variable"
 """Code of the note on a time axis whose long steps may be intended."""
 SAMPLED_ON_EVENT = frozenset({"OnChange"})
 """Rasters that write a sample on each change, so that long steps are normal."""
-_UNLABELLED = re.compile(r"Unlabeled[ :].*|Marker-\d+")
-"""Name of an unlabelled marker: ``Unlabeled 2379`` (version 1.23), ``Unlabeled:108`` (1.21),
-``Marker-1718`` (1.1)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -195,6 +191,8 @@ def make_track_notes(tracks: MarkerTracks) -> Iterator[QualityNote]:
     Notes ``take_empty``, ``marker_blank``, ``marker_gaps``, ``body_gaps``, ``frozen_pose``,
     ``unlabelled_markers``.
     """
+    from labpipe.markers.tracklets import is_unlabelled  # not needed by tensile tests
+
     # From this number of successive unchanged steps, a pose counts as frozen, not as at rest.
     min_frozen_steps = 10
     if not tracks.names and not tracks.bodies:
@@ -219,6 +217,6 @@ def make_track_notes(tracks: MarkerTracks) -> Iterator[QualityNote]:
             count, total = int(is_unchanged.sum()), len(is_unchanged)
             facts = {"count": count, "total": total, "most": longest}
             yield QualityNote.of("readers.frozen_pose", name, **facts)
-    if count := sum(_UNLABELLED.fullmatch(name) is not None for name in tracks.names):
+    if count := sum(map(is_unlabelled, tracks.names)):
         total = len(tracks.names)
         yield QualityNote.of("readers.unlabelled_markers", "markers", count=count, total=total)

@@ -35,12 +35,12 @@ class Unit:
 
     Parameters
     ----------
-    symbol : unit; empty if a text field states it
-    stated_in : name of that text field, in the same record or in the one that contains it
+    symbol : unit; empty if another field contains it
+    unit_field : name of that field, in the same record or in the one that contains it
     """
 
     symbol: str = ""
-    stated_in: str = ""
+    unit_field: str = ""
 
 
 class ArrayRecord:

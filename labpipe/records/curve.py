@@ -79,8 +79,8 @@ class Branch:
     stop: Annotated[int, Unit("sample")]
     cycle: int
     direction: Direction
-    start_time: Annotated[float, Unit(stated_in="time_unit")]
-    stop_time: Annotated[float, Unit(stated_in="time_unit")]
+    start_time: Annotated[float, Unit(unit_field="time_unit")]
+    stop_time: Annotated[float, Unit(unit_field="time_unit")]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -128,7 +128,7 @@ class Series(ArrayRecord):
     unit : SI unit of the values
     """
 
-    values: Annotated[Floats, "sample", Unit(stated_in="unit")]
+    values: Annotated[Floats, "sample", Unit(unit_field="unit")]
     unit: str
 
 
@@ -144,7 +144,7 @@ class Aligned(ArrayRecord):
     time_unit : ``s``; ``1`` if the export has no time, and `time` counts its rows
     """
 
-    time: Annotated[Floats, "sample", Unit(stated_in="time_unit")]
+    time: Annotated[Floats, "sample", Unit(unit_field="time_unit")]
     series: Mapping[str, Series]
     clock_fit: ClockFit | None = None
     time_unit: str = "s"
@@ -163,7 +163,7 @@ class Curve(ArrayRecord):
     time_unit : ``s``; ``1`` if the export has no time, and `time` counts its rows
     """
 
-    time: Annotated[Floats, "sample", Unit(stated_in="time_unit")]
+    time: Annotated[Floats, "sample", Unit(unit_field="time_unit")]
     displacement: Annotated[Floats, "sample", Unit("m")]
     force: Annotated[Floats, "sample", Unit("N")]
     branches: tuple[Branch, ...]

@@ -8,7 +8,7 @@ from typing import Annotated, Final, NamedTuple
 
 import numpy as np
 
-from labpipe.records.arrays import ArrayRecord, Floats, Unit, Vector
+from labpipe.records.arrays import ArrayRecord, Floats, Unit
 from labpipe.records.quality import QualityNote
 
 
@@ -60,7 +60,7 @@ class Clock(ArrayRecord):
     """
 
     name: str
-    time: Annotated[Floats, "sample", Unit(stated_in="unit")]
+    time: Annotated[Floats, "sample", Unit(unit_field="unit")]
     unit: str = "s"
 
 
@@ -83,7 +83,7 @@ class Channel(ArrayRecord):
 
     name: str
     path: str
-    values: Vector
+    values: Annotated[Floats, "sample", Unit(unit_field="unit")]
     clock: str = "time"
     unit: str | None = None
     unit_in_file: str = ""

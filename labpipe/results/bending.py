@@ -514,7 +514,7 @@ class MidSpan(RangeKind):
         moment = 0.25 * axis.span * force
         if "large-deflection" in self.corrections:
             sag = np.clip(axis.deflection, 0.0, None)
-            moment = moment + 0.5 * force * axis.support_slope * sag
+            moment = moment + 0.5 * force * axis.mean_support_gradient * sag
         return fit_secant_stiffness(time, curvature, moment, is_in_range)
 
 
@@ -620,9 +620,9 @@ class Twist(Kind):
         """Measure how far a section rotates from rest to the turn of the motion, without sign."""
         frames = _SpanFrames.of(test)
         shape = frames.span.shape
-        sections = np.flatnonzero(shape.lever > 0.0)  # sections whose markers show a twist
+        sections = np.flatnonzero(shape.lever_arm > 0.0)  # sections whose markers show a twist
         if not len(sections):
-            raise UnavailableError.of("results.too_few_markers", sections=len(shape.lever))
+            raise UnavailableError.of("results.too_few_markers", sections=len(shape.lever_arm))
         x = np.nanmean(shape.centres[frames.span.rest][..., 0], axis=0)
         section = int(sections[np.argmin(np.abs(x[sections]))])
         yield Finding.of("results.twist_section", "markers", at=1e3 * x[section])

@@ -1,37 +1,44 @@
-"""Write arrays and texts of a result file in compressed chunks, and read them by the layout.
+"""Write and read arrays and records as datasets, attributes and tables of a result file.
+
+The annotations of most records define how they are stored, see `layout`.
 
 The filters of HDF5 use only one processor core. This module compresses chunks on all cores, in the
 format of these filters (shuffle, gzip, fletcher32), which any HDF5 library can read. ISA-L
 compresses six to nine times as fast as zlib, to the same size.
-
-h5py creates types, spaces and property lists again for each of the hundreds of small objects in a
-result file. This module creates them once, with low-level calls of the HDF5 library. The same
-content is then written in a third of the time.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from concurrent.futures import Executor
-from contextlib import contextmanager
-from dataclasses import dataclass, field
-from functools import lru_cache
+from dataclasses import dataclass, field, replace
+from datetime import date
 from itertools import repeat
-from math import ceil, prod
-from pathlib import Path
-from typing import Any, Final
+from math import ceil, isnan, nan, prod
+from typing import Any, Final, TypeVar
 
 import h5py
 import numpy as np
-from h5py import h5a, h5d, h5ds, h5p, h5s, h5t
+from h5py import h5a, h5d, h5ds, h5s, h5t
 from isal import isal_zlib
 from numpy.typing import NDArray
 
-from labpipe.errors import LabpipeError, StoreError
+from labpipe.errors import StoreError
 from labpipe.records.arrays import AXIS_LABELS, Ints
-from labpipe.store import layout
-from labpipe.store.layout import DatasetSpec, choose_scales
-from labpipe.store.replace import is_unfinished
+from labpipe.records.curve import Interval
+from labpipe.records.quality import Reason
+from labpipe.store.layout import (
+    TEXT,
+    AttributeSpec,
+    DatasetSpec,
+    choose_scales,
+    list_attributes,
+    list_columns,
+    list_datasets,
+    make_bound_prefix,
+)
+
+_R = TypeVar("_R")
 
 COMPRESSION_LEVEL, FAST_LEVEL = 3, 0
 """Compression levels of arrays with several axes, and of arrays with one axis.
@@ -40,73 +47,7 @@ The fast level takes a third of the time for arrays with one axis. At levels 1 a
 1.9) in a thread may compress equal bytes to different bytes.
 """
 _STRING: Final = h5py.string_dtype()
-_TEXT: Final = h5t.py_create(_STRING, logical=True)
-_TEXT_IN_MEMORY: Final = h5t.py_create(_STRING)
-_SCALAR: Final = h5s.create(h5s.SCALAR)
-
-
-def make_dataset(group: Any, name: str, values: NDArray[Any], chunk: tuple[int, ...]) -> Any:
-    """Create a dataset for an array, but do not write the array.
-
-    Parameters
-    ----------
-    group : open group, without an object of this name
-    name : name of the dataset
-    values : array of any shape and number type; axes of length 0 may grow
-    chunk : shape of the chunks, which go through shuffle, gzip and fletcher32
-
-    Returns
-    -------
-    The dataset, without time stamps.
-    """
-    max_shape = tuple(size or h5s.UNLIMITED for size in values.shape)
-    space = h5s.create_simple(values.shape, max_shape)
-    data_type, properties = _make_type(values.dtype.str), _make_properties(chunk)
-    return h5py.Dataset(h5d.create(group.id, name.encode(), data_type, space, properties))
-
-
-def open_dataset(group: Any, name: str) -> Any:
-    """Open an existing dataset.
-
-    Parameters
-    ----------
-    group : open group
-    name : name or path of the dataset
-    """
-    return h5py.Dataset(h5d.open(group.id, name.encode()))
-
-
-@lru_cache(maxsize=256)
-def _make_type(dtype_text: str) -> Any:
-    """Make the HDF5 type of a NumPy type, which its text defines."""
-    hdf5_type = h5t.py_create(np.dtype(dtype_text), logical=True)
-    if isinstance(hdf5_type, h5t.TypeStringID):
-        hdf5_type.set_strpad(h5t.STR_NULLTERM)
-    return hdf5_type
-
-
-@lru_cache(maxsize=256)
-def _make_properties(chunk: tuple[int, ...]) -> Any:
-    """Make the property list of datasets with a shape of chunks."""
-    properties = h5p.create(h5p.DATASET_CREATE)
-    properties.set_obj_track_times(False)
-    properties.set_chunk(chunk)
-    properties.set_shuffle()
-    properties.set_deflate(COMPRESSION_LEVEL)
-    properties.set_fletcher32()
-    return properties
-
-
-def set_text(owner: Any, name: str, text: str) -> None:
-    """Write an attribute that is a text.
-
-    Parameters
-    ----------
-    owner : open group or dataset, without an attribute of this name
-    name, text : name and text of the attribute
-    """
-    attribute = h5a.create(owner.id, name.encode(), _TEXT, _SCALAR)
-    attribute.write(np.array(text, dtype=_STRING))
+_STRING_IN_MEMORY: Final = h5t.py_create(_STRING)
 
 
 def read_text(owner: Any, name: str) -> str:
@@ -124,50 +65,30 @@ def read_text(owner: Any, name: str) -> str:
     OSError, TypeError, ValueError
         If it is not a single text of variable length in UTF-8.
     """
-    return bytes(_read_attribute(owner, name, _TEXT_IN_MEMORY, object).item()).decode()
+    return bytes(_read_attribute_values(owner, name, _STRING_IN_MEMORY, object).item()).decode()
 
 
 def read_texts(owner: Any, name: str) -> tuple[str, ...]:
     """Read an attribute that is a list of texts, as `read_text` does."""
-    texts = _read_attribute(owner, name, _TEXT_IN_MEMORY, object).tolist()
+    texts = _read_attribute_values(owner, name, _STRING_IN_MEMORY, object).tolist()
     return tuple(bytes(text).decode() for text in texts)
 
 
 def read_number(owner: Any, name: str) -> float:
     """Read an attribute that is a number, as `read_text` does."""
-    return float(_read_attribute(owner, name, h5t.NATIVE_DOUBLE, np.float64).item())
+    return float(_read_attribute_values(owner, name, h5t.NATIVE_DOUBLE, np.float64).item())
 
 
-def _read_attribute(owner: Any, name: str, type_in_memory: Any, dtype: Any) -> NDArray[Any]:
-    """Read an attribute into an array, converted to an HDF5 type and its NumPy type."""
+def _read_attribute_values(owner: Any, name: str, type_in_memory: Any, dtype: Any) -> NDArray[Any]:
+    """Read an attribute into an array, converted to an HDF5 type and its NumPy type.
+
+    The low-level call takes half the time of `owner.attrs`; a report reads hundreds of thousands.
+    """
     attribute = h5a.open(owner.id, name.encode())
     values: NDArray[Any] = np.empty(attribute.shape, dtype)
     if values.size:
         attribute.read(values, mtype=type_in_memory)
     return values
-
-
-def has_attribute(owner: Any, name: str) -> bool:
-    """Return whether a group or dataset has an attribute.
-
-    Parameters
-    ----------
-    owner : open group or dataset
-    name : name of the attribute
-    """
-    return bool(h5a.exists(owner.id, name.encode()))
-
-
-def set_texts(owner: Any, name: str, texts: Sequence[str]) -> None:
-    """Write an attribute that is a list of texts, as `set_text` does."""
-    space = h5s.create_simple((len(texts),))
-    h5a.create(owner.id, name.encode(), _TEXT, space).write(np.array(texts, dtype=_STRING))
-
-
-def set_number(owner: Any, name: str, number: float) -> None:
-    """Write an attribute that is a number, int64 or float64, as `set_text` does."""
-    value = np.array(number)
-    h5a.create(owner.id, name.encode(), _make_type(value.dtype.str), _SCALAR).write(value)
 
 
 CHUNK_BYTES = 1 << 18
@@ -309,12 +230,24 @@ class Target:
             # h5dump requires a final zero. Texts of one byte would be characters for netCDF.
             encoded = [text.encode() for text in values]
             values = np.array(encoded, dtype=f"S{max([1, *map(len, encoded)]) + 1}")
+        data_type = h5t.py_create(values.dtype)
+        if isinstance(data_type, h5t.TypeStringID):
+            data_type.set_strpad(h5t.STR_NULLTERM)
         row_shape = tuple(max(size, 1) for size in values.shape[1:])
         rows = max(CHUNK_BYTES // (values.dtype.itemsize * prod(row_shape)), 1)  # at most all rows
         chunk = (max(min(rows, len(values)), 1), *row_shape)
-        dataset = make_dataset(self.group, name, values, chunk)
-        set_text(dataset, "unit", spec.unit or unit)
-        set_text(dataset, "axes", ", ".join(spec.axes))
+        dataset = self.group.create_dataset(
+            name,
+            values.shape,
+            h5py.Datatype(data_type),
+            maxshape=tuple(size or None for size in values.shape),
+            chunks=chunk,
+            shuffle=True,
+            compression=COMPRESSION_LEVEL,
+            fletcher32=True,
+            track_times=False,
+        )
+        dataset.attrs.update({"unit": spec.unit or unit, "axes": ", ".join(spec.axes)})
         chunks = _make_chunks(values, chunk[0], self.pool, self.cache)
         for index, chunk_bytes in enumerate(chunks):
             corner = (index * chunk[0],) + (0,) * (len(chunk) - 1)
@@ -357,7 +290,7 @@ class Target:
             scale_dataset, spec = self.datasets[scale]
             return self.write_array(name, self.arrays[scale_dataset.name], spec)
         if axis in AXIS_LABELS:
-            return self.write_array(name, AXIS_LABELS[axis], DatasetSpec((axis,), layout.TEXT))
+            return self.write_array(name, AXIS_LABELS[axis], DatasetSpec((axis,), TEXT))
         return self.write_array(name, np.arange(size), DatasetSpec((axis,), "1"))
 
     def attach_scale(self, dataset: Any, axis: int, scale: Any) -> None:
@@ -373,66 +306,9 @@ class Target:
             h5ds.set_scale(scale.id, scale.name.rpartition("/")[2].encode())
         h5ds.attach_scale(dataset.id, scale.id, axis)
 
-    def write_texts(self, name: str, values: tuple[str, ...]) -> None:
+    def write_texts(self, name: str, values: Sequence[str]) -> None:
         """Write an attribute that is a list of strings."""
-        set_texts(self.group, name, values)
-
-
-@contextmanager
-def open_result(path: Path) -> Iterator[Any]:
-    """Open a result file of the current schema, and convert all errors to StoreError."""
-    try:
-        if is_unfinished(path.parent):
-            raise StoreError.about("store.cut_off", path, target=path)
-        if not h5py.is_hdf5(path):
-            raise StoreError.about("store.no_hdf5", path, found=_describe_file(path))
-        with h5py.File(path, "r") as root:
-            _check_schema(path, root)
-            _check_links(path, root)
-            yield root
-    except LabpipeError:
-        raise
-    except MemoryError as error:
-        raise StoreError.about("store.too_large", path, reason=error) from error
-    except Exception as error:
-        reason = " ".join(str(error).split())
-        raise StoreError.about("store.damaged", path, reason=reason) from error
-
-
-def _describe_file(path: Path) -> str:
-    """Describe the content of a path that is not an HDF5 file."""
-    if not path.exists():
-        return "nothing"
-    with path.open("rb") as file:  # raises if the file is not readable
-        start = file.read(1)
-    return "a file that is not HDF5" if start else "an empty file"
-
-
-def _check_schema(path: Path, root: Any) -> None:
-    """Raise StoreError if a file has another schema, or no schema."""
-    schema, current_schema = root.attrs.get(layout.SCHEMA_ATTRIBUTE), layout.SCHEMA
-    if schema is None:
-        raise StoreError.about("store.foreign", path, layout.SCHEMA_ATTRIBUTE, known=current_schema)
-    if schema != current_schema:
-        is_newer = schema > current_schema
-        raise StoreError.about(
-            "store.newer_schema" if is_newer else "store.other_schema",
-            path,
-            layout.SCHEMA_ATTRIBUTE,
-            known=current_schema,
-            schema=schema,
-        )
-
-
-def _check_links(path: Path, root: Any) -> None:
-    """Raise StoreError if a file has links to other files, because it must be complete."""
-
-    def find_external(name: bytes, link_info: Any) -> bytes | None:
-        return None if link_info.type in (h5py.h5l.TYPE_HARD, h5py.h5l.TYPE_SOFT) else name
-
-    link = root.id.links.visit(find_external, info=True)
-    if link is not None:
-        raise StoreError.about("store.link", path, link.decode(errors="replace"))
+        self.group.attrs.create(name, np.array(values, dtype=_STRING))
 
 
 def read_array(group: Any, name: str, spec: DatasetSpec) -> Any:
@@ -441,7 +317,7 @@ def read_array(group: Any, name: str, spec: DatasetSpec) -> Any:
     values: NDArray[Any] = np.empty(dataset.shape, dataset.id.dtype)
     if values.size:
         dataset.id.read(h5s.ALL, h5s.ALL, values)
-    return tuple(cell.decode() for cell in values.tolist()) if spec.dtype == layout.TEXT else values
+    return tuple(cell.decode() for cell in values.tolist()) if spec.dtype == TEXT else values
 
 
 def read_array_rows(group: Any, name: str, spec: DatasetSpec, rows: Ints) -> NDArray[Any]:
@@ -458,11 +334,11 @@ def read_array_rows(group: Any, name: str, spec: DatasetSpec, rows: Ints) -> NDA
 
 def _open_checked_dataset(group: Any, name: str, spec: DatasetSpec) -> Any:
     """Open a dataset, and check its unit, axes, number type and storage."""
-    dataset = open_dataset(group, name)
+    dataset = group[name]
     for label, expected in (("axes", ", ".join(spec.axes)), ("unit", spec.unit)):
         if expected is not None:
             _require_equal(dataset, label, expected, read_text(dataset, label))
-    if spec.dtype != layout.TEXT:
+    if spec.dtype != TEXT:
         _require_equal(dataset, "number type", spec.dtype, dataset.id.dtype.name)
     _check_storage(dataset)
     return dataset
@@ -490,3 +366,236 @@ def _require_equal(dataset: Any, quantity: str, expected: str, actual: str) -> N
         raise StoreError.about(
             "store.other_layout", file, place, what=quantity, expected=expected, found=actual
         )
+
+
+_INTERVAL_FIELDS = ("lower", "upper", "level")
+_REASONS = Reason, tuple[Reason, ...]
+"""Types of fields that contain reasons."""
+_CODES, _MESSAGES = "reason_codes", "reason_messages"
+"""Names of the attributes that contain the codes and the messages of reasons."""
+
+
+def write_record(target: Target, record: object) -> None:
+    """Write the arrays and attributes of a record.
+
+    Parameters
+    ----------
+    target : group of the record
+    record : record of a type whose annotations define the layout
+    """
+    write_arrays(target, record)
+    write_attributes(target, record)
+
+
+def read_record(group: Any, kind: type[_R], **extra: object) -> _R:
+    """Read a record that `write_record` wrote.
+
+    Parameters
+    ----------
+    group : group of the record
+    kind : type of the record
+    extra : values of fields that are stored elsewhere, keyed by name of the field
+    """
+    return kind(**read_arrays(group, kind), **read_attributes(group, kind, skip=extra), **extra)
+
+
+def write_arrays(target: Target, record: Any) -> None:
+    """Write the arrays of a record as datasets with dimension scales.
+
+    Parameters
+    ----------
+    target : group of the record
+    record : record of a type whose annotations define the layout
+    """
+    for name, spec in list_datasets(type(record)).items():
+        values = getattr(record, name)
+        if spec.dtype == "uint8":
+            values = values.astype(np.uint8)
+        target.write_array(name, values, spec, getattr(record, spec.unit_field, ""))
+    target.attach_scales()
+
+
+def read_arrays(group: Any, kind: Any, names: Iterable[str] = ()) -> dict[str, Any]:
+    """Read the arrays of a record, and the texts that state their units.
+
+    Parameters
+    ----------
+    group : group of the record
+    kind : type of the record
+    names : names of the arrays to be read; all if empty
+
+    Returns
+    -------
+    Arrays and texts, keyed by name of the field.
+    """
+    arrays: dict[str, Any] = {}
+    for name, spec in list_datasets(kind).items():
+        if not names or name in names:
+            arrays[name] = read_array(group, name, spec)
+            if spec.unit_field:
+                arrays[spec.unit_field] = read_text(group[name], "unit")
+    return arrays
+
+
+def write_attributes(target: Target, record: Any, *, skip: Container[str] = ()) -> None:
+    """Write the numbers, texts, intervals and reasons of a record.
+
+    A number or interval that is None is not written. A text or reason that is None is written
+    empty.
+
+    Parameters
+    ----------
+    target : group of the record
+    record : record of a type whose annotations define the layout
+    skip : names of fields that are stored elsewhere
+    """
+    for name, attribute in list_attributes(type(record)).items():
+        if name not in skip:
+            _write_attribute(target, name, attribute, getattr(record, name))
+
+
+def _write_attribute(target: Target, name: str, attribute: AttributeSpec, value: Any) -> None:
+    """Write the value of one field of a record as attributes of a group."""
+    kind, unit, _ = attribute
+    attributes = target.group.attrs
+    if kind in _REASONS:
+        reasons = value if isinstance(value, tuple) else (value,) if value else ()
+        target.write_texts(_CODES, [reason.code for reason in reasons])
+        target.write_texts(_MESSAGES, [reason.message for reason in reasons])
+    elif isinstance(value, Interval):
+        for bound in _INTERVAL_FIELDS:
+            attributes[make_bound_prefix(name) + bound] = float(getattr(value, bound))
+    elif isinstance(value, tuple):
+        target.write_texts(name, value)
+    elif kind not in (int, float, Interval):
+        attributes[name] = _format_cell(value)
+    elif value is not None:
+        attributes[name] = kind(value)
+        if unit is not None:
+            attributes[f"{name}_unit"] = unit.symbol
+
+
+def read_attributes(group: Any, kind: Any, *, skip: Container[str] = ()) -> dict[str, Any]:
+    """Read the attributes that `write_attributes` wrote.
+
+    Parameters
+    ----------
+    group : group of the record
+    kind : type of the record
+    skip : names of fields that are stored elsewhere
+
+    Returns
+    -------
+    Values, keyed by name of the field.
+    """
+    attributes = {name: spec for name, spec in list_attributes(kind).items() if name not in skip}
+    return {name: _read_attribute(group, name, spec) for name, spec in attributes.items()}
+
+
+def _read_attribute(group: Any, name: str, attribute: AttributeSpec) -> Any:
+    """Read the value of one field of a record from attributes of a group."""
+    kind, _, is_optional = attribute
+    if kind in _REASONS:
+        pairs = zip(read_texts(group, _CODES), read_texts(group, _MESSAGES), strict=True)
+        reasons = tuple(Reason(*pair) for pair in pairs)
+        return next(iter(reasons), None) if kind is Reason else reasons
+    if kind == tuple[str, ...]:
+        return read_texts(group, name)
+    if kind not in (int, float, Interval):
+        return _parse_cell({name: read_text(group, name)}, name, attribute)
+    names = [name]
+    if kind is Interval:
+        names = [make_bound_prefix(name) + bound for bound in _INTERVAL_FIELDS]
+    if is_optional and names[0] not in group.attrs:
+        return None
+    return kind(*(read_number(group, name) for name in names))
+
+
+def write_table(
+    target: Target, name: str, kind: type[_R], rows: Sequence[_R], unit: str = ""
+) -> None:
+    """Write records as a table, which is a group of columns.
+
+    Parameters
+    ----------
+    target : group in which the table is created
+    name : name of the table
+    kind : type of the records, a key of `layout.ROW_AXES`
+    rows : records, one for each row
+    unit : unit of the columns without a unit in the layout
+    """
+    table = target.open_group(name)
+    for column, (field_name, bound, spec) in list_columns(kind).items():
+        cells = [getattr(row, field_name) for row in rows]
+        if bound:
+            cells = [getattr(interval, bound) for interval in cells]
+        values: Any = tuple(map(_format_cell, cells))
+        if spec.dtype != TEXT:
+            values = np.array([nan if cell is None else cell for cell in cells], spec.dtype)
+        table.write_array(column, values, spec, unit)
+    table.attach_scales()
+
+
+def _format_cell(value: Any) -> str:
+    """Format a value of a record as text; None gives an empty text."""
+    return ", ".join(value) if isinstance(value, tuple) else "" if value is None else str(value)
+
+
+def read_table(parent: Any, name: str, kind: type[_R], unit: str | None = None) -> tuple[_R, ...]:
+    """Read a table that `write_table` wrote.
+
+    Parameters
+    ----------
+    parent : group that contains the table
+    name : name of the table
+    kind : type of the records
+    unit : unit that columns without a unit in the layout must have; None for any unit
+
+    Returns
+    -------
+    The records. Their intervals have the level 0.95, which is not stored.
+    """
+    names = list_columns(kind)
+    columns = read_columns(parent[name], kind, names, unit)
+    rows = (dict(zip(names, row, strict=True)) for row in zip(*columns, strict=True))
+    fields = list_attributes(kind).items()
+    return tuple(
+        kind(**{field: _parse_cell(row, field, attribute) for field, attribute in fields})
+        for row in rows
+    )
+
+
+def read_columns(
+    table: Any, kind: type, names: Iterable[str], unit: str | None = None
+) -> list[Sequence[Any]]:
+    """Read columns of a table that `write_table` wrote.
+
+    Parameters
+    ----------
+    table : group of the columns
+    kind : type of the records
+    names : names of the columns to be read
+    unit : unit that columns without a unit in the layout must have; None for any unit
+
+    Returns
+    -------
+    The cells of each column, in the order of `names`.
+    """
+    columns: list[Sequence[Any]] = []
+    for name in names:
+        spec = list_columns(kind)[name].dataset
+        cells = read_array(table, name, spec if spec.unit else replace(spec, unit=unit))
+        columns.append(cells if isinstance(cells, tuple) else cells.tolist())
+    return columns
+
+
+def _parse_cell(row: Mapping[str, Any], name: str, attribute: AttributeSpec) -> Any:
+    """Parse one field of a record from the cells of a row."""
+    if attribute.kind is Interval:
+        return Interval(*(row[make_bound_prefix(name) + bound] for bound in ("lower", "upper")))
+    cell = row[name]
+    if attribute.is_optional and (cell == "" or (attribute.kind is float and isnan(cell))):
+        return None
+    if attribute.kind is date:
+        return date.fromisoformat(cell)
+    return tuple(cell.split(", ")) if attribute.kind == tuple[str, ...] else attribute.kind(cell)

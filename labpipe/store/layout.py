@@ -2,15 +2,16 @@
 
 The type hint of a field defines how the field is stored. An array annotated with axes and a `Unit`
 becomes a dataset of numbers. A tuple of strings with an axis becomes a dataset of strings. Any
-other number, string, interval or reason becomes an attribute. A tuple of records becomes a table.
-Fields with ``compare=False`` are not stored.
+other number, string, date, interval or reason becomes an attribute, and so does a tuple of strings
+or reasons without an axis. A tuple of records becomes a table. Attributes and cells of tables of
+fields with ``compare=False`` are not stored.
 
 Every dataset has the attributes ``unit`` and ``axes``. Each axis has a dimension scale in the same
 group, as netCDF-4 requires. A table is a group with one dataset per column, not an HDF5 compound,
 because Octave skips compound types, and strings in them crash the netCDF library. Strings are
-UTF-8. They have a variable length in attributes. In datasets they have a fixed length and are
-declared as ASCII, because Octave reads only this type, and HDF5 has no checksums for variable
-lengths.
+encoded in UTF-8. Attributes have strings of variable length. Datasets have strings of fixed length,
+because HDF5 has no checksums for strings of variable length; their type is declared as ASCII,
+because Octave reads no other type.
 """
 
 from __future__ import annotations
@@ -32,34 +33,16 @@ from labpipe.records.result import Instrument
 
 _R = TypeVar("_R")
 
-SCHEMA: Final = 2
+SCHEMA_VERSION: Final = 2
 """Version of the layout. Files of other versions cannot be read."""
 SCHEMA_ATTRIBUTE: Final = "labpipe_schema"
-"""Name of the attribute of a file that states its version."""
+"""Name of the attribute of a file that contains the version of its layout."""
 
 UNSTATED_UNIT: Final = "unknown"
 """Unit of channels for which neither the export nor the protocol states one."""
 
 TEXT: Final = "text"
 """Unit and type of a dataset of strings."""
-
-# Names of groups and datasets that several modules use.
-SPECIMEN: Final = "specimen"
-RAW: Final = "raw"
-TIME: Final = "time"
-ALIGNED: Final = "aligned"
-EVENTS: Final = "events"
-CURVE: Final = "curve"
-BRANCHES: Final = "branches"
-SLIPS: Final = "slips"
-LINES: Final = "lines"
-SHAPE: Final = "shape"
-BENDING: Final = "bending"
-LAW: Final = "law"
-RESULTS: Final = "results"
-BUDGETS: Final = "budgets"
-QUALITY: Final = "quality"
-INSTRUMENTS: Final = "instruments"
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,15 +52,15 @@ class DatasetSpec:
     Parameters
     ----------
     axes : names of the axes
-    unit : SI unit; None if the unit is stated when a dataset is written
+    unit : SI unit; None if it is only known when a dataset is written
     dtype : NumPy name of the number type; ``text`` for strings
-    stated_in : name of the field of the record that states the unit; empty if no field does
+    unit_field : name of the field of the record that contains the unit; empty if no field does
     """
 
     axes: tuple[str, ...]
     unit: str | None
     dtype: str = "float64"
-    stated_in: str = ""
+    unit_field: str = ""
 
 
 class AttributeSpec(NamedTuple):
@@ -121,9 +104,10 @@ def list_datasets(record_type: Any) -> Mapping[str, DatasetSpec]:
     datasets: dict[str, DatasetSpec] = {}
     for name, (field_type, axes, unit) in _list_annotations(record_type):
         if get_origin(field_type) is np.ndarray:
-            dtype = np.dtype(get_number_type(field_type)).name.replace("bool", "uint8")
-            symbol, stated_in = (unit.symbol or None, unit.stated_in) if unit else (None, "")
-            datasets[name] = DatasetSpec(axes, symbol, dtype, stated_in)
+            dtype = np.dtype(get_number_type(field_type)).name
+            dtype = "uint8" if dtype == "bool" else dtype  # netCDF-4 has no type for booleans
+            symbol, unit_field = (unit.symbol, unit.unit_field) if unit else ("", "")
+            datasets[name] = DatasetSpec(axes, symbol or None, dtype, unit_field)
         elif get_origin(field_type) is tuple and axes:
             datasets[name] = DatasetSpec(axes, TEXT, TEXT)
     return datasets
@@ -148,10 +132,11 @@ def choose_scales(datasets: Mapping[str, DatasetSpec]) -> dict[str, str]:
 def list_attributes(record_type: Any) -> Mapping[str, AttributeSpec]:
     """List the fields of a type of record that are stored as attributes, keyed by name.
 
-    They are the numbers, strings, dates, intervals and reasons.
+    They are the numbers, strings, dates, intervals and reasons, and the tuples of strings or
+    reasons without an axis. Fields with ``compare=False`` and fields with a unit are excluded.
     """
     stored_names = {field.name for field in fields(record_type) if field.compare}
-    stored_names -= {spec.stated_in for spec in list_datasets(record_type).values()}
+    stored_names -= {spec.unit_field for spec in list_datasets(record_type).values()}
     attributes: dict[str, AttributeSpec] = {}
     for name, (field_type, axes, unit) in _list_annotations(record_type):
         kinds = get_args(field_type) if isinstance(field_type, UnionType) else (field_type,)
@@ -159,8 +144,10 @@ def list_attributes(record_type: Any) -> Mapping[str, AttributeSpec]:
         is_simple = isinstance(kind, type) and issubclass(
             kind, (int, float, str, date, Interval, Reason)
         )
-        is_list = get_origin(kind) is tuple and get_args(kind)[0] in (str, Reason) and not axes
-        if name in stored_names and (is_simple or is_list):
+        is_simple_tuple = (
+            get_origin(kind) is tuple and get_args(kind)[0] in (str, Reason) and not axes
+        )
+        if name in stored_names and (is_simple or is_simple_tuple):
             attributes[name] = AttributeSpec(kind, unit, NoneType in kinds)
     return attributes
 
@@ -207,15 +194,24 @@ def _list_annotations(
 
 @dataclass(frozen=True, slots=True)
 class ResultRow:
-    """A result as a row of ``results/table``, for programs that do not read attributes."""
+    """A result as a row of a table, for programs that do not read attributes, and for catalogs.
+
+    Parameters
+    ----------
+    name, value, unit, status : fields of the `Result`; the value is None for a failed result
+    estimate : best estimate, equal to the value if noise does not change it
+    lower, upper, level : ends and level of the interval; None or NaN without one
+    code : codes of the reasons, separated by commas
+    reason : reasons as text
+    """
 
     name: str
     value: Annotated[float | None, Unit("of the result")]
     estimate: Annotated[float | None, Unit("of the result")]
-    lower: Annotated[float, Unit("of the result")]
-    upper: Annotated[float, Unit("of the result")]
+    lower: Annotated[float | None, Unit("of the result")]
+    upper: Annotated[float | None, Unit("of the result")]
     unit: str
-    level: float
+    level: float | None
     status: str
     code: str
     reason: str
@@ -223,7 +219,14 @@ class ResultRow:
 
 @dataclass(frozen=True, slots=True)
 class BudgetRow:
-    """A contribution to the uncertainty of a result, as a row of ``budgets``."""
+    """A contribution to the uncertainty of a result, as a row of ``budgets``.
+
+    Parameters
+    ----------
+    result, unit : name and unit of the result
+    cause, change, is_common : fields of the `Contribution`
+    share : fraction of the variance of the result
+    """
 
     result: str
     cause: str
@@ -242,7 +245,7 @@ ROW_AXES: Final[Mapping[type, str]] = {
     ResultRow: "result",
     BudgetRow: "contribution",
 }
-"""Axis of the table for each type of record that is stored as a row."""
+"""Name of the axis of the rows of a table, keyed by type of record."""
 
 
 def make_link_name(name: str, used_names: Iterable[str]) -> str:
@@ -250,13 +253,13 @@ def make_link_name(name: str, used_names: Iterable[str]) -> str:
 
     Parameters
     ----------
-    name : name, such as that of a channel; characters other than letters, digits and ``_.+-``
-        become underscores
+    name : preferred name, such as that of a channel
     used_names : names in use in the same group
 
     Returns
     -------
-    The name, with a number appended if it is in use.
+    The name, in which characters other than letters, digits and ``_.+-`` are replaced by
+    underscores; ``unnamed`` if no other character is left. A number is appended if it is in use.
 
     Examples
     --------

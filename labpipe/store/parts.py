@@ -6,14 +6,14 @@ The annotations of most records define how they are stored, see `layout`.
 from __future__ import annotations
 
 import json
-from collections.abc import Container, Iterable, Mapping, Sequence
-from dataclasses import replace
-from datetime import date
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from math import isnan, nan
 from typing import Any, Final, TypeVar
 
 import numpy as np
 
+from labpipe.records.arrays import Floats, Ints
 from labpipe.records.curve import (
     Aligned,
     Bending,
@@ -21,277 +21,62 @@ from labpipe.records.curve import (
     Branch,
     ClockFit,
     Curve,
+    DrawnLaw,
+    DrawnShapes,
     FittedLine,
     Interval,
     MeasuredLaw,
     Series,
+    Shape,
     Slip,
+    SlipDecision,
 )
 from labpipe.records.harness_bundle import ARRANGEMENTS, TAPINGS, Bundle, BundleWire
-from labpipe.records.quality import QualityNote, Reason
+from labpipe.records.quality import QualityNote
 from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording, RigidBody
-from labpipe.records.result import Contribution, InputFile, Result, Specimen, Status, TestResult
-from labpipe.store import layout
+from labpipe.records.result import (
+    Contribution,
+    InputFile,
+    Instrument,
+    Result,
+    Specimen,
+    Status,
+    TestResult,
+)
 from labpipe.store.datasets import (
     Target,
-    has_attribute,
     read_array,
+    read_array_rows,
+    read_arrays,
+    read_attributes,
+    read_columns,
     read_number,
+    read_record,
+    read_table,
     read_text,
     read_texts,
-    set_number,
-    set_text,
-    set_texts,
+    write_arrays,
+    write_attributes,
+    write_record,
+    write_table,
 )
 from labpipe.store.layout import (
+    SCHEMA_ATTRIBUTE,
+    SCHEMA_VERSION,
     TEXT,
-    AttributeSpec,
+    UNSTATED_UNIT,
     BudgetRow,
     DatasetSpec,
     ResultRow,
     list_attributes,
-    list_columns,
     list_datasets,
-    make_bound_prefix,
     make_link_name,
 )
 
 _R = TypeVar("_R")
-_INTERVAL_FIELDS = ("lower", "upper", "level")
-_REASONS = Reason, tuple[Reason, ...]
-"""Types of fields that contain reasons."""
-_CODES, _MESSAGES = "reason_codes", "reason_messages"
-"""Names of the attributes that contain the codes and the messages of reasons."""
-
-
-def write_record(target: Target, record: object) -> None:
-    """Write the arrays and attributes of a record.
-
-    Parameters
-    ----------
-    target : group of the record
-    record : record of a type whose annotations define the layout
-    """
-    write_arrays(target, record)
-    write_attributes(target, record)
-
-
-def read_record(group: Any, kind: type[_R], **extra: object) -> _R:
-    """Read a record that `write_record` wrote.
-
-    Parameters
-    ----------
-    group : group of the record
-    kind : type of the record
-    extra : values of fields that are stored elsewhere, keyed by name of the field
-    """
-    return kind(**read_arrays(group, kind), **read_attributes(group, kind, skip=extra), **extra)
-
-
-def write_arrays(target: Target, record: Any) -> None:
-    """Write the arrays of a record as datasets with dimension scales.
-
-    Parameters
-    ----------
-    target : group of the record
-    record : record of a type whose annotations define the layout
-    """
-    for name, spec in list_datasets(type(record)).items():
-        values = getattr(record, name)
-        if spec.dtype == "uint8":
-            values = values.astype(np.uint8)
-        target.write_array(name, values, spec, getattr(record, spec.stated_in, ""))
-    target.attach_scales()
-
-
-def read_arrays(group: Any, kind: Any, names: Iterable[str] = ()) -> dict[str, Any]:
-    """Read the arrays of a record, and the texts that state their units.
-
-    Parameters
-    ----------
-    group : group of the record
-    kind : type of the record
-    names : names of the arrays to be read; all if empty
-
-    Returns
-    -------
-    Arrays and texts, keyed by name of the field.
-    """
-    arrays: dict[str, Any] = {}
-    for name, spec in list_datasets(kind).items():
-        if not names or name in names:
-            arrays[name] = read_array(group, name, spec)
-            if spec.stated_in:
-                arrays[spec.stated_in] = read_text(group[name], "unit")
-    return arrays
-
-
-def write_attributes(target: Target, record: Any, *, skip: Container[str] = ()) -> None:
-    """Write the numbers, texts, intervals and reasons of a record.
-
-    A number or interval that is None is not written. A text or reason that is None is written
-    empty.
-
-    Parameters
-    ----------
-    target : group of the record
-    record : record of a type whose annotations define the layout
-    skip : names of fields that are stored elsewhere
-    """
-    for name, attribute in list_attributes(type(record)).items():
-        if name not in skip:
-            _write_attribute(target.group, name, attribute, getattr(record, name))
-
-
-def _write_attribute(group: Any, name: str, attribute: AttributeSpec, value: Any) -> None:
-    """Write the value of one field of a record as attributes of a group."""
-    kind, unit, _ = attribute
-    if kind in _REASONS:
-        reasons = value if isinstance(value, tuple) else (value,) if value else ()
-        set_texts(group, _CODES, [reason.code for reason in reasons])
-        set_texts(group, _MESSAGES, [reason.message for reason in reasons])
-    elif isinstance(value, Interval):
-        for bound in _INTERVAL_FIELDS:
-            set_number(group, make_bound_prefix(name) + bound, float(getattr(value, bound)))
-    elif isinstance(value, tuple):
-        set_texts(group, name, value)
-    elif kind not in (int, float, Interval):
-        set_text(group, name, _format_cell(value))
-    elif value is not None:
-        set_number(group, name, kind(value))
-        if unit is not None:
-            set_text(group, f"{name}_unit", unit.symbol)
-
-
-def read_attributes(group: Any, kind: Any, *, skip: Container[str] = ()) -> dict[str, Any]:
-    """Read the attributes that `write_attributes` wrote.
-
-    Parameters
-    ----------
-    group : group of the record
-    kind : type of the record
-    skip : names of fields that are stored elsewhere
-
-    Returns
-    -------
-    Values, keyed by name of the field.
-    """
-    attributes = {name: spec for name, spec in list_attributes(kind).items() if name not in skip}
-    return {name: _read_attribute(group, name, spec) for name, spec in attributes.items()}
-
-
-def _read_attribute(group: Any, name: str, attribute: AttributeSpec) -> Any:
-    """Read the value of one field of a record from attributes of a group."""
-    kind, _, is_optional = attribute
-    if kind in _REASONS:
-        pairs = zip(read_texts(group, _CODES), read_texts(group, _MESSAGES), strict=True)
-        reasons = tuple(Reason(*pair) for pair in pairs)
-        return next(iter(reasons), None) if kind is Reason else reasons
-    if kind == tuple[str, ...]:
-        return read_texts(group, name)
-    if kind not in (int, float, Interval):
-        return _parse_cell({name: read_text(group, name)}, name, attribute)
-    names = [name]
-    if kind is Interval:
-        names = [make_bound_prefix(name) + bound for bound in _INTERVAL_FIELDS]
-    if is_optional and not has_attribute(group, names[0]):
-        return None
-    return kind(*(read_number(group, name) for name in names))
-
-
-def write_table(
-    target: Target, name: str, kind: type[_R], rows: Sequence[_R], unit: str = ""
-) -> None:
-    """Write records as a table, which is a group of columns.
-
-    Parameters
-    ----------
-    target : group in which the table is created
-    name : name of the table
-    kind : type of the records, a key of `layout.ROW_AXES`
-    rows : records, one for each row
-    unit : unit of the columns without a unit in the layout
-    """
-    table = target.open_group(name)
-    for column, (field, bound, spec) in list_columns(kind).items():
-        cells = [getattr(row, field) for row in rows]
-        if bound:
-            cells = [getattr(interval, bound) for interval in cells]
-        values: Any = tuple(map(_format_cell, cells))
-        if spec.dtype != TEXT:
-            values = np.array([nan if cell is None else cell for cell in cells], spec.dtype)
-        table.write_array(column, values, spec, unit)
-    table.attach_scales()
-
-
-def _format_cell(value: Any) -> str:
-    """Format a value of a record as text; None gives an empty text."""
-    return ", ".join(value) if isinstance(value, tuple) else "" if value is None else str(value)
-
-
-def read_table(parent: Any, name: str, kind: type[_R], unit: str | None = None) -> tuple[_R, ...]:
-    """Read a table that `write_table` wrote.
-
-    Parameters
-    ----------
-    parent : group that contains the table
-    name : name of the table
-    kind : type of the records
-    unit : unit that columns without a unit in the layout must have; None for any unit
-
-    Returns
-    -------
-    The records. Their intervals have the level 0.95, which is not stored.
-    """
-    names = list_columns(kind)
-    columns = read_columns(parent[name], kind, names, unit)
-    rows = (dict(zip(names, row, strict=True)) for row in zip(*columns, strict=True))
-    fields = list_attributes(kind).items()
-    return tuple(
-        kind(**{field: _parse_cell(row, field, attribute) for field, attribute in fields})
-        for row in rows
-    )
-
-
-def read_columns(
-    table: Any, kind: type, names: Iterable[str], unit: str | None = None
-) -> list[Sequence[Any]]:
-    """Read columns of a table that `write_table` wrote.
-
-    Parameters
-    ----------
-    table : group of the columns
-    kind : type of the records
-    names : names of the columns to be read
-    unit : unit that columns without a unit in the layout must have; None for any unit
-
-    Returns
-    -------
-    The cells of each column, in the order of `names`.
-    """
-    columns: list[Sequence[Any]] = []
-    for name in names:
-        spec = list_columns(kind)[name].dataset
-        cells = read_array(table, name, spec if spec.unit else replace(spec, unit=unit))
-        columns.append(cells if isinstance(cells, tuple) else cells.tolist())
-    return columns
-
-
-def _parse_cell(row: Mapping[str, Any], name: str, attribute: AttributeSpec) -> Any:
-    """Parse one field of a record from the cells of a row."""
-    if attribute.kind is Interval:
-        return Interval(*(row[make_bound_prefix(name) + bound] for bound in ("lower", "upper")))
-    cell = row[name]
-    if attribute.is_optional and (cell == "" or (attribute.kind is float and isnan(cell))):
-        return None
-    if attribute.kind is date:
-        return date.fromisoformat(cell)
-    return tuple(cell.split(", ")) if attribute.kind == tuple[str, ...] else attribute.kind(cell)
-
-
 _SPECIMEN_TEXTS: Final = {"type": "specimen_type", "spool": "spool", "sample": "sample"}
 """Names of the attributes of the root for fields of the specimen, keyed by field."""
-_WIRE_TYPE: Final = DatasetSpec(("type",), layout.TEXT, layout.TEXT)
+_WIRE_TYPE: Final = DatasetSpec(("type",), TEXT, TEXT)
 _WIRE_NUMBER: Final = DatasetSpec(("type",), "1", "int64")
 _WIRE_DIAMETER: Final = DatasetSpec(("type",), "m")
 _WIRE_POSITION: Final = DatasetSpec(("wire", "xy"), "m")
@@ -300,19 +85,20 @@ _SAMPLE_NUMBER: Final = DatasetSpec(("sample",), "1", "int64")
 
 They are written for other programs; labpipe derives them from the branches.
 """
-_CHANNEL: Final = DatasetSpec(("sample",), None)
-_CHANNEL_TEXTS: Final = {
-    "name": "name",
-    "path": "name_in_file",
-    "clock": "clock",
-    "unit_in_file": "unit_in_file",
-    "calibration": "calibration",
+_SERIES_TEXTS: Final[Mapping[type, Mapping[str, str]]] = {
+    Clock: {"clock": "name"},
+    Series: {},
+    Channel: {
+        "name": "name",
+        "name_in_file": "path",
+        "clock": "clock",
+        "unit_in_file": "unit_in_file",
+        "calibration": "calibration",
+    },
 }
-"""Names of the attributes for texts of a channel, keyed by field."""
+"""Fields that are attributes of the dataset of a record, keyed by type and attribute."""
 _SPECIMEN_MAPS = {"labels": ("labels", "label_words"), "observed": ("observed", "observed_words")}
 """Names of the attributes for the keys and texts of each mapping of a specimen."""
-_MARKERS, _BODIES, _NOTES = "markers", "rigid_bodies", "notes"
-"""Names of groups of a recording."""
 
 
 def write_specimen(target: Target, specimen: Specimen) -> None:
@@ -324,8 +110,8 @@ def write_specimen(target: Target, specimen: Specimen) -> None:
     specimen : specimen of the test
     """
     for name, attribute in _SPECIMEN_TEXTS.items():
-        set_text(target.group, attribute, getattr(specimen, name))
-    target = target.open_group(layout.SPECIMEN)
+        target.group.attrs[attribute] = getattr(specimen, name)
+    target = target.open_group("specimen")
     target.write_texts("dimensions", tuple(specimen.dimensions))
     target.group.attrs["values"] = np.array(list(specimen.dimensions.values()), dtype=float)
     target.group.attrs["unit"] = "m"
@@ -362,7 +148,7 @@ def read_specimen(root: Any) -> Specimen:
     root_texts: dict[str, Any] = {
         name: read_text(root, attribute) for name, attribute in _SPECIMEN_TEXTS.items()
     }
-    group = root[layout.SPECIMEN]
+    group = root["specimen"]
     values = (float(value) for value in group.attrs["values"])
     dimensions = dict(zip(read_texts(group, "dimensions"), values, strict=True))
     bundle = _read_bundle(group["bundle"]) if "bundle" in group else None
@@ -417,59 +203,70 @@ def write_recording(target: Target, recording: Recording) -> None:
     recording : recording with markers, clocks, channels, notes and metadata
     """
     write_attributes(target, recording)
-    set_text(target.group, "metadata", json.dumps(dict(recording.metadata), ensure_ascii=False))
-    write_table(target, _NOTES, QualityNote, recording.notes)
+    target.group.attrs["metadata"] = json.dumps(dict(recording.metadata), ensure_ascii=False)
+    write_table(target, "notes", QualityNote, recording.notes)
     if recording.markers is not None:
         _write_markers(target, recording.markers)
-    scales = _write_clocks(target, recording.clocks)
-    if recording.markers is not None and layout.TIME not in target.group:
-        target.group[layout.TIME] = target.group[_MARKERS][layout.TIME]
-    _write_channels(target, recording.channels, scales)
-
-
-def _write_clocks(target: Target, clocks: tuple[Clock, ...]) -> dict[str, Any]:
-    """Write one clock as ``time``, or several as ``time_<clock>``; return datasets by clock."""
-    names: list[str] = []
-    scales: dict[str, Any] = {}
-    for clock in clocks:
-        link_name = layout.TIME if len(clocks) == 1 else f"{layout.TIME}_{clock.name}"
-        names.append(make_link_name(link_name, target.group))
-        dataset = target.write_array(
-            names[-1], clock.time, list_datasets(Clock)["time"], clock.unit
-        )
-        set_text(dataset, "clock", clock.name)
-        scales[clock.name] = dataset
-    target.write_texts("clocks", tuple(names))
-    return scales
-
-
-def _write_channels(
-    target: Target, channels: tuple[Channel, ...], scales: Mapping[str, Any]
-) -> None:
-    """Write channels as datasets whose dimension scale is the dataset of their clock."""
-    reserved = (layout.TIME, _MARKERS, _BODIES, _NOTES)
-    names: list[str] = []
-    for channel in channels:
-        names.append(make_link_name(channel.name, [*target.group, *reserved]))
-        unit = layout.UNSTATED_UNIT if channel.unit is None else channel.unit
-        dataset = target.write_array(names[-1], channel.values, _CHANNEL, unit)
-        for field_name, attribute in _CHANNEL_TEXTS.items():
-            set_text(dataset, attribute, getattr(channel, field_name))
+    is_only = len(recording.clocks) == 1
+    clocks = [("time" if is_only else f"time_{clock.name}", clock) for clock in recording.clocks]
+    time_scales = _write_series(target, "clocks", clocks)
+    if recording.markers is not None and "time" not in target.group:
+        target.group["time"] = target.group["markers"]["time"]
+    reserved = ("time", "markers", "rigid_bodies", "notes")
+    channels = [(channel.name, channel) for channel in recording.channels]
+    datasets = _write_series(target, "channels", channels, reserved)
+    scales = {clock.name: scale for (_, clock), scale in zip(clocks, time_scales, strict=True)}
+    for channel, dataset in zip(recording.channels, datasets, strict=True):
         target.attach_scale(dataset, 0, scales[channel.clock])
-    target.write_texts("channels", tuple(names))
+
+
+def _write_series(
+    target: Target,
+    list_name: str,
+    series: Iterable[tuple[str, Clock | Channel | Series]],
+    reserved: Sequence[str] = (),
+) -> list[Any]:
+    """Write records with one array and texts as datasets, and return the datasets.
+
+    Parameters
+    ----------
+    target : group of the datasets
+    list_name : name of the attribute that lists the names of the datasets
+    series : name and record of each dataset; the name is changed if it is not valid or in use
+    reserved : names that no dataset may have
+    """
+    datasets = []
+    for name, record in series:
+        ((field, spec),) = list_datasets(type(record)).items()
+        link_name = make_link_name(name, [*target.group, *reserved])
+        unit = UNSTATED_UNIT if record.unit is None else record.unit
+        dataset = target.write_array(link_name, getattr(record, field), spec, unit)
+        for attribute, text_field in _SERIES_TEXTS[type(record)].items():
+            dataset.attrs[attribute] = getattr(record, text_field)
+        datasets.append(dataset)
+    target.write_texts(list_name, [dataset.name.rpartition("/")[2] for dataset in datasets])
+    return datasets
+
+
+def _read_series(group: Any, name: str, kind: Any) -> Any:
+    """Read a record that `_write_series` wrote as the dataset `name`."""
+    ((field, spec),) = list_datasets(kind).items()
+    texts = {key: read_text(group[name], label) for label, key in _SERIES_TEXTS[kind].items()}
+    unit: str | None = read_text(group[name], "unit")
+    if kind is Channel and unit == UNSTATED_UNIT:
+        unit = None
+    return kind(**{field: read_array(group, name, spec)}, **texts, unit=unit)
 
 
 def _write_markers(target: Target, tracks: MarkerTracks) -> None:
     """Write marker tracks, and a group for each rigid body with the same times."""
-    markers, bodies = target.open_group(_MARKERS), target.open_group(_BODIES)
+    markers, bodies = target.open_group("markers"), target.open_group("rigid_bodies")
     write_record(markers, tracks)
     names: list[str] = []
     for body in tracks.bodies:
         names.append(make_link_name(body.name, names))
         body_group = bodies.open_group(names[-1])
-        body_group.link_dataset(
-            layout.TIME, markers.group[layout.TIME], list_datasets(MarkerTracks)["time"]
-        )
+        body_group.link_dataset("time", markers.group["time"], list_datasets(MarkerTracks)["time"])
         write_record(body_group, body)
     bodies.write_texts("bodies", tuple(names))
 
@@ -491,11 +288,13 @@ def read_recording(group: Any) -> Recording:
     recording = read_record(
         group,
         Recording,
-        clocks=tuple(_read_clock(group, name) for name in read_texts(group, "clocks")),
-        channels=tuple(_read_channel(group, name) for name in read_texts(group, "channels")),
-        markers=_read_markers(group) if _MARKERS in group else None,
+        clocks=tuple(_read_series(group, name, Clock) for name in read_texts(group, "clocks")),
+        channels=tuple(
+            _read_series(group, name, Channel) for name in read_texts(group, "channels")
+        ),
+        markers=_read_markers(group) if "markers" in group else None,
         metadata=dict(json.loads(read_text(group, "metadata")).items()),
-        notes=read_table(group, _NOTES, QualityNote),
+        notes=read_table(group, "notes", QualityNote),
     )
     _require_equal_lengths(recording)
     return recording
@@ -516,27 +315,13 @@ def _require_equal_lengths(recording: Recording) -> None:
             raise ValueError(message)
 
 
-def _read_clock(group: Any, name: str) -> Clock:
-    """Read the clock in a dataset."""
-    time = read_array(group, name, list_datasets(Clock)["time"])
-    return Clock(read_text(group[name], "clock"), time, read_text(group[name], "unit"))
-
-
-def _read_channel(group: Any, name: str) -> Channel:
-    """Read the channel in a dataset."""
-    fields = {key: read_text(group[name], attribute) for key, attribute in _CHANNEL_TEXTS.items()}
-    unit = read_text(group[name], "unit")
-    values = read_array(group, name, _CHANNEL)
-    return Channel(**fields, values=values, unit=None if unit == layout.UNSTATED_UNIT else unit)
-
-
 def _read_markers(group: Any) -> MarkerTracks:
     """Read the marker tracks and rigid bodies of a recording."""
-    bodies = group[_BODIES]
+    bodies = group["rigid_bodies"]
     all_bodies = tuple(
         read_record(bodies[name], RigidBody) for name in read_texts(bodies, "bodies")
     )
-    return read_record(group[_MARKERS], MarkerTracks, bodies=all_bodies)
+    return read_record(group["markers"], MarkerTracks, bodies=all_bodies)
 
 
 def write_raw(target: Target, result: TestResult) -> None:
@@ -591,18 +376,13 @@ def write_aligned(target: Target, aligned: Aligned) -> None:
     aligned : signals of the test on one clock
     """
     write_arrays(target, aligned)
-    names: list[str] = []
-    for name, series in aligned.series.items():
-        names.append(make_link_name(name, [*target.group, layout.EVENTS]))
-        dataset = target.write_array(
-            names[-1], series.values, list_datasets(Series)["values"], series.unit
-        )
-        set_text(dataset, "name", name)
-    target.write_texts("series", tuple(names))
+    datasets = _write_series(target, "series", aligned.series.items(), ("events",))
+    for name, dataset in zip(aligned.series, datasets, strict=True):
+        dataset.attrs["name"] = name
     target.attach_scales()
     if aligned.clock_fit is not None:
         write_attributes(target, aligned.clock_fit)
-        write_arrays(target.open_group(layout.EVENTS), aligned.clock_fit)
+        write_arrays(target.open_group("events"), aligned.clock_fit)
 
 
 def read_aligned(root: Any) -> Aligned | None:
@@ -612,18 +392,16 @@ def read_aligned(root: Any) -> Aligned | None:
     ----------
     root : open result file
     """
-    if layout.ALIGNED not in root:
+    if "aligned" not in root:
         return None
-    group, values = root[layout.ALIGNED], list_datasets(Series)["values"]
+    group = root["aligned"]
     series = {
-        read_text(group[name], "name"): Series(
-            read_array(group, name, values), read_text(group[name], "unit")
-        )
+        read_text(group[name], "name"): _read_series(group, name, Series)
         for name in read_texts(group, "series")
     }
     fit = None
-    if layout.EVENTS in group:
-        events = read_arrays(group[layout.EVENTS], ClockFit)
+    if "events" in group:
+        events = read_arrays(group["events"], ClockFit)
         fit = ClockFit(**events, **read_attributes(group, ClockFit))
     return read_record(group, Aligned, series=series, clock_fit=fit)
 
@@ -641,9 +419,9 @@ def write_curve(target: Target, result: TestResult, curve: Curve) -> None:
     for name, numbers in zip(("branch", "cycle"), curve.assign_samples(), strict=True):
         target.write_array(name, numbers, _SAMPLE_NUMBER)
     target.attach_scales()
-    write_table(target, layout.BRANCHES, Branch, curve.branches, curve.time_unit)
-    write_optional_table(target, layout.SLIPS, Slip, result.slips)
-    write_optional_table(target, layout.LINES, FittedLine, result.lines)
+    write_table(target, "branches", Branch, curve.branches, curve.time_unit)
+    write_optional_table(target, "slips", Slip, result.slips)
+    write_optional_table(target, "lines", FittedLine, result.lines)
 
 
 def read_curve(root: Any) -> dict[str, Any]:
@@ -658,15 +436,15 @@ def read_curve(root: Any) -> dict[str, Any]:
     Values of the fields `curve`, `slips` and `lines` of `TestResult`; without a curve, only `curve`
     with None.
     """
-    if layout.CURVE not in root:
+    if "curve" not in root:
         return {"curve": None}
-    group = root[layout.CURVE]
-    time_unit = read_text(group[layout.TIME], "unit")
-    branches = read_table(group, layout.BRANCHES, Branch, time_unit)
+    group = root["curve"]
+    time_unit = read_text(group["time"], "unit")
+    branches = read_table(group, "branches", Branch, time_unit)
     return {
         "curve": read_record(group, Curve, branches=branches),
-        "slips": read_optional_table(group, layout.SLIPS, Slip),
-        "lines": read_optional_table(group, layout.LINES, FittedLine),
+        "slips": read_optional_table(group, "slips", Slip),
+        "lines": read_optional_table(group, "lines", FittedLine),
     }
 
 
@@ -692,7 +470,7 @@ def write_bending(target: Target, bending: Bending) -> None:
     write_record(target, bending.cloud)
     write_attributes(target, bending)
     if bending.law is not None:
-        write_record(target.open_group(layout.LAW), bending.law)
+        write_record(target.open_group("law"), bending.law)
 
 
 def read_bending(root: Any) -> Bending | None:
@@ -702,10 +480,10 @@ def read_bending(root: Any) -> Bending | None:
     ----------
     root : open result file
     """
-    if layout.BENDING not in root:
+    if "bending" not in root:
         return None
-    group = root[layout.BENDING]
-    law = read_record(group[layout.LAW], MeasuredLaw) if layout.LAW in group else None
+    group = root["bending"]
+    law = read_record(group["law"], MeasuredLaw) if "law" in group else None
     return read_record(group, Bending, cloud=read_record(group, BendingCloud), law=law)
 
 
@@ -717,13 +495,13 @@ def write_results(target: Target, results: Sequence[Result]) -> None:
     target : root of the result file
     results : results of the test
     """
-    group = target.open_group(layout.RESULTS)
+    group = target.open_group("results")
     group.write_texts("order", tuple(result.name for result in results))
     rows, budget_rows = [], []
     for result in results:
         result_group = group.open_group(result.name)
-        set_number(result_group.group, "value", _none_to_nan(result.value))
-        set_text(result_group.group, "seal", result.seal)
+        result_group.group.attrs["value"] = _none_to_nan(result.value)
+        result_group.group.attrs["seal"] = result.seal
         write_attributes(result_group, result, skip=("name", "value"))
         interval = result.interval or Interval(nan, nan, nan)
         numbers = result.value, result.best_estimate, interval.lower, interval.upper
@@ -733,7 +511,7 @@ def write_results(target: Target, results: Sequence[Result]) -> None:
             cells = (result.name, row.cause, row.change, result.unit, share, row.is_common)
             budget_rows.append(BudgetRow(*cells))
     write_table(group, "table", ResultRow, rows)
-    write_optional_table(target, layout.BUDGETS, BudgetRow, budget_rows)
+    write_optional_table(target, "budgets", BudgetRow, budget_rows)
 
 
 def read_results(root: Any) -> tuple[Result, ...]:
@@ -748,10 +526,10 @@ def read_results(root: Any) -> tuple[Result, ...]:
     ValueError
         If the numbers of a result do not match its seal.
     """
-    group, budgets = root[layout.RESULTS], dict[str, list[Contribution]]()
-    if layout.BUDGETS in root:
+    group, budgets = root["results"], dict[str, list[Contribution]]()
+    if "budgets" in root:
         names = ("result", "cause", "change", "is_common")
-        columns = read_columns(root[layout.BUDGETS], BudgetRow, names)
+        columns = read_columns(root["budgets"], BudgetRow, names)
         for result_name, cause, change, is_common in zip(*columns, strict=True):
             contribution = Contribution(cause, change, bool(is_common))
             budgets.setdefault(result_name, []).append(contribution)
@@ -766,3 +544,138 @@ def read_results(root: Any) -> tuple[Result, ...]:
             raise ValueError(message)
         results.append(result)
     return tuple(results)
+
+
+def write_test(target: Target, result: TestResult) -> None:
+    """Write all parts of a test.
+
+    Parameters
+    ----------
+    target : root of the result file
+    result : processed test
+    """
+    target.group.attrs[SCHEMA_ATTRIBUTE] = SCHEMA_VERSION
+    write_attributes(target, result)
+    target.group.attrs["display"] = json.dumps(dict(result.display), ensure_ascii=False)
+    write_specimen(target, result.specimen)
+    write_raw(target.open_group("raw"), result)
+    if result.aligned is not None:
+        write_aligned(target.open_group("aligned"), result.aligned)
+    if result.curve is not None:
+        write_curve(target.open_group("curve"), result, result.curve)
+    if result.shape is not None:
+        write_record(target.open_group("shape"), result.shape)
+    if result.bending is not None:
+        write_bending(target.open_group("bending"), result.bending)
+    write_optional_table(target, "instruments", Instrument, result.instruments)
+    write_results(target, result.results)
+    write_table(target, "quality", QualityNote, result.quality)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RawTest:
+    """Parts of a result file that are sufficient to process the test again.
+
+    Parameters
+    ----------
+    test : name of the test
+    specimen : specimen that was tested
+    protocol : name of the protocol
+    protocol_yaml : YAML text of the resolved protocol
+    test_yaml : YAML text of the test sheet
+    labpipe_version : version of labpipe that wrote the file
+    inputs : exports with their SHA-256
+    recordings : recordings, keyed by role
+    """
+
+    test: str
+    specimen: Specimen
+    protocol: str
+    protocol_yaml: str
+    test_yaml: str
+    labpipe_version: str
+    inputs: tuple[InputFile, ...]
+    recordings: Mapping[str, Recording]
+
+
+FrameChoice = Callable[[TestResult, Floats], tuple[Ints, Floats]]
+"""Function that chooses frames, given the test and the times of all frames, s.
+
+It returns the indices of the chosen frames, in increasing order, and their deflections, m.
+"""
+
+
+def _read_common_fields(root: Any, *, has_raw: bool = True) -> dict[str, Any]:
+    """Read the fields that `TestResult` and `RawTest` share, with or without recordings."""
+    group = root["raw"]
+    roles = read_texts(group, "roles") if has_raw else ()
+    return {
+        **read_attributes(root, RawTest),
+        "specimen": read_specimen(root),
+        "inputs": read_inputs(group),
+        "recordings": {role: read_recording(group[role]) for role in roles},
+    }
+
+
+def read_test(root: Any, stages: Collection[str] = ()) -> TestResult:
+    """Read curve and results of a test, and the requested stages.
+
+    Parameters
+    ----------
+    root : open result file
+    stages : names of further parts: ``raw``, ``aligned``, ``shape``, ``bending``. Aligned signals
+        are also read if slips were repaired
+    """
+    display = json.loads(read_text(root, "display"))
+    curve = read_curve(root)
+    is_repaired = any(slip.decision is SlipDecision.REPAIRED for slip in curve.get("slips", ()))
+    has_shape = "shape" in stages and "shape" in root
+    return TestResult(
+        **_read_common_fields(root, has_raw="raw" in stages),
+        **read_attributes(root, TestResult, skip=list_attributes(RawTest)),
+        **curve,
+        results=read_results(root),
+        quality=read_table(root, "quality", QualityNote),
+        display={str(key): str(unit) for key, unit in display.items()},
+        instruments=read_optional_table(root, "instruments", Instrument),
+        aligned=read_aligned(root) if "aligned" in stages or is_repaired else None,
+        shape=read_record(root["shape"], Shape) if has_shape else None,
+        bending=read_bending(root) if "bending" in stages else None,
+    )
+
+
+def read_reported_test(
+    root: Any, choose_frames: FrameChoice
+) -> tuple[TestResult, DrawnShapes | None, DrawnLaw | None]:
+    """Read the parts of a test that a report shows.
+
+    Parameters
+    ----------
+    root : open result file
+    choose_frames : function that chooses the frames whose shapes are read
+
+    Returns
+    -------
+    result : curve and results of the test
+    shapes : shapes at the chosen frames; None without shapes
+    law : moment-curvature law of the first loading; None without a measured law
+    """
+    result, shapes, law = read_test(root), None, None
+    if "shape" in root:
+        group, datasets = root["shape"], list_datasets(Shape)
+        frames, deflection = choose_frames(result, read_array(group, "time", datasets["time"]))
+        positions = read_array_rows(group, "positions", datasets["positions"], frames)
+        shapes = DrawnShapes(deflection, positions[:, :, :2])
+    if (group := root.get("bending/law")) is not None:
+        law = DrawnLaw(**read_arrays(group, MeasuredLaw, list_datasets(DrawnLaw)))
+    return result, shapes, law
+
+
+def read_raw_test(root: Any) -> RawTest:
+    """Read the parts of a test that are sufficient to process it again.
+
+    Parameters
+    ----------
+    root : open result file
+    """
+    return RawTest(**_read_common_fields(root))

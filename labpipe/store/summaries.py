@@ -55,10 +55,7 @@ def build_summary(result: TestResult) -> dict[str, object]:
         },
         "results": [build_result_entry(entry) for entry in result.results],
         **({} if verdict is None else {"verdict": to_json(verdict)}),
-        "quality": [
-            {"code": note.code, "severity": str(note.severity), "message": note.message}
-            for note in result.quality
-        ],
+        "quality": [select_json(note, "code", "severity", "message") for note in result.quality],
     }
 
 
@@ -159,11 +156,9 @@ def build_result_entry(result: Result) -> dict[str, object]:
     return entry
 
 
-def _build_inputs(inputs: Iterable[InputFile]) -> list[dict[str, str]]:
+def _build_inputs(inputs: Iterable[InputFile]) -> list[dict[str, Any]]:
     """Build the entries of the exports of a test."""
-    return [
-        {"role": export.role, "file": export.file, "sha256": export.sha256} for export in inputs
-    ]
+    return [select_json(export, "role", "file", "sha256") for export in inputs]
 
 
 def check_summary(result: TestResult, path: Path) -> None:

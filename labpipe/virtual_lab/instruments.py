@@ -12,14 +12,14 @@ and there are no mishaps.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from labpipe.records.arrays import Floats
-from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording, RigidBody
+from labpipe.records.recording import RigidBody
 
 FORCE_PATH = "Model Root/Load Cell"
 """Path of the output of the load cell in the model of the force recorder."""
@@ -213,16 +213,6 @@ class ForceRecord:
         """Return the output of the load cell, shape (samples,), V."""
         return self.signals[FORCE_PATH]
 
-    @property
-    def recording(self) -> Recording:
-        """Return the record as read from its export, without units."""
-        channels = tuple(
-            Channel(name=PORT, path=f"{path}/{PORT}", values=column, clock="HostService")
-            for path, column in self.signals.items()
-        )
-        clock = Clock("HostService", self.clock)
-        return Recording(reader="dspace-mat", clocks=(clock,), channels=channels)
-
 
 @dataclass(frozen=True, slots=True)
 class ExportLayout:
@@ -258,16 +248,6 @@ class FrameRecord:
     force: Floats
     layout: ExportLayout = ExportLayout()
     test_type: str = "tensile test"
-
-    @property
-    def recording(self) -> Recording:
-        """Return the record as read from its export, in SI units."""
-        travel, force = round_to_single(self.displacement), round_to_single(self.force)
-        channels = (
-            Channel("Crosshead", "Crosshead", travel, unit="m", unit_in_file="mm"),
-            Channel("Load", "Load", force, unit="N", unit_in_file="N"),
-        )
-        return Recording("load-frame", clocks=(Clock("time", self.time),), channels=channels)
 
 
 def round_to_single(values: Floats) -> Floats:
@@ -334,23 +314,6 @@ class Take:
     labels: tuple[str, ...]
     log: tuple[MishapEvent, ...]
     unit: str
-
-    @property
-    def recording(self) -> Recording:
-        """Return the take as read from an export in metres with six decimals, without `fitted`."""
-        fields = ("position", "rotation", "error")
-        tracks = MarkerTracks(
-            time=self.time,
-            frames=np.arange(len(self.time), dtype=np.float64),
-            rate=self.rate,
-            names=self.names,
-            positions=self.positions.round(6),
-            bodies=tuple(
-                replace(body, **{field: getattr(body, field).round(6) for field in fields})
-                for body in self.bodies
-            ),
-        )
-        return Recording(reader="motive-csv", markers=tracks)
 
 
 def simulate_take(

@@ -51,7 +51,6 @@ from xlsxwriter import Workbook
 
 from labpipe.protocol.load import find_shipped_folder
 from labpipe.records.arrays import Floats
-from labpipe.records.recording import Recording
 from labpipe.store.replace import map_errors
 from labpipe.virtual_lab.cantilever_scenarios import CantileverScenario, Truth
 from labpipe.virtual_lab.instruments import (
@@ -95,11 +94,6 @@ class Observation(Generic[S]):
     seed: int
     records: Mapping[str, Any]
     truth: Truth
-
-    @property
-    def recordings(self) -> dict[str, Recording]:
-        """Return the records as read from their exports, by role: forces in volts, others in SI."""
-        return {role: record.recording for role, record in self.records.items()}
 
 
 def observe(scenario: S, seed: int) -> Observation[S]:

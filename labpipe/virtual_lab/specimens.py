@@ -201,10 +201,8 @@ class StrandedWire:
 
     def build_law(self) -> PlayLaw:
         """Build the law of moment against curvature, with hysteresis; see `build_loading_law`."""
-        law = self.build_loading_law()
-        if self.isotropic_share == 0.0:
-            return law
-        return harden_plays(law, self.build_section(), self.isotropic_share, factor=self.factor)
+        law, layers = self.build_loading_law(), self.build_section().layers
+        return harden_plays(law, layers, self.isotropic_share, factor=self.factor)
 
     @property
     def mass_per_length(self) -> float:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -13,8 +14,10 @@ from labpipe.process.story import reduce_recordings
 from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.schema import Protocol
 from labpipe.records.arrays import Floats
+from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording, RigidBody
 from labpipe.records.result import Result
 from labpipe.virtual_lab import observe, simulate_test
+from labpipe.virtual_lab.instruments import PORT, ForceRecord, FrameRecord, Take, round_to_single
 from labpipe.virtual_lab.lab_files import Observation
 from labpipe.virtual_lab.tensile import TensileScenario
 from tests.builders.small_tests import LabFolder
@@ -68,9 +71,38 @@ def shipped(repository: Path, name: str) -> Protocol:
 
 def reduced_in_memory(test: Observation[TensileScenario], protocol: Protocol) -> tuple[Result, ...]:
     """Results of an observation, without files in between."""
-    frame, names = test.recordings["frame"], {"Load": "force", "Crosshead": "displacement"}
+    frame, names = recordings_of(test)["frame"], {"Load": "force", "Crosshead": "displacement"}
     channels = tuple(replace(channel, name=names[channel.name]) for channel in frame.channels)
     return reduce_recordings({"frame": replace(frame, channels=channels)}, protocol).results
+
+
+def recordings_of(test: Observation[Any]) -> dict[str, Recording]:
+    """What the exports of an observation would be read as, by role: forces in V, others in SI."""
+    return {role: _as_read(record) for role, record in test.records.items()}
+
+
+def _as_read(record: ForceRecord | FrameRecord | Take) -> Recording:
+    if isinstance(record, ForceRecord):
+        signals = tuple(
+            Channel(PORT, f"{path}/{PORT}", values, "HostService")
+            for path, values in record.signals.items()
+        )
+        return Recording("dspace-mat", "", "", (Clock("HostService", record.clock),), signals)
+    if isinstance(record, FrameRecord):
+        travel, force = round_to_single(record.displacement), round_to_single(record.force)
+        channels = (
+            Channel("Crosshead", "Crosshead", travel, unit="m", unit_in_file="mm"),
+            Channel("Load", "Load", force, unit="N", unit_in_file="N"),
+        )
+        return Recording("load-frame", clocks=(Clock("time", record.time),), channels=channels)
+    bodies = tuple(
+        RigidBody(body.name, *(x.round(6) for x in (body.position, body.rotation, body.error)))
+        for body in record.bodies
+    )
+    frames = np.arange(float(len(record.time)))
+    positions = record.positions.round(6)
+    tracks = MarkerTracks(record.time, frames, record.rate, record.names, positions, bodies)
+    return Recording("motive-csv", markers=tracks)
 
 
 def true_results(scenario: TensileScenario, seed: int) -> dict[str, float]:

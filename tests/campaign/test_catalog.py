@@ -28,21 +28,21 @@ from labpipe.campaign.catalog import (
     SCHEMA,
     STALE,
     Catalog,
+    Claim,
     Entry,
     FileState,
-    ResultRow,
     TestRow,
     convert_sqlite_errors,
     is_alive,
-    make_catalog,
-    make_claim,
+    open_catalog,
 )
 from labpipe.campaign.executors import BYTES_PER_TEST, choose_default_jobs
 from labpipe.campaign.running import read_overview
 from labpipe.errors import StoreError, UsageError
+from labpipe.store.layout import ResultRow
 from tests.builders.lab_campaigns import LabCampaign, content_of
 
-RESULT = ResultRow("peak", 1.5, "N", 1.0, 2.0, 0.95, None, "ok", "", "")
+RESULT = ResultRow("peak", 1.5, None, 1.0, 2.0, "N", 0.95, "ok", "", "")
 ENTRY = Entry(
     TestRow("T1", test="T1", state=OK, run="r"),
     FileState("{}", "m"),
@@ -52,7 +52,7 @@ ENTRY = Entry(
 
 @pytest.fixture
 def catalog(tmp_path: Path) -> Iterator[Catalog]:
-    catalog = make_catalog(tmp_path)
+    catalog = open_catalog(tmp_path, [])
     yield catalog
     catalog.close()
 
@@ -207,19 +207,21 @@ def test_name_that_is_not_utf8_is_reported(campaign_folders: CampaignFolders) ->
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux tells when a process began")
-def test_claim_ends_with_its_process() -> None:
+def test_claim_ends_with_its_process(catalog: Catalog) -> None:
+    catalog.claim_test("T1")
+    own_claim = catalog.read_claims()["T1"]
     ended = subprocess.Popen([sys.executable, "-c", ""])
     os.waitid(os.P_PID, ended.pid, os.WEXITED | os.WNOWAIT)  # it is a zombie from here on
-    claim = make_claim()._replace(pid=ended.pid, process="")
+    claim = own_claim._replace(pid=ended.pid, process="")
     assert not is_alive(claim)
     ended.wait()
     assert not is_alive(claim)
-    assert is_alive(make_claim())
-    assert not is_alive(make_claim()._replace(process="another boot 1"))
+    assert is_alive(own_claim)
+    assert not is_alive(own_claim._replace(process="another boot 1"))
 
 
 def test_old_claims_of_other_hosts_are_ignored() -> None:
-    claim = make_claim()._replace(host="elsewhere", pid=1)
+    claim = Claim("elsewhere", 1, "", time.time())
     assert is_alive(claim)
     for age in (MAX_CLAIM_AGE + 1, -MAX_CLAIM_AGE - 1):  # the second: a clock that was set back
         assert not is_alive(claim._replace(since=time.time() - age))
@@ -250,5 +252,5 @@ def test_interrupted_replacement_is_completed(campaign_folders: CampaignFolders)
     (files.parent / "gone").write_text("", "utf-8")
     for name in ("summary.json", "result.h5"):
         (files / name).write_text("{}", "utf-8")
-    assert list_processed(campaign_folders)["T1"].has_results
+    assert list_processed(campaign_folders)["T1"].names == {"summary.json", "result.h5"}
     assert sorted(path.name for path in folder.iterdir()) == ["result.h5", "summary.json"]

@@ -15,9 +15,8 @@ from labpipe.campaign.catalog import (
     OK,
     Catalog,
     Entry,
-    ResultRow,
     TestRow,
-    make_catalog,
+    open_catalog,
     write_json,
 )
 from labpipe.campaign.queries import (
@@ -28,13 +27,14 @@ from labpipe.campaign.queries import (
 )
 from labpipe.errors import UsageError
 from labpipe.report.wording import replace_unprintable
+from labpipe.store.layout import ResultRow
 
 NASTY = "=1+1 " + string.printable + "\x00\x1b[31m\u202eü"
 
 
 def result(name: str, value: float | None, **more: object) -> ResultRow:
     texts = {"status": "ok", "code": "", "reason": ""} | more
-    return ResultRow(name, value, "N", None, None, 0.95, value, **texts)  # type: ignore[arg-type]
+    return ResultRow(name, value, value, None, None, "N", 0.95, **texts)  # type: ignore[arg-type]
 
 
 def test_row(folder: str, kind: str, **specimen: object) -> TestRow:
@@ -48,7 +48,7 @@ test_row.__test__ = False  # type: ignore[attr-defined]
 
 @pytest.fixture
 def catalog(tmp_path: Path) -> Iterator[Catalog]:
-    catalog = make_catalog(tmp_path)
+    catalog = open_catalog(tmp_path, [])
     peaks = (result("peak_force.1", 1.5), result("energy.1", None, status="failed", code="no_end",
                                                   reason="it has no end"))  # fmt: skip
     first = test_row("T1", "A1", length=0.085, labels={"room temperature": "23", "cured": "24 h"})

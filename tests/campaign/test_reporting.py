@@ -29,7 +29,7 @@ from labpipe.protocol.schema import SpecimenBlock
 from labpipe.protocol.source import Section
 from labpipe.records.group import Sample
 from labpipe.records.result import Specimen, TestResult
-from labpipe.store.result_files import ReportedTest, read_result
+from labpipe.store.result_files import read_result
 from tests.builders.pulls import broken, pull, slipped
 from tests.builders.tensile_tests import TensileLab, write_pull
 
@@ -205,7 +205,7 @@ def read_pull(pulls: Path, name: str) -> TestResult:
 
 
 def sample_of(result: TestResult, source: str = "") -> Sample:
-    return make_sample(ReportedTest(result, None, None), source=source)
+    return replace(make_sample(result), source=source)
 
 
 def test_sample_has_thinned_branches_up_to_the_failure(pulls: Path) -> None:

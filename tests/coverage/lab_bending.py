@@ -35,6 +35,7 @@ from labpipe.virtual_lab.lab_files import Observation, write_sheet
 from labpipe.virtual_lab.specimens import CONDUIT_TYPES, TAPED_TYPES
 from labpipe.virtual_lab.three_point import ConduitScenario, ThreePointTest, solve_three_point
 from tests.builders.bent_tests import law_moment
+from tests.builders.tensile_tests import recordings_of
 from tests.builders.three_point import ElasticModel
 from tests.coverage.lab_tensile import wandering
 from tests.judges.foreign.rig import scale, stated
@@ -106,10 +107,9 @@ def on_a_string(
     """
     test, name = observe(scenario, seed), scenario.protocol
     plan = _plan(write_sheet(_as_written(scenario, seed), ROLES), folder, protocols)
-    force = _wandering(test.recordings["force"], scenario.load_cell, name, seed)
-    results = _reduced(
-        {"force": force, "markers": _filmed(test.recordings["markers"], name, seed)}, plan
-    )
+    seen = recordings_of(test)
+    force = _wandering(seen["force"], scenario.load_cell, name, seed)
+    results = _reduced({"force": force, "markers": _filmed(seen["markers"], name, seed)}, plan)
     return results, taped_truth(test) if name == "taped-bundle" else wire_truth(test)
 
 
@@ -119,15 +119,15 @@ def on_two_supports(
     """The same of a conduit bundle."""
     test = observe(scenario, seed)
     name, random = scenario.protocol, np.random.default_rng([seed, 71])
-    markers = _filmed(test.recordings["markers"], name, seed)
+    seen = recordings_of(test)
     roles: dict[str, Recording] = {
-        "force": _wandering(test.recordings["force"], scenario.load_cell, name, seed),
-        "markers": markers,
+        "force": _wandering(seen["force"], scenario.load_cell, name, seed),
+        "markers": _filmed(seen["markers"], name, seed),
     }
     span, speed, travel, centre = random.standard_normal(4).tolist()
-    if "frame" in test.records:
+    if "frame" in seen:
         travel *= scale(name, "frame", "displacement")
-        roles["frame"] = _in_file(test.recordings["frame"], 1.0 + travel)
+        roles["frame"] = _in_file(seen["frame"], 1.0 + travel)
     span *= stated(name, "specimen", "uncertainty", "span")
     centre *= stated(name, "markers", "centre_uncertainty")
     told = 1.0 + SPEED_ERROR * speed  # of the way that speed and time make

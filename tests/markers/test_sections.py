@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from labpipe.markers.three_point_axis import (
-    SIDES,
+    MARKER_DIRECTIONS,
     Sections,
     _find_motion_direction,
     _linearise,
@@ -16,7 +16,7 @@ from labpipe.markers.three_point_axis import (
     find_sections,
     fit_bent_axis,
     fit_rest_axis,
-    fit_span,
+    fit_specimen_shape,
 )
 from labpipe.markers.track_repair import RepairedTracks, compute_ring_centres
 from labpipe.records.arrays import Flags, Floats
@@ -79,7 +79,7 @@ def take(**more: object) -> tuple[MarkerTracks, Flags]:
 
 def test_frame_and_sections() -> None:
     markers, rest = take()
-    sections = find_sections(markers.positions, rest=rest, min_distance=0.004)
+    sections = find_sections(markers.positions, rest, min_distance=0.004)
 
     assert sections.count == 15
     assert np.allclose(np.diff(sections.x), 0.0127, atol=1e-6)
@@ -92,7 +92,7 @@ def test_frame_and_sections() -> None:
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_the_axis_lies_a_radius_from_every_marker(sign: float) -> None:
     markers, rest = take()
-    sections = find_sections(markers.positions, rest=rest, min_distance=0.004)
+    sections = find_sections(markers.positions, rest, min_distance=0.004)
 
     axis = fit_rest_axis(sections, radius=RADIUS, direction=(0.0, sign))
 
@@ -147,7 +147,7 @@ def test_the_small_bend_of_an_elastic_beam() -> None:
     # To 1 %: over a span the three powers are nearly alike, only their sum is well known.
     assert bent.coefficients[0] == pytest.approx([0.01, 0.0, 0.0], abs=1e-4)
     assert bent.deflection[0] == pytest.approx(0.01 * SPAN**2 / 12.0, rel=1e-3)
-    assert abs(bent.support_slope[0]) == pytest.approx(0.01 * SPAN / 4.0, rel=1e-2)
+    assert abs(bent.mean_support_gradient[0]) == pytest.approx(0.01 * SPAN / 4.0, rel=1e-2)
 
 
 def test_a_line_is_no_bend_and_missing_points_are_left_out() -> None:
@@ -182,7 +182,7 @@ def test_the_axis_behind_a_row_of_markers_is_on_the_far_side() -> None:
     row = np.column_stack([np.linspace(-0.1, 0.1, 7), np.full((7, 2), 1e-3)])
     numbers = np.arange(7)
     sections = Sections(row[None], row, numbers, numbers, np.eye(3))
-    sides = [towards for side in ("load", "away", "side") for towards in SIDES[side]]
+    sides = [towards for side in ("load", "away", "side") for towards in MARKER_DIRECTIONS[side]]
     axes = [fit_rest_axis(sections, radius=0.004, direction=towards) for towards in sides]
     expected = [[-3e-3, 1e-3], [5e-3, 1e-3], [1e-3, -3e-3], [1e-3, 5e-3]]
     assert np.array(axes) == pytest.approx(np.array(expected))
@@ -206,10 +206,10 @@ def test_a_bent_rod_with_two_rows_of_markers(facing: str) -> None:
     record = BendingRecord(noise=(0.0, 0.0, 1e-7), angles=tuple(float(angle) for angle in angles))
     take = tracks(record, np.random.default_rng(0))
     rest = np.asarray(take.time < 2.0)
-    sections = find_sections(take.positions, rest=rest, min_distance=0.004)
+    sections = find_sections(take.positions, rest, min_distance=0.004)
     is_bent = np.nanmax(np.abs(sections.markers[..., 1] - sections.rest_xyz[:, 1]), axis=1) > 0.015
 
-    shape = fit_span(sections, span=SPAN, radius=RADIUS, side=facing, is_bent=is_bent)
+    shape = fit_specimen_shape(sections, span=SPAN, radius=RADIUS, side=facing, is_bent=is_bent)
 
     top = int(np.argmin(np.abs(take.time - record.cameras_early - record.lasts)))
     assert shape.axis.mid_span_curvature[top] == pytest.approx(curvature_at(STROKE), rel=8e-3)
@@ -238,17 +238,17 @@ def test_what_makes_no_sections() -> None:
             compute_ring_centres(ring, {"low": members})
     made, rest = take()
     with pytest.raises(ValueError, match="2 markers seen at rest: expected at least 3"):
-        find_sections(made.positions[:, :2], rest=rest, min_distance=0.004)
+        find_sections(made.positions[:, :2], rest, min_distance=0.004)
     with pytest.raises(ValueError, match="the markers do not move: expected a specimen that is"):
-        find_sections(np.repeat(made.positions[:1], 80, axis=0), rest=rest[:80], min_distance=0.004)
+        find_sections(np.repeat(made.positions[:1], 80, axis=0), rest[:80], min_distance=0.004)
     is_bent = np.asarray(np.abs(made.time - 62.0) < 20.0)
     for count, message in (
         (16, r"-80.17 mm to \+8.7.* some 45.72 mm away on both sides, which is 60 % of half"),
         (10, "5 sections with markers: expected at least 6"),
     ):
-        sections = find_sections(made.positions[:, :count], rest=rest, min_distance=0.004)
+        sections = find_sections(made.positions[:, :count], rest, min_distance=0.004)
         with pytest.raises(ValueError, match=message):
-            fit_span(sections, span=SPAN, radius=RADIUS, side="side", is_bent=is_bent)
-    sections = find_sections(made.positions, rest=rest, min_distance=0.004)
+            fit_specimen_shape(sections, span=SPAN, radius=RADIUS, side="side", is_bent=is_bent)
+    sections = find_sections(made.positions, rest, min_distance=0.004)
     with pytest.raises(ValueError, match=r"sections with markers 2 lie between supports 15.24 mm"):
-        fit_span(sections, span=0.01524, radius=RADIUS, side="side", is_bent=is_bent)
+        fit_specimen_shape(sections, span=0.01524, radius=RADIUS, side="side", is_bent=is_bent)

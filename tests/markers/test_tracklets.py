@@ -165,8 +165,8 @@ def test_of_two_images_equally_near_neither_is_taken() -> None:
 
 
 def test_names_the_program_gave_for_want_of_better() -> None:
-    assert all(map(is_unlabelled, ("Unlabeled 12", "unlabelled", "Take:Unlabeled 4")))
-    assert not any(map(is_unlabelled, ("M1", "SA-low:Marker1", "tip (Unlabeled 3)")))
+    assert all(map(is_unlabelled, ("Unlabeled 12", "Take:unlabelled 4", "Marker-17")))
+    assert not any(map(is_unlabelled, ("SA-low:Marker1", "A-Marker 1", "tip (Unlabeled 3)")))
 
 
 def name(pieces: list[tuple[int, int, int, int]], names: tuple[str, ...]) -> Naming:

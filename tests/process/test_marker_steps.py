@@ -27,6 +27,7 @@ from labpipe.virtual_lab.lab_files import Observation
 from tests.approved import Approve
 from tests.builders.reasons import doubted
 from tests.builders.small_tests import small_scenario
+from tests.builders.tensile_tests import recordings_of
 from tests.builders.three_point import STROKE, BendingRecord, curvature_at, load_at, reduced
 
 
@@ -42,7 +43,7 @@ def observation() -> Observation[CantileverScenario]:
 
 @pytest.fixture
 def tracks(observation: Observation[CantileverScenario]) -> MarkerTracks:
-    take = observation.recordings["markers"].markers
+    take = recordings_of(observation)["markers"].markers
     assert take is not None
     return take
 
@@ -175,7 +176,7 @@ def test_markers_of_another_body_are_left_out(tracks: MarkerTracks, protocol: Pr
 def test_a_wrong_grip_offset_shows_in_the_fit_of_a_long_stroke(protocol: Protocol) -> None:
     usual = small_scenario()
     mechanics = replace(usual.mechanics, stroke=0.04, cycles=1)
-    take = observe(replace(usual, mechanics=mechanics), 3).recordings["markers"].markers
+    take = recordings_of(observe(replace(usual, mechanics=mechanics), 3))["markers"].markers
     assert take is not None
     assert "displacement" not in doubted(done(take, protocol)[1].entries)
     _, findings = done(take, protocol, grip_offset=0.016)

@@ -27,6 +27,7 @@ from labpipe.records.signals import Clocks, Signal, Signals
 from labpipe.results.kinds import ReducedTest
 from labpipe.virtual_lab import observe
 from tests.builders.small_tests import small_scenario
+from tests.builders.tensile_tests import recordings_of
 
 TIME: Floats = np.arange(0.0, 50.0, 0.02)
 
@@ -113,9 +114,9 @@ def reduced_wire(repository: Path, *, rest: float) -> tuple[ReducedTest, dict[st
     )
     text = (repository / "protocols" / "wire-cantilever.yaml").read_text(encoding="utf-8")
     text = text.replace("crosshead_speed: 1 mm/s", "crosshead_speed: 4 mm/s")
-    plan, take = parse_protocol(text, "p.yaml"), observe(scenario, 4)
-    force = name_channels(take.recordings["force"], plan.sources["force"], Path("force.mat"))
-    reduced = reduce_recordings({"force": force, "markers": take.recordings["markers"]}, plan)
+    plan, seen = parse_protocol(text, "p.yaml"), recordings_of(observe(scenario, 4))
+    force = name_channels(seen["force"], plan.sources["force"], Path("force.mat"))
+    reduced = reduce_recordings({"force": force, "markers": seen["markers"]}, plan)
     return reduced.reduced_test, {result.name: result for result in reduced.results}
 
 

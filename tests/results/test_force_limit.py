@@ -20,6 +20,7 @@ from labpipe.results.failures import ForceLimit
 from labpipe.statistics.lots import judge_sample
 from labpipe.virtual_lab import observe
 from labpipe.virtual_lab.tensile import build_crimp_pull
+from tests.builders.tensile_tests import recordings_of
 
 PROTOCOL = (Path(__file__).parents[2] / "protocols/crimp-pull.yaml").read_text(encoding="utf-8")
 CARD_ENTRY = "{result: force-limit, card: crimp-pull, column: silver-tin}"
@@ -158,7 +159,7 @@ def test_peaks_of_virtual_crimps_lie_in_their_intervals(separation: str) -> None
             "c", seed, strength=130.0, conductor="AWG 20", separation=separation
         )
         test = observe(scenario, seed)
-        frame = test.records["frame"].recording
+        frame = recordings_of(test)["frame"]
         names = {"Load": "force", "Crosshead": "displacement"}
         channels = tuple(replace(channel, name=names[channel.name]) for channel in frame.channels)
         protocol = parse_protocol(PROTOCOL, "p.yaml")

@@ -13,13 +13,9 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from labpipe.store.datasets import (
-    COMPRESSION_LEVEL,
     Target,
     fletcher32,
-    has_attribute,
     has_same_content,
-    make_dataset,
-    open_dataset,
     read_number,
     read_text,
     read_texts,
@@ -72,23 +68,6 @@ def test_many_chunks_and_a_part_of_one(tmp_path: Path) -> None:
         assert not has_same_content(dataset, array[:-1])
 
 
-@pytest.mark.parametrize("values", [np.zeros((5, 3)), np.arange(4), np.zeros((0, 2), np.uint8)])
-def test_datasets_are_those_of_h5py(values: np.ndarray, tmp_path: Path) -> None:
-    options = {"shuffle": True, "fletcher32": True, "track_times": False}
-    packing = {"compression": "gzip", "compression_opts": COMPRESSION_LEVEL}
-    chunk = tuple(max(size, 1) for size in values.shape)
-    most = tuple(size or None for size in values.shape)
-    with h5py.File(tmp_path / "a.h5", "w") as root:
-        dataset = make_dataset(root, "made", values, chunk)
-        expected = root.create_dataset(
-            "wanted", values.shape, values.dtype, maxshape=most, chunks=chunk, **options, **packing
-        )
-        assert dataset.id.get_create_plist() == expected.id.get_create_plist()
-        assert dataset.id.get_type() == expected.id.get_type()
-        assert (dataset.shape, dataset.maxshape) == (expected.shape, expected.maxshape)
-        assert open_dataset(root, "made") == dataset
-
-
 def test_attributes_are_read_as_h5py_reads_them(tmp_path: Path) -> None:
     texts = {"text": "Größe", "nothing": ""}
     numbers = {"value": -1.5, "count": np.int64(7), "single": np.float32(0.5)}
@@ -100,7 +79,6 @@ def test_attributes_are_read_as_h5py_reads_them(tmp_path: Path) -> None:
         assert {name: read_text(root, name) for name in texts} == texts
         assert {name: read_number(root, name) for name in numbers} == numbers
         assert (read_texts(root, "texts"), read_texts(root, "none")) == (("a", "ü", ""), ())
-        assert (has_attribute(root, "list"), has_attribute(root, "gone")) == (True, False)
         for reader, name, error in (
             (read_text, "bad", UnicodeDecodeError),
             *((read_text, name, OSError) for name in ("value", "fixed")),

@@ -16,8 +16,8 @@ from hypothesis import strategies as st
 
 from labpipe.errors import StoreError
 from labpipe.records.curve import SlipDecision
+from labpipe.store.parts import RawTest
 from labpipe.store.result_files import (
-    RawTest,
     read_outcome,
     read_raw,
     read_reported,
@@ -71,18 +71,16 @@ def test_what_a_report_draws_is_part_of_the_result(tmp_path: Path) -> None:
     path, frames = tmp_path / "result.h5", np.array([0, 3, 5])
     result = replace(build_result(half_cycle=1.0), bending=some_bending())
     write_result(result, path)
-    drawable = read_reported(path, lambda _, time: (frames, time[frames]))
-    assert differences(read_outcome(path), drawable.result) == []
-    assert drawable.shapes is not None
+    outcome, shapes, drawn_law = read_reported(path, lambda _, time: (frames, time[frames]))
+    assert differences(read_outcome(path), outcome) == []
+    assert shapes is not None
     assert result.shape is not None
-    np.testing.assert_array_equal(drawable.shapes.deflection, result.shape.time[frames])
-    np.testing.assert_array_equal(
-        drawable.shapes.positions, result.shape.positions[frames][:, :, :2]
-    )
+    np.testing.assert_array_equal(shapes.deflection, result.shape.time[frames])
+    np.testing.assert_array_equal(shapes.positions, result.shape.positions[frames][:, :, :2])
     law = some_bending().law
     assert law is not None
-    assert drawable.law is not None
-    np.testing.assert_array_equal(drawable.law.moment_upper, law.moment_upper)
+    assert drawn_law is not None
+    np.testing.assert_array_equal(drawn_law.moment_upper, law.moment_upper)
 
 
 def foreign(path: Path) -> None:

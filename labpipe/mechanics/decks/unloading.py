@@ -21,11 +21,11 @@ from labpipe.mechanics.law.sliders import (
     share_hardening,
     slide,
 )
+from labpipe.mechanics.wire.bending_law import make_strand_slider
 from labpipe.mechanics.wire.wire_table import (
     DEFAULT_SHARE_RANGE,
-    build_wire,
     compute_chord_ratio,
-    make_strand_slider,
+    make_layers,
 )
 from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats
@@ -72,8 +72,8 @@ def make_table_strands(table: WireTable) -> GrowingSlider:
         As `fit_sliders`.
     """
     law = fit_wire_sliders(table)
-    section = build_wire(table.spec).section
-    return make_strand_slider(section, law, compute_chord_ratio(law, table))
+    corners, factor = np.append(law.slip_curvatures, law.last), compute_chord_ratio(law, table)
+    return make_strand_slider(make_layers(table.spec), corners, factor=factor)
 
 
 @lru_cache(maxsize=8)

@@ -139,10 +139,10 @@ def compute_first_curvature(law: PlayLaw, moment: Floats) -> Floats:
     return corner_curvature[corner] + compliances[corner] * (moment - corner_moment[corner])
 
 
-def is_within(law: PlayLaw, moment: float) -> bool:
-    """Return whether a law covers a moment of any sign, N m, within rounding."""
+def is_within(law: PlayLaw, moment: Floats) -> Flags:
+    """Return whether a law covers moments of any sign, N m, within rounding; shape of `moment`."""
     rounding = 1e-6  # relative to the largest moment; searches end within it
-    return bool(abs(moment) <= law.largest_moment * (1.0 + rounding))
+    return np.asarray(np.abs(moment) <= law.largest_moment * (1.0 + rounding))
 
 
 def require_within(law: PlayLaw, moment: Floats, context: str) -> None:
@@ -159,9 +159,9 @@ def require_within(law: PlayLaw, moment: Floats, context: str) -> None:
     ValueError
         If a moment is beyond the end; the message states the curvatures of both.
     """
-    largest = float(np.max(np.abs(moment), initial=0.0))
-    if is_within(law, largest):
+    if is_within(law, moment).all():
         return
+    largest = float(np.max(np.abs(moment)))
     curvature, last = compute_first_curvature(law, np.array([largest, law.largest_moment]))
     message = (
         f"{context}: expected curvatures up to {last:.4g} 1/m, the end of the law, "

@@ -57,7 +57,6 @@ from labpipe.mechanics.law.plays import (
 from labpipe.mechanics.law.thinning import find_hull, require_concave, thin
 from labpipe.records.arrays import ArrayRecord, Floats, Vector
 
-_EYE = np.eye(2)
 MAX_SLIDERS = 64
 """Largest number of sliders of a law."""
 
@@ -132,28 +131,13 @@ class GrowingSlider(ArrayRecord):
         return np.asarray(moment - self.stiffness * growth)
 
     def slide(self, curvature: Floats, history: Floats) -> SliderResponse:
-        """Compute the moments after a step to new curvatures in one plane.
+        """Compute the moments after a step to new curvatures, each along a straight line.
 
         Parameters
         ----------
-        curvature : shape (stations,), 1/m
-        history : shape (stations, 2), 1/m, rest curvature p and slid curvature q
-        """
-        rest, slid = history.T
-        trial = self.stiffness * (curvature - rest)
-        growth, tangent = self._grow(np.abs(trial), slid)
-        rest = rest + np.copysign(growth, trial)
-        history = np.stack([rest, slid + growth], axis=1)
-        return SliderResponse(self.stiffness * (curvature - rest), tangent, history)
-
-    def slide_vector(self, curvature: Floats, history: Floats) -> SliderResponse:
-        """Compute the moments after a step to new curvature vectors, each along a straight line.
-
-        Parameters
-        ----------
-        curvature : shape (stations, 2), 1/m
-        history : shape (stations, 2, 2), 1/m, rest curvature p, and slid curvature q in the first
-            component
+        curvature : shape (stations, axes), 1/m, components of the curvature
+        history : shape (stations, 2, axes), 1/m, rest curvature p, and slid curvature q in the
+            first component
         """
         rest, slid = history[:, 0], history[:, 1, 0]
         trial = self.stiffness * (curvature - rest)
@@ -163,7 +147,8 @@ class GrowingSlider(ArrayRecord):
         direction = trial / divisor[:, None]
         lateral = self.stiffness * (1.0 - self.stiffness * growth / divisor)
         stiffness = (tangent - lateral)[:, None, None] * direction[:, :, None]
-        stiffness = lateral[:, None, None] * _EYE + stiffness * direction[:, None, :]
+        stiffness = stiffness * direction[:, None, :]
+        stiffness += lateral[:, None, None] * np.eye(curvature.shape[1])
         rest, new_history = rest + growth[:, None] * direction, np.zeros_like(history)
         new_history[:, 0], new_history[:, 1, 0] = rest, slid + growth
         return SliderResponse(self.stiffness * (curvature - rest), stiffness, new_history)
@@ -352,14 +337,51 @@ def slide(law: SliderLaw, curvature: Floats, rests: Floats) -> SliderResponse:
     For a curvature of NaN, moment and history are NaN. If a slider just begins to slide, the
     stiffness is that of a slider that sticks.
     """
-    count = len(law.stiffnesses)
-    trial_curvature = curvature[:, None] - rests[:, :count]
+    trial_curvature = curvature[:, None] - rests[:, : len(law.stiffnesses)]
     slider_curvature = np.clip(trial_curvature, -law.slip_curvatures, law.slip_curvatures)
     moment = law.stiffness * curvature + slider_curvature @ law.stiffnesses
     stiffness = law.stiffness + (slider_curvature == trial_curvature) @ law.stiffnesses
-    response = SliderResponse(moment, stiffness, curvature[:, None] - slider_curvature)
-    growing = [slider.slide(curvature, history) for slider, history in _split_history(law, rests)]
-    return _add_responses(response, growing)
+    new_rests = [curvature[:, None] - slider_curvature]
+    for slider, history in _split_history(law, rests):
+        response = slider.slide(curvature[:, None], history[:, :, None])
+        moment, stiffness = moment + response.moment[:, 0], stiffness + response.stiffness[:, 0, 0]
+        new_rests.append(response.rests[:, :, 0])
+    return SliderResponse(moment, stiffness, np.concatenate(new_rests, axis=1))
+
+
+def slide_vector(law: SliderLaw, curvature: Floats, rests: Floats) -> SliderResponse:
+    """Compute moment vectors at new curvature vectors, from the history.
+
+    Parameters
+    ----------
+    law : law of every station
+    curvature : shape (stations, axes), 1/m, components along the axes normal to the wire; each
+        vector is reached along a straight line
+    rests : shape (stations, n, axes), 1/m, history before the step, as in `SliderResponse`
+
+    Notes
+    -----
+    The update is a radial return. A slider with b = kappa - a, |b| > kappa_j, has the moment
+    K_j kappa_j b / |b| and d(moment) = K_j kappa_j / |b| (1 - b b^T / |b|^2) d(curvature). A slider
+    that sticks has the stiffness K_j in every direction. The update is exact for a straight path; a
+    curved path requires small steps.
+    """
+    count, slips = len(law.stiffnesses), law.slip_curvatures
+    trial_curvature = curvature[:, None, :] - rests[:, :count]
+    size = np.sqrt(np.vecdot(trial_curvature, trial_curvature))
+    elastic_fraction = slips / np.maximum(size, slips)
+    slider_curvature = trial_curvature * elastic_fraction[..., None]
+    moment = law.stiffness * curvature + law.stiffnesses @ slider_curvature
+    direction = ((size > slips) / slips)[..., None] * slider_curvature  # zero while it sticks
+    weights = law.stiffnesses * elastic_fraction
+    stiffness = (law.stiffness + weights.sum(axis=1))[:, None, None] * np.eye(curvature.shape[1])
+    stiffness -= np.swapaxes(weights[..., None] * direction, 1, 2) @ direction
+    new_rests = [curvature[:, None, :] - slider_curvature]
+    for slider, history in _split_history(law, rests):
+        response = slider.slide(curvature, history)
+        moment, stiffness = moment + response.moment, stiffness + response.stiffness
+        new_rests.append(response.rests)
+    return SliderResponse(moment, stiffness, np.concatenate(new_rests, axis=1))
 
 
 def _split_history(law: SliderLaw, rests: Floats) -> Iterator[tuple[GrowingSlider, Floats]]:
@@ -368,17 +390,6 @@ def _split_history(law: SliderLaw, rests: Floats) -> Iterator[tuple[GrowingSlide
         range(len(law.stiffnesses), law.history_size, 2), law.growing, strict=True
     ):
         yield slider, rests[:, start : start + 2]
-
-
-def _add_responses(response: SliderResponse, growing: list[SliderResponse]) -> SliderResponse:
-    """Add the responses of growing sliders to that of the sliders with constant limits."""
-    if not growing:
-        return response
-    moment, stiffness = response.moment, response.stiffness
-    for addend in growing:
-        moment, stiffness = moment + addend.moment, stiffness + addend.stiffness
-    rests = [response.rests, *(addend.rests for addend in growing)]
-    return SliderResponse(moment, stiffness, np.concatenate(rests, axis=1))
 
 
 def bend_to_moment(
@@ -417,39 +428,6 @@ def bend_to_moment(
         if np.all(np.abs(residual) <= rounding):
             break
     return curvature, response
-
-
-def slide_vector(law: SliderLaw, curvature: Floats, rests: Floats) -> SliderResponse:
-    """Compute moment vectors at new curvature vectors, from the history.
-
-    Parameters
-    ----------
-    law : law of every station
-    curvature : shape (stations, 2), 1/m, normal to the wire; each is reached along a straight line
-    rests : shape (stations, n, 2), 1/m, history before the step, as in `SliderResponse`
-
-    Notes
-    -----
-    The update is a radial return. A slider with b = kappa - a, |b| > kappa_j, has the moment
-    K_j kappa_j b / |b| and d(moment) = K_j kappa_j / |b| (1 - b b^T / |b|^2) d(curvature). A slider
-    that sticks has the stiffness K_j in every direction. The update is exact for a straight path; a
-    curved path requires small steps.
-    """
-    count, slips = len(law.stiffnesses), law.slip_curvatures
-    trial_curvature = curvature[:, None, :] - rests[:, :count]
-    size = np.sqrt(np.vecdot(trial_curvature, trial_curvature))
-    elastic_fraction = slips / np.maximum(size, slips)
-    slider_curvature = trial_curvature * elastic_fraction[..., None]
-    moment = law.stiffness * curvature + law.stiffnesses @ slider_curvature
-    direction = ((size > slips) / slips)[..., None] * slider_curvature  # zero while it sticks
-    weights = law.stiffnesses * elastic_fraction
-    stiffness = (law.stiffness + weights.sum(axis=1))[:, None, None] * _EYE
-    stiffness -= np.swapaxes(weights[..., None] * direction, 1, 2) @ direction
-    response = SliderResponse(moment, stiffness, curvature[:, None, :] - slider_curvature)
-    growing = [
-        slider.slide_vector(curvature, history) for slider, history in _split_history(law, rests)
-    ]
-    return _add_responses(response, growing)
 
 
 def convert_to_plays(law: SliderLaw) -> PlayLaw:
@@ -570,27 +548,18 @@ class MixedLaw(PlayLaw):
         return Response(curvature, 1.0 / response.stiffness, new_history)
 
 
-def make_mixed_law(
-    plays: PlayLaw, curvature: Floats, strand_moment: Floats, isotropic_share: float
-) -> MixedLaw:
+def make_mixed_law(plays: PlayLaw, corners: Floats, growing_slider: GrowingSlider) -> MixedLaw:
     """Build the law of a wire whose strands harden partly isotropically.
 
     Parameters
     ----------
     plays : law of the wire on first loading
-    curvature : shape (n,), 1/m, positive and increasing: first the curvatures at the half-widths
-        of `plays` and at its largest moment, then larger curvatures that the strands reach in loops
-    strand_moment : shape (n,), N m, moment of the strands about their own axes
-    isotropic_share : fraction of that moment that hardens isotropically, above 0 and at most 1
-
-    Raises
-    ------
-    ValueError
-        If the share is outside its range.
+    corners : shape (plays + 1,), 1/m, curvatures at the half-widths of `plays` and at its largest
+        moment
+    growing_slider : part of the moment of the strands about their own axes that hardens
+        isotropically
     """
     moment = np.append(plays.half_widths, plays.largest_moment)
-    corners = curvature[: len(moment)]
-    growing_slider = make_growing_slider(curvature, strand_moment, isotropic_share)
     masing_moment = moment - growing_slider.compute_first_loading(corners)
     slopes = np.diff(masing_moment, prepend=0.0) / np.diff(corners, prepend=0.0)
     slope_drops = -np.diff(np.minimum.accumulate(slopes))
@@ -603,10 +572,8 @@ def make_mixed_law(
         float(corners[-1]),
         growing=(growing_slider,),
     )
-    return MixedLaw(
-        *(plays.stiffness, plays.half_widths, plays.compliances, plays.largest_moment),
-        sliders=sliders,
-    )
+    numbers = plays.stiffness, plays.half_widths, plays.compliances, plays.largest_moment
+    return MixedLaw(*numbers, sliders=sliders)
 
 
 MAX_SCALAR_SLIDERS = 16

@@ -47,13 +47,13 @@ from labpipe.mechanics.rod.rotations import (
 )
 from labpipe.mechanics.studies.calibration_file import StoredCalibration, read_calibration
 from labpipe.mechanics.studies.wire_sheets import build_wire_error, read_wire_sheet
+from labpipe.mechanics.wire.bending_law import make_strand_slider
 from labpipe.mechanics.wire.cross_section import compute_stretch_torsion
 from labpipe.mechanics.wire.wire_table import (
     DEFAULT_SHARE_RANGE,
     build_wire,
     compute_chord_ratio,
     compute_hull_slopes,
-    make_strand_slider,
     set_parameters,
     tabulate_wire,
 )
@@ -493,21 +493,21 @@ def make_section_function(spec: WireSpec, values: Mapping[str, float]) -> Sectio
     table = tabulate_wire(set_parameters(spec, values))
     base_law = fit_wire_sliders(table)
     chord_scale = compute_chord_ratio(base_law, table)
-    curvatures = np.concatenate([[0.0], base_law.slip_curvatures, [base_law.last]])
+    corners = np.concatenate([[0.0], base_law.slip_curvatures, [base_law.last]])
 
     def build_section(inputs: Mapping[str, float]) -> Section:
         """Build the section of a line for other inputs."""
         changed = {name: float(np.exp(inputs[name])) for name in PARAMETERS if name in inputs}
         wire = build_wire(set_parameters(spec, {**values, **changed}))
-        moments = wire.compute_curve(curvatures).moment
-        slopes = chord_scale * compute_hull_slopes(curvatures, moments)
+        slopes = chord_scale * compute_hull_slopes(corners, wire.compute_curve(corners).moment)
         stiffnesses = np.maximum(-np.diff(slopes), min_slider_stiffness * slopes[0])
         law = replace(base_law, stiffness=float(slopes[-1]), stiffnesses=stiffnesses)
         share = inputs.get(ISOTROPIC_SHARE, spec.isotropic_share or 0.0)
-        strands = make_strand_slider(wire.section, law, chord_scale) if share > 0.0 else None
+        layers, factor = wire.section.layers, chord_scale
+        strands = make_strand_slider(layers, corners[1:], factor=factor) if share > 0.0 else None
         matrix = compute_stretch_torsion(wire.section)
-        other_stiffnesses = matrix.torsional, matrix.axial, matrix.coupling
-        section = Section(law, *other_stiffnesses, wire.mass_per_length, spec.wire_diameter)
+        numbers = matrix.torsional, matrix.axial, matrix.coupling, wire.mass_per_length
+        section = Section(law, *numbers, spec.wire_diameter)
         return _adjust_section(section, strands, share, inputs)
 
     return build_section

@@ -45,6 +45,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -58,13 +59,18 @@ from labpipe.mechanics.law.plays import (
     require_not_negative,
     require_positive,
 )
-from labpipe.mechanics.law.sliders import MixedLaw, make_mixed_law
+from labpipe.mechanics.law.sliders import (
+    GrowingSlider,
+    make_growing_slider,
+    make_mixed_law,
+)
 from labpipe.mechanics.wire.cross_section import (
     CrossSection,
+    Layer,
     compute_stretch_torsion,
     compute_tube_moment,
 )
-from labpipe.mechanics.wire.materials import Material, compute_strand_moment
+from labpipe.mechanics.wire.materials import Material, StrandMoment, compute_strand_moment
 from labpipe.records.arrays import ArrayRecord, Flags, Floats, Vector
 
 
@@ -511,20 +517,22 @@ def compute_moment_curve(
     infinite = curvatures[np.isinf(curvatures)].tolist()
     require("curvature", infinite, "finite or NaN", holds=not infinite)
     stick, slip, ring_slope = _sum_ring_moments(section, contacts, curvatures, tension, orientation)
-    elastic_stiffness, strand_moment, strand_slope = sum_strand_moments(section, curvatures)
+    strands = sum_strand_moments(section.layers, curvatures)
+    slip_stiffness = strand_stiffness = compute_slip_stiffness(section)
     insulation, insulation_slope = np.zeros((2, len(curvatures)))
     if section.insulation:
         insulation, insulation_slope = compute_tube_moment(section.insulation, curvatures)
+        strand_stiffness -= section.insulation.bending_stiffness
     return MomentCurve(
         curvature=curvatures,
         stick=stick,
         slip=slip,
-        bending=elastic_stiffness * curvatures,
-        plastic=strand_moment - elastic_stiffness * curvatures,
+        bending=strand_stiffness * curvatures,
+        plastic=strands.moment - strand_stiffness * curvatures,
         insulation=insulation,
-        tangent_stiffness=ring_slope + strand_slope + insulation_slope,
+        tangent_stiffness=ring_slope + strands.tangent + insulation_slope,
         stick_stiffness=compute_stick_stiffness(section, orientation=orientation),
-        slip_stiffness=compute_slip_stiffness(section),
+        slip_stiffness=slip_stiffness,
     )
 
 
@@ -552,28 +560,23 @@ def _sum_ring_moments(
     return stick, slip, slope
 
 
-def sum_strand_moments(section: CrossSection, curvature: Floats) -> tuple[float, Floats, Floats]:
-    """Sum elastic stiffnesses, moments and tangent stiffnesses of strands about their own axes.
+def sum_strand_moments(layers: Sequence[Layer], curvature: Floats) -> StrandMoment:
+    """Sum moments and tangent stiffnesses of strands about their own axes.
 
     Parameters
     ----------
-    section : cross-section of the wire
+    layers : layers of strands
     curvature : shape (n,), 1/m
-
-    Returns
-    -------
-    Elastic stiffness, N m^2; moments, shape (n,), N m; tangent stiffnesses, shape (n,), N m^2.
     """
-    tube_stiffness = section.insulation.bending_stiffness if section.insulation else 0.0
     moment, tangent_stiffness = np.zeros((2, len(curvature)))
     counts: dict[tuple[Material, float], float] = defaultdict(float)
-    for layer in section.layers:
+    for layer in layers:
         counts[layer.material, layer.diameter] += layer.straight_count
     for (material, diameter), count in counts.items():
         strand = compute_strand_moment(material, diameter, curvature)
         moment += count * strand.moment
         tangent_stiffness += count * strand.tangent
-    return compute_slip_stiffness(section) - tube_stiffness, moment, tangent_stiffness
+    return StrandMoment(moment, tangent_stiffness)
 
 
 def find_orientation_range(
@@ -664,7 +667,7 @@ def fit_play_law(
         section, contacts, corners, tension=tension, orientation=orientation
     ).moment
     plays = make_polygon_law(corners, moment)
-    return plays if isotropic_share == 0.0 else harden_plays(plays, section, isotropic_share)
+    return harden_plays(plays, section.layers, isotropic_share)
 
 
 LOOP_RANGE = 8.0
@@ -672,40 +675,53 @@ LOOP_RANGE = 8.0
 
 
 def harden_plays(
-    plays: PlayLaw, section: CrossSection, isotropic_share: float, *, factor: float = 1.0
-) -> MixedLaw:
+    plays: PlayLaw, layers: Sequence[Layer], isotropic_share: float, *, factor: float = 1.0
+) -> PlayLaw:
     """Make a law with partly isotropic hardening of the strands from a law with Masing loops.
 
     Parameters
     ----------
     plays : law of the wire with the same first loading
-    section : cross-section of the wire
-    isotropic_share : fraction of the hardening that is isotropic, above 0 and at most 1
+    layers : layers of strands
+    isotropic_share : fraction of the hardening that is isotropic, from 0 to 1; with 0 the law is
+        returned unchanged
     factor : factor on the moments of the strands about their own axes; the same as in `plays`
+
+    Raises
+    ------
+    ValueError
+        If the isotropic share is out of its range.
     """
-    curvature = compute_first_curvature(plays, np.append(plays.half_widths, plays.largest_moment))
-    curvature, strand_moment = continue_strand_moment(section, curvature)
-    return make_mixed_law(plays, curvature, factor * strand_moment, isotropic_share)
+    if isotropic_share == 0.0:
+        return plays
+    corners = compute_first_curvature(plays, np.append(plays.half_widths, plays.largest_moment))
+    slider = make_strand_slider(layers, corners, factor=factor, isotropic_share=isotropic_share)
+    return make_mixed_law(plays, corners, slider)
 
 
-def continue_strand_moment(section: CrossSection, curvature: Floats) -> tuple[Floats, Floats]:
-    """Compute the moment of strands about their own axes, in a range and beyond it for loops.
+def make_strand_slider(
+    layers: Sequence[Layer], corners: Floats, *, factor: float = 1.0, isotropic_share: float = 1.0
+) -> GrowingSlider:
+    """Make the growing slider of the bending of strands about their own axes.
 
     Parameters
     ----------
-    section : cross-section of the wire
-    curvature : shape (n,), 1/m, positive and increasing, over the range of a law
+    layers : layers of strands
+    corners : shape (n,), 1/m, positive and increasing, over the range of a law. Further corners
+        reach to eight times the range, or to the first end of a material's curve
+    factor : factor on the moments of the strands
+    isotropic_share : fraction of the hardening that is isotropic, above 0 and at most 1
 
-    Returns
-    -------
-    curvature : shape (m,), 1/m, curvatures of the range and further curvatures up to eight times
-        the range, or up to the first end of a material's curve
-    moment : shape (m,), N m, sum over the strands
+    Raises
+    ------
+    ValueError
+        If the isotropic share is out of its range.
     """
     largest_curvature = min(
-        2.0 * layer.material.largest_strain / layer.diameter for layer in section.layers
+        2.0 * layer.material.largest_strain / layer.diameter for layer in layers
     )
-    last_curvature = min(LOOP_RANGE * curvature[-1], (1.0 - 1e-9) * largest_curvature)
-    if last_curvature > curvature[-1]:
-        curvature = np.append(curvature, np.geomspace(curvature[-1], last_curvature, 41)[1:])
-    return curvature, sum_strand_moments(section, curvature)[1]
+    last = min(LOOP_RANGE * corners[-1], (1.0 - 1e-9) * largest_curvature)
+    if last > corners[-1]:
+        corners = np.append(corners, np.geomspace(corners[-1], last, 41)[1:])
+    moment = factor * sum_strand_moments(layers, corners).moment
+    return make_growing_slider(corners, moment, isotropic_share)

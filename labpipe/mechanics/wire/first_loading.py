@@ -35,7 +35,6 @@ from labpipe.mechanics.wire.cantilever import (
     compute_shape,
     deflect,
     make_stations,
-    make_straight,
     make_transfer_matrix,
 )
 from labpipe.messages import format_sentence
@@ -74,7 +73,6 @@ class LoadingCurve(ArrayRecord):
     tension : N, tension of the string, which the load cell reads; without a string, the end load
     shear_force : N, force normal to the wire at its tip; if it decreases, so do the moments near
         the tip
-    tip_x : m, position of the tip along the undeformed axis
     tip_angle : rad, angle of the tangent at the tip from the undeformed axis
     clamp_curvature : 1/m, curvature at the clamp
     stiffness : N/m, derivative of the tension with respect to deflection; at rest, the secant to
@@ -89,7 +87,6 @@ class LoadingCurve(ArrayRecord):
     moment: Annotated[Floats, "n", "stations"]
     tension: Vector
     shear_force: Vector
-    tip_x: Vector
     tip_angle: Vector
     clamp_curvature: Vector
     stiffness: Vector
@@ -286,7 +283,6 @@ def _make_curve(
         moment=moment,
         tension=load,
         shear_force=force_y * cos - force_x * sin,
-        tip_x=bent.tip[:, 0],
         tip_angle=np.arctan2(sin, cos),
         clamp_curvature=bent.curvature[:, 0],
         stiffness=change[0],
@@ -340,19 +336,32 @@ def interpolate_force(curve: LoadingCurve, deflection: Floats) -> tuple[Floats, 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EndLoadPath:
-    """End load at successive tip deflections; arrays of shape (n,).
+    """End load normal to the undeformed axis at successive tip deflections; arrays of shape (n,).
 
     Parameters
     ----------
-    load : N, end load normal to the undeformed axis, minus the load that holds the tip level at
-        rest
+    deflection : m, tip deflection from rest
+    load : N, end load, minus the load that holds the tip level at rest
     clamp_moment : N m, moment at the clamp
     rest : state at rest of a wire with weight; None for a wire without weight
+    notes : notes on neglected effects and on why the path ends early
     """
 
+    deflection: Floats
     load: Floats
     clamp_moment: Floats
     rest: WireAtRest | None = None
+    notes: tuple[QualityNote, ...] = ()
+
+    def find_deflection(self, law: MomentCurve, curvature: float) -> float:
+        """Find the deflection at a curvature of the clamp, m; infinite if it is not reached.
+
+        The clamp moment must increase along the path.
+        """
+        moment = float(np.interp(curvature, law.curvature, law.moment, right=np.inf))
+        if moment >= self.clamp_moment[-1]:
+            return float("inf")
+        return float(PchipInterpolator(self.clamp_moment, self.deflection)(moment))
 
 
 def compute_end_load_path(
@@ -400,30 +409,25 @@ def compute_end_load_path(
     is_below = unloading_grid < np.max(first_rise, initial=0.0)
     grid = np.union1d(first_rise, unloading_grid[is_below])
     curve = load_to(table, length, None, self_weight, grid, n_stations=n_stations)
+
+    def make_state(row: int, history: Floats) -> WireState:
+        """Make the state at a point of the curve from the history at the largest moments."""
+        moment, load = curve.moment[row], float(curve.tension[row])
+        response, deflection = law.respond(moment, history), float(curve.deflection[row])
+        bent = moment, response.curvature, response.plays, np.array([0.0, load])
+        return WireState(*bent, load, deflection, self_weight)
+
+    rest_state = make_state(0, law.make_unbent_history(n_stations))
+    state = make_state(-1, law.respond(curve.moment.max(axis=0), rest_state.plays).plays)
     rows = np.append(0, 1 + np.searchsorted(grid, first_rise))
     load, clamp_moment = curve.tension[rows], curve.clamp_moment[rows]
-    state = make_straight(law, n_stations, self_weight=self_weight)
-    state = _make_state(law, state, curve.moment[0], float(curve.tension[0]), 0.0)
-    rest = _describe_rest(state, length) if self_weight > 0.0 else None
-    state = replace(state, plays=law.respond(curve.moment.max(axis=0), state.plays).plays)
-    end = float(curve.tension[-1]), float(curve.deflection[-1])
-    state = _make_state(law, state, curve.moment[-1], *end)
     for deflection in deflections[len(first_rise) :].tolist():
         state = deflect(law, state, length, deflection)
         load, clamp_moment = np.append(load, state.load), np.append(clamp_moment, state.moment[0])
-    is_outside = [not is_within(law, float(moment)) for moment in clamp_moment]
-    n = is_outside.index(True) if any(is_outside) else len(clamp_moment)
-    rest_force = 0.0 if rest is None else rest.force
-    return EndLoadPath(load[1:n] - rest_force, clamp_moment[1:n], rest)
-
-
-def _make_state(
-    law: PlayLaw, state: WireState, moment: Floats, load: float, deflection: float
-) -> WireState:
-    """Make the state of a wire from the moments of a loading curve."""
-    response, force = law.respond(moment, state.plays), np.array([0.0, load])
-    new_state = moment, response.curvature, response.plays, force
-    return WireState(*new_state, load, deflection, state.self_weight)
+    n = int(np.argmin(np.append(is_within(law, clamp_moment[1:]), False)))
+    rest = _describe_rest(rest_state, length) if self_weight > 0.0 else None
+    load_above_rest = load[1 : n + 1] - (0.0 if rest is None else rest.force)
+    return EndLoadPath(deflections[:n], load_above_rest, clamp_moment[1 : n + 1], rest)
 
 
 def _describe_rest(state: WireState, length: float) -> WireAtRest:
@@ -439,37 +443,10 @@ def _describe_rest(state: WireState, length: float) -> WireAtRest:
 
 
 END_DEFLECTION = 0.8
-"""Tip deflection at the end of a wire's curve, relative to the length."""
+"""Tip deflection at the end of a wire's path, relative to the length."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class CantileverCurve:
-    """Loading curve of a wire clamped at one end, with an end load normal to the undeformed axis.
-
-    Parameters
-    ----------
-    deflection : shape (n,), m, deflection of the tip from rest
-    force : shape (n,), N, end load, minus the load at rest
-    clamp_moment : shape (n,), N m, moment at the clamp
-    rest : state at rest; None if the weight of the wire is left out
-    notes : notes on neglected effects and on why the curve ends early
-    """
-
-    deflection: Floats
-    force: Floats
-    clamp_moment: Floats
-    rest: WireAtRest | None
-    notes: tuple[QualityNote, ...] = ()
-
-    def find_deflection(self, law: MomentCurve, curvature: float) -> float:
-        """Find the deflection at a curvature of the clamp, m; infinite if it is not reached."""
-        moment = float(np.interp(curvature, law.curvature, law.moment, right=np.inf))
-        if moment >= self.clamp_moment[-1]:
-            return float("inf")
-        return float(PchipInterpolator(self.clamp_moment, self.deflection)(moment))
-
-
-def compute_cantilever(spec: WireSpec, curve: MomentCurve, self_weight: float) -> CantileverCurve:
+def compute_cantilever(spec: WireSpec, curve: MomentCurve, self_weight: float) -> EndLoadPath:
     """Bend the cantilever of a wire to 0.8 of its length, or to the end of its law.
 
     Parameters
@@ -480,8 +457,9 @@ def compute_cantilever(spec: WireSpec, curve: MomentCurve, self_weight: float) -
 
     Returns
     -------
-    The curve. It has a note if the weight had to be left out, and a note if the law ends before 0.8
-    of the length. If the law cannot be made concave, the curve is a single zero with a note.
+    The path from rest. It has a note if the weight had to be left out, and a note if the law ends
+    before 0.8 of the length. If the law cannot be made concave, the path is a single zero with a
+    note.
 
     Raises
     ------
@@ -492,7 +470,7 @@ def compute_cantilever(spec: WireSpec, curve: MomentCurve, self_weight: float) -
         law = make_concave_law(curve.curvature[1:], curve.moment[1:])
     except ValueError as error:
         note = QualityNote.of("mechanics.wire.no_cantilever", spec.place, error=error)
-        return CantileverCurve(np.zeros(1), np.zeros(1), np.zeros(1), None, (note,))
+        return EndLoadPath(np.zeros(1), np.zeros(1), np.zeros(1), notes=(note,))
     notes, length = [], 1e3 * spec.length
     try:
         path = _bend_to_end(law, spec.length, self_weight)
@@ -520,8 +498,8 @@ def compute_cantilever(spec: WireSpec, curve: MomentCurve, self_weight: float) -
     return replace(path, notes=tuple(notes))
 
 
-def _bend_to_end(law: PlayLaw, length: float, self_weight: float) -> CantileverCurve:
-    """Compute the curve up to 0.8 of the length, or to the end of the law."""
+def _bend_to_end(law: PlayLaw, length: float, self_weight: float) -> EndLoadPath:
+    """Compute the path from rest up to 0.8 of the length, or to the end of the law."""
     n_points = 49  # points, including zero
     spacing_power = 3  # the first point is at 1e-5 of the last one, before strands slip
     end_factor = 0.9999  # relative to the last moment of the law, which rounding must not exceed
@@ -534,7 +512,7 @@ def _bend_to_end(law: PlayLaw, length: float, self_weight: float) -> CantileverC
             break
         interpolant = PchipInterpolator(clamp_moment, deflection)
         end = float(interpolant(end_factor * law.largest_moment))
-    return CantileverCurve(deflection, np.append(0.0, path.load), clamp_moment, path.rest)
+    return EndLoadPath(deflection, np.append(0.0, path.load), clamp_moment, path.rest)
 
 
 def interpolate_end_load(table: WireTable, deflections: Floats | float) -> Floats:

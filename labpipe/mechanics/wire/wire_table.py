@@ -13,7 +13,7 @@ from typing import cast
 import numpy as np
 
 from labpipe.mechanics.law.plays import require_finite, require_positive
-from labpipe.mechanics.law.sliders import GrowingSlider, SliderLaw, make_growing_slider
+from labpipe.mechanics.law.sliders import SliderLaw
 from labpipe.mechanics.law.thinning import find_hull
 from labpipe.mechanics.wire.bending_law import (
     Contacts,
@@ -21,7 +21,6 @@ from labpipe.mechanics.wire.bending_law import (
     compute_axial_strain,
     compute_moment_curve,
     compute_stick_stiffness,
-    continue_strand_moment,
     find_orientation_range,
     find_slip_onsets,
     make_contacts,
@@ -112,7 +111,7 @@ def tabulate_wire(spec: WireSpec) -> WireTable:
         lowest_moment=np.minimum(min_moment, curve.moment),
         highest_moment=np.maximum(max_moment, curve.moment),
         tip_deflection=cantilever.deflection,
-        tip_force=cantilever.force,
+        tip_force=cantilever.load,
         mass_per_length=wire.mass_per_length,
         rest=cantilever.rest,
         doubtful_curvature=insulation_limit,
@@ -486,20 +485,6 @@ def set_parameters(spec: WireSpec, values: Mapping[str, float]) -> WireSpec:
         spec = replace(spec, insulation_table=scaled_table)
     copper_k = spec.copper_k * values.get(COPPER_SCALE, 1.0)
     return replace(spec, insulation_modulus=modulus, copper_k=copper_k)
-
-
-def make_strand_slider(section: CrossSection, law: SliderLaw, factor: float = 1.0) -> GrowingSlider:
-    """Make the growing slider of strands with purely isotropic hardening, for their own bending.
-
-    Parameters
-    ----------
-    section : cross-section of the wire
-    law : law of the wire; the slider takes its corners
-    factor : factor on the moments of the strands, such as the result of `compute_chord_ratio`
-    """
-    corners = np.append(law.slip_curvatures, law.last)
-    curvature, moment = continue_strand_moment(section, corners)
-    return make_growing_slider(curvature, factor * moment, 1.0)
 
 
 def compute_chord_ratio(law: SliderLaw, table: WireTable) -> float:
