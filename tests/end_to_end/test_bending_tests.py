@@ -26,6 +26,7 @@ from labpipe.virtual_lab.three_point import build_conduit_scenario
 from tests.builders.bent_tests import law_moment
 from tests.builders.reasons import why
 from tests.builders.small_tests import Lab, LabFolder, Run, make_lab, small_scenario, state
+from tests.builders.tensile_tests import recordings_of
 from tests.coverage.lab_bending import on_a_string, taped_bundle
 
 FULL = CantileverScenario(name="T1")
@@ -178,8 +179,12 @@ def test_intervals_of_the_law_cover(repository: Path) -> None:
             drawn = nominal + 0.1 * rng.standard_normal()
             text = text.replace(f"{key}: {nominal:g} mm", f"{key}: {drawn:.6f} mm")
         plan, test = parse_protocol(text, "wire-cantilever.yaml"), observe(scenario, seed)
-        force = name_channels(test.recordings["force"], plan.sources["force"], Path("force.mat"))
-        done: Any = reduce_recordings({"force": force, "markers": test.recordings["markers"]}, plan)
+        force = name_channels(
+            recordings_of(test)["force"], plan.sources["force"], Path("force.mat")
+        )
+        done: Any = reduce_recordings(
+            {"force": force, "markers": recordings_of(test)["markers"]}, plan
+        )
         law = done.reduced_test.bending.law
         points = evaluate_law(
             law.knots,

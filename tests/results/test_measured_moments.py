@@ -37,6 +37,7 @@ from labpipe.virtual_lab.specimens import WireModel
 from tests.approved import Approve
 from tests.builders.bent_tests import law_moment
 from tests.builders.small_tests import small_scenario
+from tests.builders.tensile_tests import recordings_of
 
 AT_1 = "  - {result: moment-curvature, at: 1 1/m, name: bending_stiffness_at_1}"
 
@@ -62,8 +63,8 @@ def reduced(
         assert text.count(old) == 1, old
         text = text.replace(old, new)
     plan, take = parse_protocol(text, "p.yaml"), observe(scenario, 3)
-    force = name_channels(take.recordings["force"], plan.sources["force"], Path("force.mat"))
-    done = reduce_recordings({"force": force, "markers": take.recordings["markers"]}, plan)
+    force = name_channels(recordings_of(take)["force"], plan.sources["force"], Path("force.mat"))
+    done = reduce_recordings({"force": force, "markers": recordings_of(take)["markers"]}, plan)
     return done.reduced_test, {result.name: result for result in done.results}
 
 
