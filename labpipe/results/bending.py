@@ -234,23 +234,16 @@ class BendingStiffness(DerivedKind):
     @staticmethod
     def find_contradictions(entry: Mapping[str, object]) -> Iterator[Fault]:
         """Find corrections of a cantilever, and those without an input or 'large-deflection'."""
-        corrections = entry.get("corrections")
+        corrections, roller = entry.get("corrections"), entry.get("roller")
         names = corrections if isinstance(corrections, list | tuple) else []
         if names and entry.get("support") == "cantilever":
-            expected = "corrections for 'three-point' alone"
-            yield Fault(("corrections",), expected, "'cantilever'", "Remove them.")
+            yield Fault.of("results.corrected_cantilever", ("corrections",))
             return
-        roller = entry.get("roller")
         for name, key in (("roller-radius", "diameter"), ("roller-friction", "friction")):
-            if name not in names:
-                continue
-            if "large-deflection" not in names:
-                remedy = "Add 'large-deflection' to the corrections."
-                expected = f"'large-deflection' beside {name!r}"
-                yield Fault(("corrections",), expected, "none", remedy)
-            if not isinstance(roller, Mapping) or roller.get(key) is None:
-                remedy = f"Add 'roller: {{{key}: ...}}'."
-                yield Fault(("corrections",), f"'roller.{key}' for {name!r}", "none", remedy)
+            if name in names and "large-deflection" not in names:
+                yield Fault.of("results.no_large_deflection", ("corrections",), name=name)
+            if name in names and (not isinstance(roller, Mapping) or roller.get(key) is None):
+                yield Fault.of("results.no_roller", ("corrections",), name=name, key=key)
 
     def list_methods(self, test: ReducedTest) -> tuple[str]:
         """Return the formula, with the key of its length."""
@@ -265,21 +258,19 @@ class BendingStiffness(DerivedKind):
             is_span = self.length == "span"
             raise UnavailableError.of("results.no_span" if is_span else "results.no_length")
         self._compute_ratio(sizes, stiffness.window)
-        compute = partial(self._compute_rigidity, window=stiffness.window)
-        return test.measure_one(combine_numbers(compute, stiffness.decide))
+
+        def compute_rigidity(trace: Trace, slope: Floats) -> Floats:
+            """Compute bending stiffnesses, N m^2, NaN if an elastic beam would slip through."""
+            ratio = return_failure(self._compute_ratio)(trace.sizes, stiffness.window)
+            rigidity = slope * compute_beam_factor(trace.sizes[self.length], self.support)
+            return np.asarray(rigidity / (np.nan if isinstance(ratio, Failure) else ratio[0]))
+
+        return test.measure_one(combine_numbers(compute_rigidity, stiffness.decide))
 
     def collect_context(self, test: ReducedTest, stiffness: Stiffness) -> dict[str, Any]:
         """Return a remark on the corrections and their sizes."""
         ratio = return_failure(self._compute_ratio)(test.setup.sizes, stiffness.window)
         return {"remark": "" if isinstance(ratio, Failure) else ratio[1]}
-
-    def _compute_rigidity(
-        self, trace: Trace, stiffness: Floats, *, window: tuple[float, float]
-    ) -> Floats:
-        """Compute bending stiffnesses, N m^2, NaN if an elastic beam would slip through."""
-        ratio = return_failure(self._compute_ratio)(trace.sizes, window)
-        beam_stiffness = stiffness * compute_beam_factor(trace.sizes[self.length], self.support)
-        return np.asarray(beam_stiffness / (np.nan if isinstance(ratio, Failure) else ratio[0]))
 
     def _compute_ratio(
         self, sizes: Mapping[str, float], window: tuple[float, float]
@@ -290,9 +281,7 @@ class BendingStiffness(DerivedKind):
             return 1.0, ""
         ratio, radius, friction, effects = 1.0, 0.0, 0.0, list[str]()
         roller = self.roller or Roller()
-        for name in _CORRECTION_ORDER:
-            if name not in self.corrections:
-                continue
+        for name in sorted(self.corrections, key=_CORRECTION_ORDER.index):
             if name == "roller-radius":
                 radius = 0.5 * ((roller.diameter or 0.0) + sizes.get("outer_diameter", 0.0))
             if name == "roller-friction":
@@ -442,13 +431,8 @@ class MomentCurvature(Kind):
             return
         own_moment = 0.5 * GRAVITY * limits.unstated_mass * shape.length**2
         if own_moment > limits.weight_share * moment:
-            yield Reason.of(
-                "results.weight_matters",
-                mass=1e3 * limits.unstated_mass,
-                moment=1e6 * own_moment,
-                share=limits.weight_share,
-                at=self.at,
-            )
+            facts = {"mass": 1e3 * limits.unstated_mass, "moment": 1e6 * own_moment, "at": self.at}
+            yield Reason.of("results.weight_matters", **facts, share=limits.weight_share)
 
 
 class MidSpan(RangeKind):
@@ -556,13 +540,12 @@ class _SpanFrames:
         cuts: list[int] = np.searchsorted(self.time, ends).tolist()
         smooth = [fit_smooth_curve(self.time, signal, cuts, branch_intervals) for signal in signals]
         deviations = [np.nanstd(x - curve) for x, curve in zip(signals, smooth, strict=True)]
-        scales = [deviations[0] / x if x > 0.0 else 0.0 for x in deviations]
-        scaled = [scale * signal for scale, signal in zip(scales, signals, strict=True)]
-        smooth = [scale * curve for scale, curve in zip(scales, smooth, strict=True)]
+        scales = np.array([deviations[0] / x if x > 0.0 else 0.0 for x in deviations])[:, None]
+        scaled, smooth_scaled = scales * np.array(signals), scales * np.array(smooth)
         pieces = [slice(start, stop) for start, stop in pairwise(cuts)]
         noise = estimate_noise(
             [signal[piece] for signal in scaled for piece in pieces],
-            [curve[piece] for curve in smooth for piece in pieces],
+            [curve[piece] for curve in smooth_scaled for piece in pieces],
             [signal[: cuts[0]] for signal in scaled],
             [signal[cuts[-1] :] for signal in scaled],
             n_signals=len(signals),

@@ -394,19 +394,16 @@ def select_cycle(trace: Trace, number: int) -> list[Branch]:
     return [branch for branch in trace.branches if branch.cycle == number]
 
 
+WORK_QUANTITIES = (*CURVE_QUANTITIES, "start")
+"""Quantities on which the work up to a point of the curve depends."""
+
+
 class Energy(PerCycle):
     """``energy.<cycle>`` (J): energy dissipated in one cycle."""
 
     result: ClassVar = "energy"
     outputs: ClassVar = (
-        Output(
-            "energy",
-            "J",
-            "Energy dissipated",
-            (*CURVE_QUANTITIES, "start"),
-            first=1,
-            is_raised_by_slips=True,
-        ),
+        Output("energy", "J", "Energy dissipated", WORK_QUANTITIES, 1, is_raised_by_slips=True),
     )
     n_complete_branches: ClassVar = 2
     method: ClassVar = "integral of force, trapezoids"
@@ -612,8 +609,7 @@ class PeakDisplacement(PerCycle):
     result: ClassVar = "peak-displacement"
     outputs: ClassVar = (
         Output(
-            *("peak_displacement", "m", "Displacement at the peak", ("displacement",)),
-            first=1,
+            *("peak_displacement", "m", "Displacement at the peak", ("displacement",), 1),
             is_set_by_stroke=True,
         ),
     )

@@ -20,7 +20,6 @@ from labpipe.errors import Fault
 from labpipe.records.arrays import Flags, Floats, Ints
 from labpipe.records.curve import Branch, Curve, Direction, Interval
 from labpipe.records.declarations import (
-    CURVE_QUANTITIES,
     Area,
     Force,
     FromCard,
@@ -34,7 +33,7 @@ from labpipe.records.result import Result, Status
 from labpipe.records.signals import Stretch
 from labpipe.results import cycles
 from labpipe.results.curves import Quantity, SampleNoise, find_finite_samples
-from labpipe.results.cycles import PeakForce, PerCycle
+from labpipe.results.cycles import WORK_QUANTITIES, PeakForce, PerCycle
 from labpipe.results.kinds import FailurePoint, Kind, Part, ReducedTest
 from labpipe.statistics.lots import FORCE_LIMIT, PEAK_OVER_LIMIT, judge_sample
 from labpipe.uncertainty.autocorrelation import estimate_fast_noise
@@ -383,13 +382,7 @@ class EnergyToBreak(Kind):
 
     result: ClassVar = "energy-to-break"
     outputs: ClassVar = (
-        Output(
-            "energy_to_break",
-            "J",
-            "Energy to break",
-            (*CURVE_QUANTITIES, "start"),
-            is_raised_by_slips=True,
-        ),
+        Output("energy_to_break", "J", "Energy to break", WORK_QUANTITIES, is_raised_by_slips=True),
     )
     needs: ClassVar = Needs(branches=True, correction="failure")
 
