@@ -747,6 +747,7 @@ def _make_group(
         for sample in samples
     ]
     settings, outputs = protocol.groups, list_outputs(protocol)
+    has_stroke = protocol.rig.stroke is not None
     group = build_group(
         name,
         members[0].protocol,
@@ -755,9 +756,7 @@ def _make_group(
         scaled=settings.scaled,
         signed_names={name for name, output in outputs.items() if output.can_be_negative},
         rig_names={
-            name
-            for name, output in outputs.items()
-            if output.is_set_by_stroke and protocol.rig.stroke is not None
+            name for name, output in outputs.items() if output.is_set_by_stroke and has_stroke
         },
     )
     numbers = {number.name: number for number in group.numbers}

@@ -178,13 +178,9 @@ def test_intervals_of_the_law_cover(repository: Path) -> None:
             assert f"{key}: {nominal:g} mm" in text
             drawn = nominal + 0.1 * rng.standard_normal()
             text = text.replace(f"{key}: {nominal:g} mm", f"{key}: {drawn:.6f} mm")
-        plan, test = parse_protocol(text, "wire-cantilever.yaml"), observe(scenario, seed)
-        force = name_channels(
-            recordings_of(test)["force"], plan.sources["force"], Path("force.mat")
-        )
-        done: Any = reduce_recordings(
-            {"force": force, "markers": recordings_of(test)["markers"]}, plan
-        )
+        plan, roles = parse_protocol(text, "w.yaml"), recordings_of(observe(scenario, seed))
+        force = name_channels(roles["force"], plan.sources["force"], Path("force.mat"))
+        done: Any = reduce_recordings(roles | {"force": force}, plan)
         law = done.reduced_test.bending.law
         points = evaluate_law(
             law.knots,

@@ -80,19 +80,14 @@ def test_probable_spectra_and_their_covariances() -> None:
     assert processes.prior == pytest.approx(
         np.concatenate([[1.0], prior, prior / 2.0, np.tile(prior / 10.0, 5)])
     )
-    values = noise(3, 100, 5.0)
-    stretch = SpectrumLikelihood.from_values(
-        build_polynomial_basis(100, 4).T, values, processes, 60
-    )
+    values, cubics, short = noise(3, 100, 5.0), *(build_polynomial_basis(n, 4).T for n in (100, 12))
+    stretch = SpectrumLikelihood.from_values(cubics, values, processes, 60)
     np.testing.assert_allclose(stretch.spectra, np.vstack(spectra), rtol=1e-9)
-    found = compute_covariance(build_polynomial_basis(12, 4).T, processes)
-    expected = [
-        build_polynomial_basis(12, 4).T @ toeplitz(row) @ build_polynomial_basis(12, 4)
-        for row in covariances
-    ]
+    found = compute_covariance(short, processes)
+    expected = [short @ toeplitz(row) @ short.T for row in covariances]
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12)
     # Generalised least squares by dense matrices, of the cosines that are used.
-    waves = dct(np.vstack([build_polynomial_basis(100, 4).T, values]), norm="ortho")[:, :60]
+    waves = dct(np.vstack([cubics, values]), norm="ortho")[:, :60]
     for number, spectrum in enumerate(stretch.spectra):
         weighted = waves / spectrum
         products = weighted @ waves.T
@@ -107,9 +102,7 @@ def test_probable_spectra_and_their_covariances() -> None:
         assert stretch.log_likelihood[number] == pytest.approx(-0.5 * logs)
         assert stretch.compute_least_squares_covariance()[number] == pytest.approx(plain)
     # Two stretches of one noise, the second twice as large.
-    other = SpectrumLikelihood.from_values(
-        build_polynomial_basis(100, 4).T, 2.0 * noise(4, 100, 5.0), processes, 60
-    )
+    other = SpectrumLikelihood.from_values(cubics, 2.0 * noise(4, 100, 5.0), processes, 60)
     posterior, squares = (
         SpectrumPosterior.combine([stretch, other], processes.prior),
         stretch.squares + other.squares,
