@@ -521,16 +521,11 @@ def _compute_half_widths(noise: SpectrumPosterior, variances: Floats, offsets: F
     for _ in range(12):
         high, low = half_widths / spreads - centres, half_widths / spreads + centres
         coverage = weights @ (stdtr(freedom, high) - stdtr(freedom, -low))
-        density = _compute_density(high, freedom) + _compute_density(low, freedom)
+        # Densities of Student's t-distribution.
+        kernels = [(1.0 + t * t / freedom) ** (-0.5 * (freedom + 1)) for t in (high, low)]
+        density = sum(kernels) / (np.sqrt(freedom) * beta(0.5, 0.5 * freedom))
         step = (0.95 - coverage) / (weights @ (density / spreads))
         half_widths = np.maximum(half_widths + step, smallest)
         if np.all(np.abs(step) <= 1e-6 * half_widths):
             break
     return np.where(np.any(deviations > 0.0, axis=0), half_widths, 0.0)
-
-
-def _compute_density(t: Floats, freedom: int) -> Floats:
-    """Compute the density of Student's t-distribution."""
-    density: Floats = (1.0 + t * t / freedom) ** (-0.5 * (freedom + 1))
-    density /= np.sqrt(freedom) * beta(0.5, 0.5 * freedom)
-    return density
