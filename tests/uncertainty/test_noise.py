@@ -111,7 +111,7 @@ def test_probable_spectra_and_their_covariances() -> None:
     chances = processes.prior * np.exp(logs - logs.max())
     np.testing.assert_allclose(posterior.probabilities, chances / chances.sum(), rtol=1e-9)
     np.testing.assert_allclose(posterior.variances, squares / 112.0)
-    assert posterior.freedom == 112
+    assert posterior.dof == 112
 
 
 @pytest.mark.parametrize("count", [30, 9_999, 10_001])
