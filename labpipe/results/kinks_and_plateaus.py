@@ -238,14 +238,8 @@ def require_bend(segments: tuple[Measured, ...], hinges: Hinges) -> None:
     middle, smallest = np.nanquantile(deviations, [0.5, 0.975 if bend < 0.0 else 0.025]).tolist()
     error = abs(smallest - middle) / NORMAL_95
     if not abs(bend) > min_bend_errors * error:
-        raise UnavailableError.of(
-            "results.no_bend",
-            first=first.value,
-            second=second.value,
-            bend=abs(bend),
-            needed=min_bend_errors,
-            error=error,
-        )
+        slopes = {"first": first.value, "second": second.value, "bend": abs(bend)}
+        raise UnavailableError.of("results.no_bend", **slopes, needed=min_bend_errors, error=error)
     low, high = hinges.to_displacement(hinges.candidates[[2, -3]])
     errors = break_point.deviations[~np.isnan(break_point.deviations)]
     for breaks in (break_point.value + errors, break_point.value - errors):
@@ -794,15 +788,15 @@ class Plateau(Kind):
         yield end_slope
         onset, trace = self._measure_onset(test, initial, end_slope), curves.make_trace(test)
         (d, f), (tangents, _) = _read_loading(trace), self._choose_tangents(trace, initial.decide)
-        if not onset and end_slope.interval is not None:
+        if not onset and (interval := end_slope.interval) is not None:
             yield Finding.of(
                 "results.no_plateau",
                 test.signals.force,
                 over=1e3 * self.over,
                 slope=1e2 * outcome.value,
                 of=self.of,
-                low=1e2 * end_slope.interval.lower,
-                high=1e2 * end_slope.interval.upper,
+                low=1e2 * interval.lower,
+                high=1e2 * interval.upper,
                 slope_below=1e2 * self.slope_below,
                 reached=1e3 * float(np.nanmax(d)),
             )

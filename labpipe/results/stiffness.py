@@ -586,13 +586,10 @@ class Hardening(Kind):
             return hardening
 
         for later_cycle in later_cycles:
-            yield self.make_result(
-                test,
-                measure_ratio(later_cycle[0].cycle),
-                doubts=doubts + stiffness.list_doubts(test, later_cycle),
-                period=(first[0].start_time, later_cycle[0].stop_time),
-                suffix=f".{later_cycle[0].cycle}",
-            )
+            loading, all_doubts = later_cycle[0], doubts + stiffness.list_doubts(test, later_cycle)
+            period, suffix = (first[0].start_time, loading.stop_time), f".{loading.cycle}"
+            ratio = measure_ratio(loading.cycle)
+            yield self.make_result(test, ratio, doubts=all_doubts, period=period, suffix=suffix)
 
 
 class RangeKind(Kind):

@@ -369,9 +369,11 @@ def _make_difference_notes(samples: Sequence[Sample]) -> Iterator[QualityNote]:
         # Fields that follow from the composition have no note of their own.
         is_noted = name in labels or name not in _COMPOSITION_FIELDS
         if is_noted and len(tests_by_value) > 1:
-            template = "statistics.labels_differ" if name in labels else "statistics.bundles_differ"
-            values = f"{name}: {describe_values(tests_by_value)}"
-            yield QualityNote.of(template, "group", values=values)
+            yield QualityNote.of(
+                "statistics.labels_differ" if name in labels else "statistics.bundles_differ",
+                "group",
+                values=f"{name}: {describe_values(tests_by_value)}",
+            )
 
 
 def make_grouping_notes(

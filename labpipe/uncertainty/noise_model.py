@@ -229,18 +229,13 @@ def estimate_noise(
     longest = max((len(branch) for branch in branches), default=0)
     count = sum(len(branch) for branch in branches) // n_signals
     width = max(_MIN_PIECE_SAMPLES, longest // _PIECES_PER_BRANCH)
-    rests = [
-        *_cut_rest_middles(rests_before, width),
-        *_cut_rest_middles(rests_after, width, is_after_motion=True),
-    ]
+    rests = [*_cut_rest_middles(rests_before, width)]
+    rests += _cut_rest_middles(rests_after, width, is_after_motion=True)
     if longest <= SHORT_RECORD_SAMPLES:
         return _estimate_short_record_noise(branches, rests, longest, count)
-    pieces = [
-        branch[first : first + width]
-        for branch in branches
-        for first in range(0, len(branch) - width + 1, width)
-    ]
-    moving = np.array([piece for piece in pieces if np.ptp(piece) > 0.0])
+    whole_pieces = [branch[: len(branch) // width * width] for branch in branches]
+    pieces = np.concatenate(whole_pieces).reshape(-1, width)
+    moving = pieces[np.ptp(pieces, axis=1) > 0.0]
     if not len(moving):
         return _make_zero_noise(longest)
     basis = _build_piece_basis(width)
