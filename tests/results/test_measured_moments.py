@@ -62,9 +62,9 @@ def reduced(
     for old, new in changes:
         assert text.count(old) == 1, old
         text = text.replace(old, new)
-    plan, roles = parse_protocol(text, "p.yaml"), recordings_of(observe(scenario, 3))
-    force = name_channels(roles["force"], plan.sources["force"], Path("force.mat"))
-    done = reduce_recordings(roles | {"force": force}, plan)
+    plan, seen = parse_protocol(text, "p.yaml"), recordings_of(observe(scenario, 3))
+    force = name_channels(seen["force"], plan.sources["force"], Path("force.mat"))
+    done = reduce_recordings({"force": force, "markers": seen["markers"]}, plan)
     return done.reduced_test, {result.name: result for result in done.results}
 
 
