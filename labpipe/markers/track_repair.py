@@ -248,14 +248,12 @@ class Repair:
         yield from self._make_stretch_notes("markers.pose_frozen", self.is_frozen, self.names)
         yield from self._make_relabel_notes()
         for label, chain in self.naming.eliminated:
-            message = "markers.label_by_elimination"
-            yield self._make_span_note(message, label, chain.start, chain.stop)
+            span = chain.start, chain.stop
+            yield self._make_span_note("markers.label_by_elimination", label, *span)
         yield from self._make_jump_notes()
-        for message, flag in (
-            ("markers.gap_filled", PointFlag.FILLED),
-            ("markers.gap_left", PointFlag.MISSING),
-        ):
-            yield from self._make_stretch_notes(message, self.flags == flag, markers)
+        is_filled, is_missing = self.flags == PointFlag.FILLED, self.flags == PointFlag.MISSING
+        yield from self._make_stretch_notes("markers.gap_filled", is_filled, markers)
+        yield from self._make_stretch_notes("markers.gap_left", is_missing, markers)
         yield from self._make_ambiguity_notes()
         yield from self._make_dropped_notes()
 
@@ -319,8 +317,8 @@ class Repair:
                     exchanges.setdefault((start, stop), []).append((name, text))
                     continue
                 track = self.measured[start:stop, column]
-                facts = {"gap": _describe_distance(self.measured[:, label], track, start, stop)}
-                facts |= {"text": text, "span": span}
+                gap = _describe_distance(self.measured[:, label], track, start, stop)
+                facts = {"text": text, "span": span, "gap": gap}
                 yield QualityNote.of("markers.unlabelled_merged", f"{name}, {span}", **facts)
         for (start, stop), markers in sorted(exchanges.items()):
             names, texts = (", ".join(items) for items in zip(*markers, strict=True))

@@ -431,8 +431,9 @@ class MomentCurvature(Kind):
             return
         own_moment = 0.5 * GRAVITY * limits.unstated_mass * shape.length**2
         if own_moment > limits.weight_share * moment:
-            facts = {"mass": 1e3 * limits.unstated_mass, "moment": 1e6 * own_moment, "at": self.at}
-            yield Reason.of("results.weight_matters", **facts, share=limits.weight_share)
+            mass, own = 1e3 * limits.unstated_mass, 1e6 * own_moment
+            weight_facts = {"mass": mass, "moment": own, "share": limits.weight_share}
+            yield Reason.of("results.weight_matters", **weight_facts, at=self.at)
 
 
 class MidSpan(RangeKind):

@@ -672,20 +672,17 @@ def _list_scales(test: ReducedTest) -> Iterator[Input]:
 def _list_levels(test: ReducedTest, starts: Ints) -> Iterator[Input]:
     """Yield the resolutions of force and displacement, and the modes of the drift of the zero."""
     curve, add_force = test.required_curve, partial(_add_force, compliance=test.compliance)
+    displacement = test.signals.raw.get(test.signals.displacement)
     for cause, signal, add in (
         (causes.RESOLUTION_OF_FORCE, test.unfiltered, add_force),
-        (
-            causes.RESOLUTION_OF_DISPLACEMENT,
-            test.signals.raw.get(test.signals.displacement),
-            shift_displacement_by,
-        ),
+        (causes.RESOLUTION_OF_DISPLACEMENT, displacement, shift_displacement_by),
     ):
         if signal is not None and (step := _estimate_converter_step(signal.values)):
             yield Input(cause, partial(add, by=step / np.sqrt(12.0)), distribution="uniform")
     drift = test.raw_force.zero_drift * float(np.nanmax(np.abs(curve.force)))
     time_from_zero = np.abs(average_between(curve.time, starts) - _find_zero_time(test))
-    for number, mode in enumerate(compute_drift_modes(time_from_zero, drift), start=1):
-        stream = f"{causes.DRIFT_OF_ZERO} {number}"
+    for index, mode in enumerate(compute_drift_modes(time_from_zero, drift), start=1):
+        stream = f"{causes.DRIFT_OF_ZERO} {index}"
         yield Input(causes.DRIFT_OF_ZERO, partial(add_force, by=mode), stream=stream)
 
 

@@ -49,11 +49,11 @@ class FailurePoint:
 
     Parameters
     ----------
-    sample : number of the sample: the last one before a sudden loss, or above `slow_below` in a
+    sample : index of the sample: the last one before a sudden loss, or above `slow_below` in a
         slow loss; if only the end of the record shows the loss, the last one with a force
-    lost_before : largest share of the peak that was suddenly and permanently lost earlier, by a
+    lost_before : largest fraction of the peak that was suddenly and permanently lost earlier, by a
         specimen that failed in steps; else 0
-    slow_below : share of the peak below which the force finally falls in a slow loss; None for a
+    slow_below : fraction of the peak below which the force finally falls in a slow loss; None for a
         sudden loss
     """
 
@@ -274,8 +274,8 @@ class ReducedTest:
     def cycles(self) -> list[list[Branch]]:
         """Return the branches of the curve by cycle."""
         branches = self.curve.branches if self.curve else ()
-        numbers = sorted({branch.cycle for branch in branches})
-        return [[branch for branch in branches if branch.cycle == number] for number in numbers]
+        cycles = sorted({branch.cycle for branch in branches})
+        return [[branch for branch in branches if branch.cycle == cycle] for cycle in cycles]
 
     @property
     def first_loading(self) -> Branch | None:
@@ -421,20 +421,20 @@ class Kind(ABC):
         except UnavailableError as error:
             suffixes = ["" if x.first is None else f".{x.first}" for x in self.outputs]
             return [
-                self.make_result(test, error.failure, output=number, suffix=suffix)
-                for number, suffix in enumerate(suffixes)
+                self.make_result(test, error.failure, output=index, suffix=suffix)
+                for index, suffix in enumerate(suffixes)
             ]
 
     def compute_results(self, test: ReducedTest) -> list[Result]:
         """Compute the results of a test as `compute`, without stiffnesses, lines and notes."""
-        return [number for number in self.compute(test) if isinstance(number, Result)]
+        return [part for part in self.compute(test) if isinstance(part, Result)]
 
     def make_results(
         self, test: ReducedTest, outcomes: Iterable[Outcome], *, first: int = 0, **common: Any
     ) -> Iterator[Result]:
         """Make the results of several outputs in order, from the `first`, as `make_result`."""
-        for number, outcome in enumerate(outcomes, start=first):
-            yield self.make_result(test, outcome, output=number, **common)
+        for index, outcome in enumerate(outcomes, start=first):
+            yield self.make_result(test, outcome, output=index, **common)
 
     def make_result(
         self,
@@ -610,11 +610,11 @@ def find_machine_compliance(test: ReducedTest, stiffness: float) -> tuple[Reason
     stiffness : measured stiffness, N/m
     """
     limits = test.setup.limits
-    share = limits.machine_compliance * stiffness
-    if test.setup.compliance_stated or not share > limits.machine_share:
+    fraction = limits.machine_compliance * stiffness
+    if test.setup.compliance_stated or not fraction > limits.machine_share:
         return ()
     usual = 1e6 * limits.machine_compliance
-    return (Reason.of("results.machine_compliance", usual=usual, share=share),)
+    return (Reason.of("results.machine_compliance", usual=usual, share=fraction),)
 
 
 class ClockResult(Kind):

@@ -26,7 +26,7 @@ from labpipe.records.declarations import (
 from labpipe.records.estimates import Failure, UnavailableError, return_failure
 from labpipe.records.quality import Reason
 from labpipe.results import curves, cycles, kinds
-from labpipe.results.cycles import PerCycle
+from labpipe.results.cycles import CycleKind
 from labpipe.results.kinds import Kind, Part, ReducedTest, Stiffness
 from labpipe.signal.filters import compute_moving_average
 from labpipe.uncertainty.autocorrelation import estimate_fast_noise, scale_limit_by_noise
@@ -77,9 +77,8 @@ class ForceOnset:
         first = cycles.find_last_flagged((f <= limit) & (indices < self.peak_index)) + 1
         earliest = int(first.min())
         indices = indices[earliest:]
-        is_above = (f[:, earliest:] > cycles.FOOT_LIMIT_FACTOR * limit) & (
-            indices >= first[:, None]
-        )
+        is_above = f[:, earliest:] > cycles.FOOT_LIMIT_FACTOR * limit
+        is_above &= indices >= first[:, None]
         last = np.where(is_above.any(1), earliest + np.argmax(is_above, 1), count)
         last = np.maximum(last, first + self.min_foot_samples)
         columns = slice(earliest, min(int(last.max()), count))
@@ -490,7 +489,7 @@ def find_compliance_window(
     return convert_to_slice(window_samples)
 
 
-class UnloadingStiffness(PerCycle):
+class UnloadingStiffness(CycleKind):
     """``unloading_stiffness.<cycle>`` (N/m): slope just after each turn."""
 
     result: ClassVar = "unloading-stiffness"
@@ -504,16 +503,16 @@ class UnloadingStiffness(PerCycle):
         "line over {over_mm:g} mm off the peak without its first tenth, time as instrument"
     )
 
-    def choose(self, test: ReducedTest, trace: Trace, number: int) -> Reading:
+    def choose(self, test: ReducedTest, trace: Trace, cycle: int) -> Reading:
         """Choose the samples in the length `over` after the turn, without its first tenth."""
         del test
-        branch = cycles.require_unloading(cycles.select_cycle(trace, number))
+        branch = cycles.require_unloading(cycles.select_cycle(trace, cycle))
         sense = cycles.find_loading_sign(trace, trace.displacement)
         compute, n_samples = choose_unloading_window(trace, branch, length=self.over, sense=sense)
         return Reading(read_part(compute, slice(None)), n_samples)
 
 
-class LoadingStiffness(PerCycle):
+class LoadingStiffness(CycleKind):
     """``loading_stiffness.<cycle>`` (N/m): slope just after the onset of the force."""
 
     result: ClassVar = "loading-stiffness"
@@ -525,11 +524,11 @@ class LoadingStiffness(PerCycle):
 
     method: ClassVar = "line over {over_mm:g} mm from the onset of the force, time as instrument"
 
-    def choose(self, test: ReducedTest, trace: Trace, number: int) -> Reading:
+    def choose(self, test: ReducedTest, trace: Trace, cycle: int) -> Reading:
         """Choose the samples after the onset, with the limit of the measured curve if smooth."""
-        branch = cycles.select_cycle(trace, number)[0]
+        branch = cycles.select_cycle(trace, cycle)[0]
         columns, samples = cycles.cut_branch(trace, branch), slice(branch.start, branch.stop)
-        limit = self._choose_measured_window(test, number).onset.limit if trace.is_smooth else None
+        limit = self._choose_measured_window(test, cycle).onset.limit if trace.is_smooth else None
         steps = trace.parts_per_step
         window = choose_loading_window(*columns, length=self.over, limit=limit, steps=steps)
         numbers = read_part(window.compute, samples)
@@ -567,7 +566,7 @@ class Hardening(Kind):
         """Measure the ratio of each later cycle to the first one, in which the scale cancels."""
         first, *later_cycles = test.require(test.cycles or None)
         stiffness = LoadingStiffness(over=self.over)
-        base = return_failure(test.measure_one)(partial(stiffness.choose, test, number=1))
+        base = return_failure(test.measure_one)(partial(stiffness.choose, test, cycle=1))
         doubts = stiffness.list_doubts(test, first)
 
         def choose_first(trace: Trace) -> Reading:
@@ -578,7 +577,7 @@ class Hardening(Kind):
 
         @return_failure
         def measure_ratio(cycle: int) -> Measured:
-            choose = partial(stiffness.choose, test, number=cycle)
+            choose = partial(stiffness.choose, test, cycle=cycle)
             ratio = combine_numbers(lambda _, x, first: divide(x, first), choose, choose_first)
             hardening, first_stiffness = test.measure_one(ratio), test.require(base)
             value = first_stiffness.value
@@ -587,13 +586,10 @@ class Hardening(Kind):
             return hardening
 
         for later_cycle in later_cycles:
-            yield self.make_result(
-                test,
-                measure_ratio(later_cycle[0].cycle),
-                doubts=doubts + stiffness.list_doubts(test, later_cycle),
-                period=(first[0].start_time, later_cycle[0].stop_time),
-                suffix=f".{later_cycle[0].cycle}",
-            )
+            loading, all_doubts = later_cycle[0], doubts + stiffness.list_doubts(test, later_cycle)
+            period, suffix = (first[0].start_time, loading.stop_time), f".{loading.cycle}"
+            ratio = measure_ratio(loading.cycle)
+            yield self.make_result(test, ratio, doubts=all_doubts, period=period, suffix=suffix)
 
 
 class RangeKind(Kind):
@@ -767,12 +763,12 @@ class NormalisedStiffness(DerivedKind):
     def measure_outcome(self, test: ReducedTest, stiffness: Stiffness) -> kinds.Outcome:
         """Measure a stiffness over the largest force of all cycles, in which a gain cancels."""
         trace = curves.make_trace(test)
-        force, numbers = trace.force, range(1, len(test.cycles) + 1)
-        samples = [cycles.find_cycle_samples(trace, number) for number in numbers]
+        force, cycle_numbers = trace.force, range(1, len(test.cycles) + 1)
+        samples = [cycles.find_cycle_samples(trace, cycle) for cycle in cycle_numbers]
         peaks = [float(np.fmax.reduce(force[x], initial=-np.inf)) for x in samples]
         # The last of equal peaks is chosen.
-        largest_cycle = max(numbers, key=lambda number: (peaks[number - 1], number))
-        choose_peak = partial(cycles.choose_peak_sample, test, number=largest_cycle)
+        largest_cycle = max(cycle_numbers, key=lambda cycle: (peaks[cycle - 1], cycle))
+        choose_peak = partial(cycles.choose_peak_sample, test, cycle=largest_cycle)
         peak_force = test.measure_one(choose_peak)
         if peak_force.value <= _MIN_SIGNIFICANT_ERRORS * peak_force.error:
             raise UnavailableError.of("results.no_peak_force", peak=peak_force.value)
@@ -883,9 +879,7 @@ class ComplianceResult(Kind):
         d, f = trace.displacement[stretch], trace.force[stretch]
         window = find_compliance_window(d, f, start=self.start, stop=self.stop)
         samples = np.arange(stretch.start, stretch.stop)[window]
-        compute_compliance = read_part(
-            lambda d, f: curves.compute_slope(f, d), convert_to_slice(samples)
-        )
-        if (compliance := float(compute_compliance(trace)[0])) <= 0.0:
+        compute = read_part(lambda d, f: curves.compute_slope(f, d), convert_to_slice(samples))
+        if (compliance := float(compute(trace)[0])) <= 0.0:
             raise UnavailableError.of("results.not_positive", slope=compliance)
-        return Reading(compute_compliance, len(samples), ends_at_samples=True)
+        return Reading(compute, len(samples), ends_at_samples=True)

@@ -145,12 +145,8 @@ def find_differing_fields(
 
 def _have_similar_sizes(first: Group, second: Group, name: str) -> bool:
     """Return whether both groups have a dimension, and its means differ by at most 1 %."""
-    means = [
-        sum(sizes) / len(sizes)
-        for group in (first, second)
-        if (sizes := _list_sizes(group.samples, name))
-    ]
-    return len(means) == 2 and _are_similar(means)
+    sizes = [_list_sizes(group.samples, name) for group in (first, second)]
+    return all(sizes) and _are_similar([sum(x) / len(x) for x in sizes])
 
 
 def _find_dependent_fields(
@@ -212,9 +208,7 @@ def make_field_sort_key(name: str, text: str) -> tuple[object, ...]:
 def make_natural_sort_key(text: str) -> tuple[tuple[int, str], ...]:
     """Make a sort key of a text in which 7 is before 12."""
     segments = split(r"(\d+)", text)
-    return tuple(
-        (int(segment), "") if segment.isdecimal() else (0, segment) for segment in segments
-    )
+    return tuple((int(x), "") if x.isdecimal() else (0, x) for x in segments)
 
 
 _BUNDLE_FIELDS = ("composition", "arrangement", "taping", "tape", "conduit", BORE)
@@ -286,10 +280,8 @@ def _list_candidates(samples: Sequence[Sample]) -> dict[str, list[str]]:
     }
     if all(specimen.bundle is None or len(specimen.bundle.wires) == 1 for specimen in specimens):
         candidates.pop("arrangement", None)  # all wires are of one kind
-    candidates |= {
-        name: _format_clustered_sizes([specimen.dimensions.get(name) for specimen in specimens])
-        for name in sizes
-    }
+    for name in sizes:
+        candidates[name] = _format_clustered_sizes([x.dimensions.get(name) for x in specimens])
     for name in labels:
         texts = [fields.get(name, NOT_STATED) for fields in all_fields]
         if len(set(texts)) < len(texts):  # a label of each sample does not divide them
@@ -377,9 +369,11 @@ def _make_difference_notes(samples: Sequence[Sample]) -> Iterator[QualityNote]:
         # Fields that follow from the composition have no note of their own.
         is_noted = name in labels or name not in _COMPOSITION_FIELDS
         if is_noted and len(tests_by_value) > 1:
-            template = "statistics.labels_differ" if name in labels else "statistics.bundles_differ"
-            values = f"{name}: {describe_values(tests_by_value)}"
-            yield QualityNote.of(template, "group", values=values)
+            yield QualityNote.of(
+                "statistics.labels_differ" if name in labels else "statistics.bundles_differ",
+                "group",
+                values=f"{name}: {describe_values(tests_by_value)}",
+            )
 
 
 def make_grouping_notes(

@@ -119,9 +119,8 @@ def reduce_band(band: Band) -> Band:
     if band.n > 2:
         rows = [round(fraction * (len(nans) - 1)) for fraction in (0.25, 0.5, 1.0)]
         lower[rows], upper[rows] = band.lower[rows], band.upper[rows]
-        reason = Reason.of(
-            "statistics.few_curves", count=band.n, members=band.members, least=min_band_curves
-        )
+        facts = {"count": band.n, "members": band.members, "least": min_band_curves}
+        reason = Reason.of("statistics.few_curves", **facts)
     return replace(band, lower=lower, upper=upper, lower_all=nans, upper_all=nans, reason=reason)
 
 
@@ -391,17 +390,15 @@ def build_group(
         numbers.append(replace(number, is_set_by_rig=quantity in rig_names))
     band, notes = average_loading(samples, limits)
     scaled_band, scaled_notes = average_scaled_loading(samples, limits) if scaled else (None, [])
-    all_notes = (
+    notes = [
         *make_method_notes(exclusions, samples),
         *make_sample_notes(samples),
         *make_number_notes(numbers),
         *notes,
         *scaled_notes,
-    )
-    shared_fields = find_shared_fields(samples)
-    return Group(
-        name, protocol, samples, tuple(numbers), band, scaled_band, all_notes, shared_fields
-    )
+    ]
+    bands, fields = (band, scaled_band), find_shared_fields(samples)
+    return Group(name, protocol, samples, tuple(numbers), *bands, tuple(notes), fields)
 
 
 def _make_sample_sort_key(sample: Sample) -> list[tuple[tuple[int, str], ...]]:
@@ -437,11 +434,9 @@ def average_result(
     (``no_result``), values that are not finite (``not_finite``) or in another unit than the first
     value (``other_unit``), and `excluded`.
     """
-    results = {
-        key: find_result(sample.results, name)
-        for key, sample in zip(name_samples(samples), samples, strict=True)
-    }
-    spools = dict(zip(results, (sample.specimen.spool for sample in samples), strict=True))
+    results, spools = dict[str, Result | None](), dict[str, str]()
+    for key, sample in zip(name_samples(samples), samples, strict=True):
+        results[key], spools[key] = find_result(sample.results, name), sample.specimen.spool
     units = [result.unit for result in results.values() if result is not None]
     unit = units[0] if units else ""
     left_out = {key: _find_exclusion_reasons(result, name, unit) for key, result in results.items()}

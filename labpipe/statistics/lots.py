@@ -170,9 +170,8 @@ def _add_answer(lot: Lot, fractions: Mapping[str, Result], limits: Collection[fl
     limits : distinct limits of the tests, N
     """
     is_certain = {test: fraction.status is Status.OK for test, fraction in fractions.items()}
-    failing_tests = [
-        test for test, verdict in lot.verdicts.items() if verdict.by_number is Answer.FAIL
-    ]
+    verdicts = lot.verdicts.items()
+    failing_tests = [test for test, verdict in verdicts if verdict.by_number is Answer.FAIL]
     surely_failing = [test for test in failing_tests if is_certain[test]]
     unknown_tests = [test for test, fraction in fractions.items() if fraction.value is None]
     unknown_tests += [test for test in failing_tests if not is_certain[test]]

@@ -123,8 +123,10 @@ def _describe_decision(
 ) -> Decision:
     """Describe what was averaged, and the numbers on which the decision is based."""
     counts = tuple(len(values) for values in spools)
-    template = "statistics.pooled" if is_pooled else "statistics.not_pooled"
-    summary = format_sentence(template, samples=sum(counts), spools=len(counts))
+    totals = {"samples": sum(counts), "spools": len(counts)}
+    summary = format_sentence(
+        "statistics.pooled" if is_pooled else "statistics.not_pooled", **totals
+    )
     grounds = (*_describe_shares(scatter, limits), _describe_test(p, counts, limits))
     if max(counts) > 1 and np.ptp(np.concatenate(spools)) == 0.0:
         grounds = (format_sentence("statistics.values_equal"),)
@@ -144,8 +146,8 @@ def _describe_shares(scatter: SpoolScatter, limits: PoolingLimits) -> tuple[str,
     if scatter.between_spools == 0.0:
         text = format_sentence("statistics.spools_alike", max_percent=max_percent)
     limit, confidence = 100.0 * limits.max_spool_share, 100.0 * limits.confidence
-    facts = {"limit_percent": limit, "confidence_percent": confidence}
-    return text, format_sentence("statistics.share_needed", **facts)
+    needed = {"limit_percent": limit, "confidence_percent": confidence}
+    return text, format_sentence("statistics.share_needed", **needed)
 
 
 def _describe_test(p: float, counts: tuple[int, ...], limits: PoolingLimits) -> str:
@@ -156,8 +158,10 @@ def _describe_test(p: float, counts: tuple[int, ...], limits: PoolingLimits) -> 
     if smallest_p >= limits.min_p:
         sizes = f"{', '.join(map(str, counts[:-1]))} and {counts[-1]}"
         return format_sentence("statistics.test_without_power", sizes=sizes, smallest_p=smallest_p)
-    template = "statistics.equal" if p >= limits.min_p else "statistics.unequal"
-    return format_sentence(template, p=p, min_p=limits.min_p)
+    min_p = limits.min_p
+    return format_sentence(
+        "statistics.equal" if p >= min_p else "statistics.unequal", p=p, min_p=min_p
+    )
 
 
 def compute_t_quantile(degrees: float, tail_probability: float = ALPHA) -> float:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy import special
 
 from labpipe.messages import format_sentence
-from labpipe.records.arrays import Floats
+from labpipe.records.arrays import Floats, divide
 from labpipe.records.curve import Interval
 from labpipe.records.group import (
     Contrast,
@@ -264,10 +264,8 @@ def _judge_difference(
     contrast = difference.contrast
     if contrast is None:
         reason = difference.difference.reason
-        verdict_reason = reason.message if reason else format_sentence("statistics.no_interval")
-        return replace(
-            difference, family=family, verdict=Verdict.CANNOT_TELL, verdict_reason=verdict_reason
-        )
+        why = reason.message if reason else format_sentence("statistics.no_interval")
+        return replace(difference, family=family, verdict=Verdict.CANNOT_TELL, verdict_reason=why)
     tail_probability = ALPHA / difference_test.divisor
     middle, half_width = contrast.difference, compute_half_width(contrast, tail_probability)
     interval = Interval(middle - half_width, middle + half_width, 1.0 - tail_probability)
@@ -582,12 +580,8 @@ def _compute_p_values(values: Floats, spool_index: NDArray[np.intp]) -> Floats |
         return None
     # Removing a value from a spool of n reduces the sum of squares by residual^2 / (1 - 1 / n).
     variance_factor = 1.0 - 1.0 / counts[spool_index]
-    reduction = np.divide(
-        residual**2, variance_factor, out=np.zeros(len(values)), where=variance_factor > 0
-    )
-    remaining_squares = np.maximum(
-        sum_of_squares - reduction, min_remaining_fraction * sum_of_squares
-    )
-    t = np.sqrt(reduction * degrees_of_freedom / remaining_squares)
+    reduction = np.nan_to_num(divide(residual**2, variance_factor))
+    remaining_fraction = np.maximum(1.0 - reduction / sum_of_squares, min_remaining_fraction)
+    t = np.sqrt(reduction * degrees_of_freedom / (remaining_fraction * sum_of_squares))
     p_values: Floats = np.minimum(1.0, 2.0 * len(values) * special.stdtr(degrees_of_freedom, -t))
     return p_values

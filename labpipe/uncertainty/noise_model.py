@@ -81,9 +81,9 @@ class NoiseModel:
     Parameters
     ----------
     probabilities : shape (g,), probability of each process
-    squares : shape (g,), variance at frequency zero times `freedom`, for each process, in the
+    squares : shape (g,), variance at frequency zero times `dof`, for each process, in the
         squared unit of the signal
-    freedom : degrees of freedom of the variance
+    dof : degrees of freedom of the variance
     longest, count : number of samples of the longest branch, and of all branches of one signal
     angles, power : shape (b,), rad per sample at which each band of fast waves begins, and the
         power of the record in each band; empty without a branch of more than 512 samples
@@ -91,7 +91,7 @@ class NoiseModel:
 
     probabilities: Floats
     squares: Floats
-    freedom: int
+    dof: int
     longest: int
     count: int
     angles: Floats
@@ -105,9 +105,9 @@ class NoiseModel:
         Added white noise reduces it. Flicker noise and mirror images count as white noise.
         """
         processes = _list_processes(self.longest, self.count)
-        slow = (1.0 - processes.factor) / (1.0 + processes.factor)
+        slow = (1.0 - processes.correlation) / (1.0 + processes.correlation)
         mixed = processes.floor + (1.0 - processes.floor) * slow
-        variance = np.where(processes.is_mirrored > 0.0, 1.0, mixed)
+        variance = np.where(processes.is_reciprocal > 0.0, 1.0, mixed)
         return float(self.probabilities @ (0.5 / variance)[: len(self.probabilities)])
 
     @property
@@ -137,7 +137,7 @@ class NoiseModel:
     ) -> Iterator[Singles]:
         """Draw the same random noise as `draw`, but yield a few records at a time."""
         chosen = rng.choice(len(self.probabilities), size=replicates, p=self.probabilities)
-        variance = self.squares[chosen] / rng.chisquare(self.freedom, size=replicates)
+        variance = self.squares[chosen] / rng.chisquare(self.dof, size=replicates)
         processes = _list_processes(self.longest, self.count)
         margin_time = _MARGIN_TIMES * processes.time[chosen].max(initial=0.0)
         if len(self.angles):
@@ -229,18 +229,13 @@ def estimate_noise(
     longest = max((len(branch) for branch in branches), default=0)
     count = sum(len(branch) for branch in branches) // n_signals
     width = max(_MIN_PIECE_SAMPLES, longest // _PIECES_PER_BRANCH)
-    rests = [
-        *_cut_rest_middles(rests_before, width),
-        *_cut_rest_middles(rests_after, width, is_after_motion=True),
-    ]
+    rests = [*_cut_rest_middles(rests_before, width)]
+    rests += _cut_rest_middles(rests_after, width, is_after_motion=True)
     if longest <= SHORT_RECORD_SAMPLES:
         return _estimate_short_record_noise(branches, rests, longest, count)
-    pieces = [
-        branch[first : first + width]
-        for branch in branches
-        for first in range(0, len(branch) - width + 1, width)
-    ]
-    moving = np.array([piece for piece in pieces if np.ptp(piece) > 0.0])
+    whole_pieces = [branch[: len(branch) // width * width] for branch in branches]
+    pieces = np.concatenate(whole_pieces).reshape(-1, width)
+    moving = pieces[np.ptp(pieces, axis=1) > 0.0]
     if not len(moving):
         return _make_zero_noise(longest)
     basis = _build_piece_basis(width)
@@ -260,8 +255,8 @@ def estimate_noise(
         posterior = SpectrumPosterior.combine([window_likelihood], processes.prior)
         most_probable = spectra[np.argmax(posterior.probabilities)]
         whitened = _compute_whitened_squares(most_probable, waves[is_alike], columns)
-        freedom = terms - columns.shape[1]
-        limit_ratio = chdtri(freedom, kink_probability) / chdtri(freedom, 0.5)
+        dof = terms - columns.shape[1]
+        limit_ratio = chdtri(dof, kink_probability) / chdtri(dof, 0.5)
         has_kink = whitened > np.median(whitened) * limit_ratio
         if not has_kink.any():
             break
@@ -295,9 +290,9 @@ def _make_noise_model(
     posterior = SpectrumPosterior.combine(likelihoods, prior)
     probabilities = posterior.probabilities
     probabilities[probabilities < min_probability_ratio * probabilities.max()] = 0.0
-    squares = posterior.variances * posterior.freedom * variance_factor
+    squares = posterior.variances * posterior.dof * variance_factor
     probabilities /= probabilities.sum()
-    return NoiseModel(probabilities, squares, posterior.freedom, *sample_counts, *fast_waves)
+    return NoiseModel(probabilities, squares, posterior.dof, *sample_counts, *fast_waves)
 
 
 def _flag_observed_processes(processes: Processes, width: int) -> Flags:
@@ -317,8 +312,8 @@ def _flag_observed_processes(processes: Processes, width: int) -> Flags:
     # Processes with more flicker than white noise in all modelled waves of a piece are equal there:
     # the process with the least white noise represents them.
     is_observed |= processes.crossing == _FLICKER_CROSSINGS[0]
-    is_observed &= processes.flicker_power <= max_flicker_power
-    return np.asarray(is_observed | (processes.flicker_power == 0.0), dtype=np.bool_)
+    is_observed &= processes.flicker_exponent <= max_flicker_power
+    return np.asarray(is_observed | (processes.flicker_exponent == 0.0), dtype=np.bool_)
 
 
 def _estimate_short_record_noise(
@@ -339,7 +334,7 @@ def _estimate_short_record_noise(
     processes, empty = _list_processes(longest, count), np.zeros(0)
     prior = processes.prior
     if not rests:
-        prior = np.where(processes.flicker_power > 0.0, 0.0, prior)
+        prior = np.where(processes.flicker_exponent > 0.0, 0.0, prior)
     likelihoods = [_compute_likelihood(processes, *piece) for piece in [*pieces, *rests]]
     return _make_noise_model(likelihoods, prior, (longest, count), (empty, empty))
 

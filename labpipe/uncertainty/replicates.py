@@ -295,17 +295,6 @@ class Replicates:
         }
         return np.asarray(draws[quantity.distribution](quantiles), dtype=np.float64)
 
-    def has_noise(self, name: str) -> bool:
-        """Return whether the noise of a signal exceeds 1e-4 of its range.
-
-        Parameters
-        ----------
-        name : ``force`` or ``displacement``
-        """
-        smooth: Floats = getattr(self.smooth, name)
-        noise = np.nanstd(getattr(self, name)[:_BATCH_REPLICATES] - smooth)
-        return bool(noise > 1e-4 * (np.nanmax(smooth) - np.nanmin(smooth)))
-
     def shift_displacement(self, offset: float, *inputs: Input) -> Replicates:
         """Shift the displacements of the curve and of all replicates.
 
@@ -482,6 +471,7 @@ def draw_replicates(
     -------
     The replicates, equal for equal arguments.
     """
+    min_noise = 1e-4  # of the range of a signal; the model of less noise is not kept
     noisy, noises, smooth = [], {}, []
     jump = None if unfiltered.failed_at is None else unfiltered.failed_at + 1
     has_resolution = any(quantity.cause == RESOLUTION_OF_FORCE for quantity in inputs)
@@ -495,11 +485,13 @@ def draw_replicates(
         smooth.append(curve)
     for curves in (smooth, noisy) if compliance else ():
         curves[0] = curves[0] - compliance * curves[1]
+    for name, curve, records in zip([*noises], smooth, noisy, strict=True):
+        noise_level = np.nanstd(records[:_BATCH_REPLICATES] - curve)
+        if not noise_level > min_noise * (np.nanmax(curve) - np.nanmin(curve)):
+            del noises[name]
     smooth_trace = replace(unfiltered, displacement=smooth[0], force=smooth[1], is_smooth=True)
     traces, (displacement, force) = (measured, averaged or measured, smooth_trace), noisy
-    replicates = Replicates(*traces, displacement, force, inputs, seed, noises)
-    noises = {name: noise for name, noise in noises.items() if replicates.has_noise(name)}
-    return replace(replicates, noises=noises)
+    return Replicates(*traces, displacement, force, inputs, seed, noises)
 
 
 def _add_noise_and_filter(

@@ -17,9 +17,10 @@ from labpipe.messages import get_code, list_subpackages, read_templates
 NAME = re.compile(r"[a-z_]+(\.[a-z_]+)*\.[a-z0-9_]+")
 TAKES_A_TEMPLATE = {"about", "of", "build_refusal", "format_sentence", "format_error_parts"}
 """Functions whose first argument names a template, or chooses one of several."""
-FORWARDS = {"_make_stretch_notes": {"name", "span"}, "report": set[str]()}
-FORWARDS["_make_span_note"] = FORWARDS["_make_stretch_notes"]
+FORWARDS = {name: {"name", "span"} for name in ("_make_stretch_notes", "_make_span_note")}
+FORWARDS["report"] = set()
 """Function that gives a template on -> the facts that it adds."""
+NOTED = {"Finding.of", "QualityNote.of", "record.report", *FORWARDS}
 OTHER_ARGUMENTS = {"period", "clock", "blocks", "at", "missing", "channel", "segment"}
 
 
@@ -78,7 +79,7 @@ def test_quality_notes_are_documented(calls: dict[ast.Call, str], repository: Pa
     notes = {
         name
         for call in calls
-        if ast.unparse(call.func) in {"Finding.of", "QualityNote.of", "record.report", *FORWARDS}
+        if ast.unparse(call.func).removeprefix("self.") in NOTED
         for name in _templates_named(call)
     }
     assert notes == {name for name, template in TEMPLATES.items() if "severity" in template}
@@ -121,9 +122,7 @@ def fields_of(template: dict[str, str]) -> set[str]:
 
 def _templates_named(call: ast.Call) -> list[str]:
     """Names of templates in the first argument of a call."""
-    function = (
-        call.func.attr if isinstance(call.func, ast.Attribute) else getattr(call.func, "id", "")
-    )
+    function = ast.unparse(call.func).rpartition(".")[2]
     if function not in TAKES_A_TEMPLATE | FORWARDS.keys():
         return []
     texts = [part.value for part in ast.walk(call.args[0]) if isinstance(part, ast.Constant)]
@@ -131,5 +130,5 @@ def _templates_named(call: ast.Call) -> list[str]:
 
 
 def _facts(call: ast.Call) -> set[str]:
-    facts = FORWARDS.get(ast.unparse(call.func), set())
+    facts = FORWARDS.get(ast.unparse(call.func).removeprefix("self."), set())
     return facts | {keyword.arg or "**" for keyword in call.keywords}

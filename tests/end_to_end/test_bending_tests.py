@@ -178,9 +178,9 @@ def test_intervals_of_the_law_cover(repository: Path) -> None:
             assert f"{key}: {nominal:g} mm" in text
             drawn = nominal + 0.1 * rng.standard_normal()
             text = text.replace(f"{key}: {nominal:g} mm", f"{key}: {drawn:.6f} mm")
-        plan, roles = parse_protocol(text, "w.yaml"), recordings_of(observe(scenario, seed))
-        force = name_channels(roles["force"], plan.sources["force"], Path("force.mat"))
-        done: Any = reduce_recordings(roles | {"force": force}, plan)
+        plan, seen = parse_protocol(text, "p.yaml"), recordings_of(observe(scenario, seed))
+        force = name_channels(seen["force"], plan.sources["force"], Path("force.mat"))
+        done: Any = reduce_recordings({"force": force, "markers": seen["markers"]}, plan)
         law = done.reduced_test.bending.law
         points = evaluate_law(
             law.knots,

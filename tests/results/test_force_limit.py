@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +19,7 @@ from labpipe.results.failures import ForceLimit
 from labpipe.statistics.lots import judge_sample
 from labpipe.virtual_lab import observe
 from labpipe.virtual_lab.tensile import build_crimp_pull
-from tests.builders.tensile_tests import recordings_of
+from tests.builders.tensile_tests import reduced_in_memory
 
 PROTOCOL = (Path(__file__).parents[2] / "protocols/crimp-pull.yaml").read_text(encoding="utf-8")
 CARD_ENTRY = "{result: force-limit, card: crimp-pull, column: silver-tin}"
@@ -159,12 +158,8 @@ def test_peaks_of_virtual_crimps_lie_in_their_intervals(separation: str) -> None
             "c", seed, strength=130.0, conductor="AWG 20", separation=separation
         )
         test = observe(scenario, seed)
-        frame = recordings_of(test)["frame"]
-        names = {"Load": "force", "Crosshead": "displacement"}
-        channels = tuple(replace(channel, name=names[channel.name]) for channel in frame.channels)
         protocol = parse_protocol(PROTOCOL, "p.yaml")
-        recording = replace(frame, channels=channels)
-        results = {x.name: x for x in reduce_recordings({"frame": recording}, protocol).results}
+        results = {result.name: result for result in reduced_in_memory(test, protocol)}
         truth = test.truth["peak_force"], test.truth["peak_displacement"] - test.truth["foot"]
         for name, true in zip(is_inside, truth, strict=True):
             interval = results[name].interval

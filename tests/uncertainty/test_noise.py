@@ -99,7 +99,7 @@ def test_probable_spectra_and_their_covariances() -> None:
         assert stretch.unit_covariance[number] == pytest.approx(unit)
         assert stretch.shifts[number, 0] == pytest.approx(shifts)
         assert stretch.squares[number] == pytest.approx(products[4, 4] - products[4, :4] @ shifts)
-        assert stretch.log_likelihood[number] == pytest.approx(-0.5 * logs)
+        assert stretch.log_determinant_term[number] == pytest.approx(-0.5 * logs)
         assert stretch.compute_least_squares_covariance()[number] == pytest.approx(plain)
     # Two stretches of one noise, the second twice as large.
     other = SpectrumLikelihood.from_values(cubics, 2.0 * noise(4, 100, 5.0), processes, 60)
@@ -107,11 +107,11 @@ def test_probable_spectra_and_their_covariances() -> None:
         SpectrumPosterior.combine([stretch, other], processes.prior),
         stretch.squares + other.squares,
     )
-    logs = stretch.log_likelihood + other.log_likelihood - 56.0 * np.log(squares)
+    logs = stretch.log_determinant_term + other.log_likelihood - 56.0 * np.log(squares)
     chances = processes.prior * np.exp(logs - logs.max())
     np.testing.assert_allclose(posterior.probabilities, chances / chances.sum(), rtol=1e-9)
     np.testing.assert_allclose(posterior.variances, squares / 112.0)
-    assert posterior.freedom == 112
+    assert posterior.dof == 112
 
 
 @pytest.mark.parametrize("count", [30, 9_999, 10_001])
