@@ -626,13 +626,14 @@ def _list_inputs(
         # The noise of such a change would raise the largest of many samples.
         change = smooth(change) if cause in _CAUSES_BY_FRAME else change
         distribution: Distribution = "uniform" if cause == causes.SHAPE else "normal"
-        yield Input(cause, partial(shift_displacement_by, by=change), distribution=distribution)
+        yield Input(cause, partial(shift_displacement_by, change=change), distribution=distribution)
     for cause, clocks in test.clocks.perturbed.items():
         delay = clocks.to_force_times(time) - test.clocks.to_force_times(time)
-        yield Input(cause, partial(_delay_force, by=average_between(delay, starts)))
-    for name, by in test.setup.uncertainties.items():
+        yield Input(cause, partial(_delay_force, delay=average_between(delay, starts)))
+    for name, uncertainty in test.setup.uncertainties.items():
         cause = name if name in (causes.LENGTH, causes.SPAN) else causes.SECTION
-        yield Input(cause, partial(_change_size, name=name, by=by), moves_curve=False, stream=name)
+        change_size = partial(_change_size, name=name, change=uncertainty)
+        yield Input(cause, change_size, moves_curve=False, stream=name)
     curve_step = len(starts) / len(time)  # in steps of the grid
 
     def delay_end(trace: Trace, x: float) -> Trace:
@@ -642,7 +643,7 @@ def _list_inputs(
     for index, slip in enumerate(_list_repaired(test), start=1):
         is_after_slip = np.arange(len(starts)) >= np.searchsorted(starts, slip.stop)
         error = np.where(is_after_slip, slip.drop_interval.standard_error, 0.0)
-        add_drop = partial(_add_force, by=error)
+        add_drop = partial(_add_force, change=error)
         yield Input(causes.REPAIRED_SLIPS, add_drop, stream=f"{causes.REPAIRED_SLIPS} {index}")
 
 
@@ -651,14 +652,16 @@ def _list_scales(test: ReducedTest) -> Iterator[Input]:
     force, displacement, compliance = test.raw_force, test.displacement, test.compliance
 
     def scale_force(trace: Trace, x: float) -> Trace:
-        return _add_force(trace, x, by=force.relative_error * trace.force, compliance=compliance)
+        return _add_force(
+            trace, x, change=force.relative_error * trace.force, compliance=compliance
+        )
 
     def scale_displacement(trace: Trace, x: float) -> Trace:
         machine_displacement = trace.displacement + compliance * np.nan_to_num(trace.force)
         return shift_displacement_by(trace, x * displacement.relative_error, machine_displacement)
 
-    shift_force = partial(_add_force, by=force.zero_error, compliance=compliance)
-    shift_displacement = partial(shift_displacement_by, by=displacement.zero_error)
+    shift_force = partial(_add_force, change=force.zero_error, compliance=compliance)
+    shift_displacement = partial(shift_displacement_by, change=displacement.zero_error)
     for cause, error, perturb in (
         (causes.SCALE_OF_FORCE, force.relative_error, scale_force),
         (causes.ZERO_OF_FORCE, force.zero_error, shift_force),
@@ -678,12 +681,12 @@ def _list_levels(test: ReducedTest, starts: Ints) -> Iterator[Input]:
         (causes.RESOLUTION_OF_DISPLACEMENT, displacement, shift_displacement_by),
     ):
         if signal is not None and (step := _estimate_converter_step(signal.values)):
-            yield Input(cause, partial(add, by=step / np.sqrt(12.0)), distribution="uniform")
+            yield Input(cause, partial(add, change=step / np.sqrt(12.0)), distribution="uniform")
     drift = test.raw_force.zero_drift * float(np.nanmax(np.abs(curve.force)))
     time_from_zero = np.abs(average_between(curve.time, starts) - _find_zero_time(test))
     for index, mode in enumerate(compute_drift_modes(time_from_zero, drift), start=1):
         stream = f"{causes.DRIFT_OF_ZERO} {index}"
-        yield Input(causes.DRIFT_OF_ZERO, partial(add_force, by=mode), stream=stream)
+        yield Input(causes.DRIFT_OF_ZERO, partial(add_force, change=mode), stream=stream)
 
 
 def _list_repaired(test: ReducedTest) -> list[Slip]:
@@ -748,31 +751,31 @@ def _find_zero_time(test: ReducedTest) -> float:
     return first if first - time[0] < time[-1] - last else last
 
 
-def _add_force(trace: Trace, x: float, *, by: float | Floats, compliance: float = 0.0) -> Trace:
+def _add_force(trace: Trace, x: float, *, change: float | Floats, compliance: float = 0.0) -> Trace:
     """Add a multiple of a force to a trace, and subtract the displacement of the frame."""
-    shift = x * compliance * np.nan_to_num(by)
-    return replace(trace, force=trace.force + x * by, displacement=trace.displacement - shift)
+    shift = x * compliance * np.nan_to_num(change)
+    return replace(trace, force=trace.force + x * change, displacement=trace.displacement - shift)
 
 
-def shift_displacement_by(trace: Trace, x: float, by: float | Floats) -> Trace:
+def shift_displacement_by(trace: Trace, x: float, change: float | Floats) -> Trace:
     """Shift the displacement of a trace by a multiple of a length.
 
     Parameters
     ----------
     trace : one or many curves
     x : factor of the length
-    by : m, the length, or one for each sample
+    change : m, one length, or one for each sample
     """
-    return replace(trace, displacement=trace.displacement + x * by)
+    return replace(trace, displacement=trace.displacement + x * change)
 
 
-def _change_size(trace: Trace, x: float, *, name: str, by: float) -> Trace:
+def _change_size(trace: Trace, x: float, *, name: str, change: float) -> Trace:
     """Add a multiple of a length to a size of a trace, if it has this size."""
     if name not in trace.sizes:
         return trace
-    return replace(trace, sizes={**trace.sizes, name: trace.sizes[name] + x * by})
+    return replace(trace, sizes={**trace.sizes, name: trace.sizes[name] + x * change})
 
 
-def _delay_force(trace: Trace, x: float, *, by: Floats) -> Trace:
+def _delay_force(trace: Trace, x: float, *, delay: Floats) -> Trace:
     """Delay the force of a trace by a multiple of a time for each sample."""
-    return replace(trace, force=np.interp(trace.time + x * by, trace.time, trace.force))
+    return replace(trace, force=np.interp(trace.time + x * delay, trace.time, trace.force))

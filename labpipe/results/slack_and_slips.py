@@ -555,7 +555,7 @@ def subtract_slack(replicates: Replicates, decide: Decide, measured_slack: Measu
     corrected = replace(replicates, inputs=inputs)
     if not error:
         return corrected.shift_displacement(-measured_slack.value)
-    shift = partial(curves.shift_displacement_by, by=-error)
+    shift = partial(curves.shift_displacement_by, change=-error)
     doubts = list_slack_doubts(measured_slack)
     slack_input = Input(SLACK, shift, draws=draws / error, doubts=doubts)
     return corrected.shift_displacement(-measured_slack.value, slack_input)
@@ -574,7 +574,7 @@ def _subtract_slack_effect(quantity: Input, smooth: Trace, decide: Decide) -> In
 
     def perturb(trace: Trace, x: float) -> Trace:
         shift = lower if x <= 0.0 else -upper
-        return curves.shift_displacement_by(quantity.perturb(trace, x), x, by=shift)
+        return curves.shift_displacement_by(quantity.perturb(trace, x), x, change=shift)
 
     return replace(quantity, perturb=perturb)
 

@@ -388,10 +388,10 @@ def _change_inputs(test: ReducedTest, pull: Pull) -> Iterator[tuple[str, Pull]]:
     drift = test.raw_force.zero_drift * float(np.nanmax(np.abs(pull.stress)))
     for mode in compute_drift_modes(pull.time - pull.time[0], drift):
         yield causes.DRIFT_OF_ZERO, _add_stress(pull, mode)
-    for name, by in setup.uncertainties.items():
+    for name, error in setup.uncertainties.items():
         if name not in sizes:
             continue
-        larger = {**sizes, name: sizes[name] + by}
+        larger = {**sizes, name: sizes[name] + error}
         cause = causes.LENGTH if name in ("length", "gauge_length") else causes.SECTION
         area, length = compute_area(sizes) / compute_area(larger), get_gauge_length(sizes)
         yield cause, pull.scale(area, length / get_gauge_length(larger))
@@ -400,12 +400,12 @@ def _change_inputs(test: ReducedTest, pull: Pull) -> Iterator[tuple[str, Pull]]:
     yield causes.NOISE_OF_DISPLACEMENT, replace(pull, strain=pull.strain + pull.strain_noise)
 
 
-def _add_stress(pull: Pull, by: Floats) -> Pull:
+def _add_stress(pull: Pull, stress: Floats) -> Pull:
     """Add a stress to every sample of a pull, and to its elastic line."""
-    x, y = _average_blocks(pull.strain[pull.window], by[pull.window])
+    x, y = _average_blocks(pull.strain[pull.window], stress[pull.window])
     slope_change, mean_change = np.polyfit(x - x.mean(), y, 1) if len(x) else (0.0, 0.0)
     slope, mean_stress = pull.slope + slope_change, pull.mean_stress + mean_change
-    return replace(pull, stress=pull.stress + by, slope=slope, mean_stress=mean_stress)
+    return replace(pull, stress=pull.stress + stress, slope=slope, mean_stress=mean_stress)
 
 
 def _list_line_doubts(test: ReducedTest, pull: Pull, compute: PullFunction) -> Iterator[Reason]:
