@@ -619,8 +619,12 @@ def _list_inputs(
 ) -> Iterator[Input]:
     """Yield the uncertain inputs of the whole record."""
     yield from _list_scales(test)
-    yield from _list_levels(test, starts)
-    displacement, time = test.displacement, test.required_curve.time
+    displacement, curve, time = test.displacement, test.required_curve, test.required_curve.time
+    drift = test.raw_force.zero_drift * float(np.nanmax(np.abs(curve.force)))
+    time_from_zero = np.abs(average_between(time, starts) - _find_zero_time(test))
+    for index, mode in enumerate(compute_drift_modes(time_from_zero, drift), start=1):
+        add_drift = partial(_add_force, change=mode, compliance=test.compliance)
+        yield Input(causes.DRIFT_OF_ZERO, add_drift, stream=f"{causes.DRIFT_OF_ZERO} {index}")
     for cause, signal in displacement.perturbed.items():
         change = average_between(signal - displacement.values, starts)
         # The noise of such a change would raise the largest of many samples.
@@ -648,45 +652,32 @@ def _list_inputs(
 
 
 def _list_scales(test: ReducedTest) -> Iterator[Input]:
-    """Yield the uncertain scales and zeros of force and displacement."""
+    """Yield the uncertain scales, zeros and resolutions of force and displacement."""
     force, displacement, compliance = test.raw_force, test.displacement, test.compliance
+    add_force = partial(_add_force, compliance=compliance)
 
-    def scale_force(trace: Trace, x: float) -> Trace:
-        return _add_force(
-            trace, x, change=force.relative_error * trace.force, compliance=compliance
-        )
+    def scale_force(trace: Trace, x: float, change: float) -> Trace:
+        return add_force(trace, x, change=change * trace.force)
 
-    def scale_displacement(trace: Trace, x: float) -> Trace:
+    def scale_displacement(trace: Trace, x: float, change: float) -> Trace:
         machine_displacement = trace.displacement + compliance * np.nan_to_num(trace.force)
-        return shift_displacement_by(trace, x * displacement.relative_error, machine_displacement)
+        return shift_displacement_by(trace, x, change * machine_displacement)
 
-    shift_force = partial(_add_force, change=force.zero_error, compliance=compliance)
-    shift_displacement = partial(shift_displacement_by, change=displacement.zero_error)
     for cause, error, perturb in (
         (causes.SCALE_OF_FORCE, force.relative_error, scale_force),
-        (causes.ZERO_OF_FORCE, force.zero_error, shift_force),
+        (causes.ZERO_OF_FORCE, force.zero_error, add_force),
         (causes.SCALE_OF_DISPLACEMENT, displacement.relative_error, scale_displacement),
-        (causes.ZERO_OF_DISPLACEMENT, displacement.zero_error, shift_displacement),
+        (causes.ZERO_OF_DISPLACEMENT, displacement.zero_error, shift_displacement_by),
     ):
         if error:
-            yield Input(cause, perturb)
-
-
-def _list_levels(test: ReducedTest, starts: Ints) -> Iterator[Input]:
-    """Yield the resolutions of force and displacement, and the modes of the drift of the zero."""
-    curve, add_force = test.required_curve, partial(_add_force, compliance=test.compliance)
-    displacement = test.signals.raw.get(test.signals.displacement)
+            yield Input(cause, partial(perturb, change=error))
+    raw_displacement = test.signals.raw.get(test.signals.displacement)
     for cause, signal, add in (
         (causes.RESOLUTION_OF_FORCE, test.unfiltered, add_force),
-        (causes.RESOLUTION_OF_DISPLACEMENT, displacement, shift_displacement_by),
+        (causes.RESOLUTION_OF_DISPLACEMENT, raw_displacement, shift_displacement_by),
     ):
         if signal is not None and (step := _estimate_converter_step(signal.values)):
             yield Input(cause, partial(add, change=step / np.sqrt(12.0)), distribution="uniform")
-    drift = test.raw_force.zero_drift * float(np.nanmax(np.abs(curve.force)))
-    time_from_zero = np.abs(average_between(curve.time, starts) - _find_zero_time(test))
-    for index, mode in enumerate(compute_drift_modes(time_from_zero, drift), start=1):
-        stream = f"{causes.DRIFT_OF_ZERO} {index}"
-        yield Input(causes.DRIFT_OF_ZERO, partial(add_force, change=mode), stream=stream)
 
 
 def _list_repaired(test: ReducedTest) -> list[Slip]:
