@@ -24,7 +24,6 @@ from labpipe.records.curve import Direction, FittedLine
 from labpipe.records.declarations import Fraction, Needs, Output, Snake
 from labpipe.records.estimates import Estimate, Failure, UnavailableError, return_failure
 from labpipe.records.quality import Reason
-from labpipe.records.result import Result
 from labpipe.results import kinds
 from labpipe.results.curves import make_trace, require_samples
 from labpipe.results.kinds import Kind, Part, ReducedTest
@@ -354,28 +353,24 @@ class TensionResult(Kind):
         if pull.line_failure is not None and self.needs_line:
             raise UnavailableError(pull.line_failure)
         for output, quantity in enumerate(self.list_quantities(test, pull)):
-            yield self._measure_quantity(test, pull, quantity, output)
-
-    def _measure_quantity(
-        self, test: ReducedTest, pull: Pull, quantity: PullQuantity, output: int
-    ) -> Result:
-        """Make the result of one quantity, with its interval and doubts."""
-        value, errors, doubts = quantity.compute(pull), dict[str, float](), quantity.doubts
-        for cause, changed_pull in _change_inputs(test, pull):
-            change = quantity.compute(changed_pull) - value
-            errors[cause] = float(np.hypot(errors.get(cause, 0.0), change))
-        outcome = Estimate(value, 0.0, pull.slope_estimate.n)
-        if quantity.compute is _read_slope:
-            outcome = pull.slope_estimate
-        elif quantity.has_line:
-            steeper_pull = replace(pull, slope=pull.slope + pull.slope_estimate.error)
-            outcome = replace(outcome, error=abs(quantity.compute(steeper_pull) - value))
-        if quantity.has_line:
-            doubts = (*_list_line_doubts(test, pull, quantity.compute), *doubts)
-        first, last = (min(sample, len(pull.time) - 1) for sample in quantity.period)
-        errors |= quantity.errors
-        period = float(pull.time[first]), float(pull.time[last])
-        return self.make_result(test, outcome, errors, output=output, period=period, doubts=doubts)
+            value, errors, doubts = quantity.compute(pull), dict[str, float](), quantity.doubts
+            for cause, changed_pull in _change_inputs(test, pull):
+                change = quantity.compute(changed_pull) - value
+                errors[cause] = float(np.hypot(errors.get(cause, 0.0), change))
+            errors |= quantity.errors
+            outcome = Estimate(value, 0.0, pull.slope_estimate.n)
+            if quantity.compute is _read_slope:
+                outcome = pull.slope_estimate
+            elif quantity.has_line:
+                steeper_pull = replace(pull, slope=pull.slope + pull.slope_estimate.error)
+                outcome = replace(outcome, error=abs(quantity.compute(steeper_pull) - value))
+            if quantity.has_line:
+                doubts = (*_list_line_doubts(test, pull, quantity.compute), *doubts)
+            start, stop = pull.time[np.minimum(quantity.period, len(pull.time) - 1)].tolist()
+            period = start, stop
+            yield self.make_result(
+                test, outcome, errors, output=output, period=period, doubts=doubts
+            )
 
 
 def _change_inputs(test: ReducedTest, pull: Pull) -> Iterator[tuple[str, Pull]]:

@@ -107,7 +107,7 @@ def test_probable_spectra_and_their_covariances() -> None:
         SpectrumPosterior.combine([stretch, other], processes.prior),
         stretch.squares + other.squares,
     )
-    logs = stretch.log_determinant_term + other.log_likelihood - 56.0 * np.log(squares)
+    logs = stretch.log_determinant_term + other.log_determinant_term - 56.0 * np.log(squares)
     chances = processes.prior * np.exp(logs - logs.max())
     np.testing.assert_allclose(posterior.probabilities, chances / chances.sum(), rtol=1e-9)
     np.testing.assert_allclose(posterior.variances, squares / 112.0)
