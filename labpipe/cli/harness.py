@@ -9,8 +9,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from labpipe.cli.terminal import format_result, format_statuses, shorten_path, show_progress_bar
-from labpipe.mechanics.studies.harness_solution import HarnessSolution
-from labpipe.mechanics.studies.harness_study import Progress, build_json, follow_harness
+from labpipe.mechanics.studies.harness_solution import HarnessSolution, Progress
+from labpipe.mechanics.studies.harness_study import build_json, follow_harness
 from labpipe.records.result import Status
 from labpipe.report.wording import write_count
 

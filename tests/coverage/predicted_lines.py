@@ -10,13 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from labpipe.mechanics.rod.bands import Band, LineBands, predict_line_bands
-from labpipe.mechanics.rod.input_distributions import (
-    InputDistribution,
-    build_calibrated_distributions,
-    build_stated_distribution,
-    join_distributions,
-)
+from labpipe.mechanics.rod import bands as line_bands
 from labpipe.mechanics.rod.path import RodPath
 from labpipe.mechanics.studies.harness_line import (
     LAW_FACTOR,
@@ -136,10 +130,12 @@ def known_of(seed: int) -> KnownFacts:
     return KnownFacts(found, find_tested_curvature(wire, found.solutions[0].values, curves[:1]))
 
 
-def beliefs_of(kind: LineKind, drawn: Drawn, found: Calibration) -> tuple[InputDistribution, ...]:
+def beliefs_of(
+    kind: LineKind, drawn: Drawn, found: Calibration
+) -> tuple[line_bands.InputDistribution, ...]:
     """What is known of the line's inputs, for each solution."""
     stated = [
-        build_stated_distribution(
+        line_bands.build_stated_distribution(
             _INPUTS.get(name, name),
             deviation,
             freedom=FREEDOM.get(name.removesuffix("_1").removesuffix("_2"), np.inf),
@@ -148,10 +144,10 @@ def beliefs_of(kind: LineKind, drawn: Drawn, found: Calibration) -> tuple[InputD
         for name, deviation in drawn.stated.items()
         if name != "specimen"
     ]
-    calibrated = build_calibrated_distributions(
+    calibrated = line_bands.build_calibrated_distributions(
         found.solutions, found.widening, specimen=LAW_FACTOR
     )
-    return tuple(join_distributions([each, *stated]) for each in calibrated)
+    return tuple(line_bands.join_distributions([each, *stated]) for each in calibrated)
 
 
 def path_of(
@@ -168,14 +164,14 @@ def path_of(
     return laid.follow(kind, drawn)
 
 
-def predicted(kind: LineKind, drawn: Drawn, what: KnownFacts) -> LineBands | None:
+def predicted(kind: LineKind, drawn: Drawn, what: KnownFacts) -> line_bands.LineBands | None:
     """The line with bands, held and on its way back."""
     values = [
         dict(zip(PARAMETERS, solution.values.tolist(), strict=True))
         for solution in what.calibration.solutions
         if solution.is_allowed
     ]
-    return predict_line_bands(
+    return line_bands.predict_line_bands(
         [
             partial(path_of, kind, drawn, make_section_function(spec_of(drawn.wire), own))
             for own in values
@@ -186,12 +182,12 @@ def predicted(kind: LineKind, drawn: Drawn, what: KnownFacts) -> LineBands | Non
     )
 
 
-def asked(drawn: Drawn, truth: TrueLine, bands: LineBands) -> Iterator[dict[str, Any]]:
+def asked(drawn: Drawn, truth: TrueLine, bands: line_bands.LineBands) -> Iterator[dict[str, Any]]:
     """Numbers that are looked at, with their bands: one of each sort, chosen with the line."""
     (held, back), which = bands.states, drawn.asked
     node, turned = (which["node"], which["axis"]), which["moment axis"]
     free = which["free node"], which["free axis"]
-    numbers: tuple[tuple[str, float, Band, tuple[int, ...]], ...] = (
+    numbers: tuple[tuple[str, float, line_bands.Band, tuple[int, ...]], ...] = (
         ("shape", float(truth.held[node]), held.positions, node),
         ("moment", float(truth.moment[turned]), held.reaction_moments, (0, turned)),
         ("bend radius", truth.bend_radius, held.smallest_bend_radius, ()),
@@ -202,7 +198,7 @@ def asked(drawn: Drawn, truth: TrueLine, bands: LineBands) -> Iterator[dict[str,
         yield {"name": name, "truth": number, "value": value, "lower": lower, "upper": upper}
 
 
-def shares_inside(truth: TrueLine, bands: LineBands) -> dict[str, float]:
+def shares_inside(truth: TrueLine, bands: line_bands.LineBands) -> dict[str, float]:
     """Share of all nodes and components inside; what is held is left out."""
     found = {}
     for name, places, state in zip(

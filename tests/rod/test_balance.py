@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from labpipe.mechanics.law.sliders import make_linear_law
+from labpipe.mechanics.rod import bands
 from labpipe.mechanics.rod.assembly import (
     ArtificialDrag,
     Assembly,
@@ -15,9 +16,7 @@ from labpipe.mechanics.rod.assembly import (
     Shape,
 )
 from labpipe.mechanics.rod.banded import Band
-from labpipe.mechanics.rod.bands import Fields, compute_band, compute_response
 from labpipe.mechanics.rod.boundaries import Gravity, Held, Load, Plane, Ring, String
-from labpipe.mechanics.rod.input_distributions import build_stated_distribution, join_distributions
 from labpipe.mechanics.rod.line import Line, Section
 from labpipe.mechanics.rod.rotations import from_rotation_vectors, multiply, skew
 from labpipe.mechanics.rod.supports import split_cells_at_clamps
@@ -70,6 +69,7 @@ class Case:
             forces=0.01 * random.normal(size=(N + 1, 3)),
             anchors=self.line.positions[[2]] + (0.0, 0.0, 0.07),
             rings=self.line.positions[[4]] + (1e-3, 2e-3, 1e-3),
+            time=0.0,
         )
         stretches = np.zeros(N) if self.assembly.is_rigid else 0.01 * random.normal(size=N)
         self.shape = Shape(
@@ -120,8 +120,7 @@ def test_the_tangent_is_that_of_differences(section: Section, dragged: bool) -> 
     drag = None
     if dragged:
         place = replace(case.shape, positions=case.shape.positions + 0.01)
-        earlier_turns = case.assembly.compute_turns(case.shape, case.imposed) - 0.02
-        drag = ArtificialDrag(10.0, place, earlier_turns)
+        drag = ArtificialDrag(10.0, place, np.full((len(case.assembly.supports.nodes), 3), 0.05))
     free = ~case.assembly.band.fixed
     free = np.ones_like(free) if not case.assembly.is_rigid else free
     weigh = (case.assembly.band.scale[:, None] * case.assembly.band.scale)[np.ix_(free, free)]
@@ -178,30 +177,30 @@ def test_a_cell_that_slides_loses_what_its_sliders_carry() -> None:
     assert path.lost[-1] == pytest.approx(0.01 * lost, rel=1e-9)
 
 
-BELIEF = join_distributions(
+BELIEF = bands.join_distributions(
     [
-        build_stated_distribution("a", 0.3, draws=16_384),
-        build_stated_distribution("b", 0.4, draws=16_384),
+        bands.build_stated_distribution("a", 0.3, draws=16_384),
+        bands.build_stated_distribution("b", 0.4, draws=16_384),
     ]
 )
 
 
-def linear_fields(inputs: Mapping[str, float]) -> Fields:
+def linear_fields(inputs: Mapping[str, float]) -> bands.Fields:
     a, b = inputs["a"], inputs["b"]
     return {"sum": np.array([a + b, 2.0 * a]), "one": np.array(5.0 + b)}
 
 
 def test_a_straight_line_has_the_band_of_its_inputs() -> None:
-    response = compute_response(linear_fields, BELIEF)
+    response = bands.compute_response(linear_fields, BELIEF)
     assert response is not None
-    band = compute_band([response], "sum")
+    band = bands.compute_band([response], "sum")
     assert band.value.tolist() == [0.0, 0.0]
     assert band.upper == pytest.approx([1.96 * 0.5, 1.96 * 0.6], rel=0.04)
     assert band.lower == pytest.approx([-1.96 * 0.5, -1.96 * 0.6], rel=0.04)
     assert response.compute_variance_fractions("one") == pytest.approx({"a": 0.0, "b": 1.0})
     fractions = response.compute_variance_fractions("sum")
     assert fractions["a"] == pytest.approx(5 * 0.09 / (5 * 0.09 + 0.16), rel=0.05)
-    assert compute_response(lambda _: None, BELIEF) is None
+    assert bands.compute_response(lambda _: None, BELIEF) is None
 
 
 @pytest.mark.parametrize(
@@ -217,17 +216,20 @@ def test_a_cause_that_makes_most_of_a_band_is_exact_where_the_band_ends(
     answer: Callable[[float], float], ends: tuple[float, float]
 ) -> None:
     """The line is solved there."""
-    response = compute_response(
-        lambda inputs: {"y": np.array(answer(inputs["a"]))}, build_stated_distribution("a", 0.3)
+    response = bands.compute_response(
+        lambda inputs: {"y": np.array(answer(inputs["a"]))},
+        bands.build_stated_distribution("a", 0.3),
     )
     assert response is not None
-    band = compute_band([response], "y")
+    band = bands.compute_band([response], "y")
     assert (float(band.lower), float(band.upper)) == pytest.approx(ends, rel=2e-3)
 
 
 def test_a_parabola_is_met_and_goes_on_straight() -> None:
-    belief = build_stated_distribution("a", 1.0, freedom=4.0)
-    response = compute_response(lambda inputs: {"y": np.array((1.0 + inputs["a"]) ** 2)}, belief)
+    belief = bands.build_stated_distribution("a", 1.0, freedom=4.0)
+    response = bands.compute_response(
+        lambda inputs: {"y": np.array((1.0 + inputs["a"]) ** 2)}, belief
+    )
     assert response is not None
     assert response.max_amounts.tolist() == [2.0]
     amounts = belief.amounts[:, 0]
@@ -239,14 +241,14 @@ def test_a_parabola_is_met_and_goes_on_straight() -> None:
 
 
 def test_a_side_without_equilibrium_borrows_the_other() -> None:
-    def partly(inputs: Mapping[str, float]) -> Fields | None:
+    def partly(inputs: Mapping[str, float]) -> bands.Fields | None:
         return None if inputs["a"] > 0.1 or abs(inputs["b"]) > 0.1 else linear_fields(inputs)
 
-    response = compute_response(partly, BELIEF)
+    response = bands.compute_response(partly, BELIEF)
     assert response is not None
     assert (response.one_sided, response.unsolved) == (("a",), ("b",))
-    assert compute_band([response], "sum").upper[1] == pytest.approx(1.96 * 0.6, rel=0.04)
-    assert np.ptp(compute_band([response], "one").upper) == 0.0
+    assert bands.compute_band([response], "sum").upper[1] == pytest.approx(1.96 * 0.6, rel=0.04)
+    assert np.ptp(bands.compute_band([response], "one").upper) == 0.0
 
 
 def test_a_clamp_in_the_middle_takes_the_jump_of_the_moment() -> None:

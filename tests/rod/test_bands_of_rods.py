@@ -8,14 +8,14 @@ import pytest
 from scipy.special import stdtrit
 
 from labpipe.mechanics.law.sliders import SliderLaw
-from labpipe.mechanics.rod.bands import predict_line_bands
-from labpipe.mechanics.rod.boundaries import Gravity, Held, Load
-from labpipe.mechanics.rod.input_distributions import (
+from labpipe.mechanics.rod.bands import (
     InputDistribution,
     build_calibrated_distributions,
     build_stated_distribution,
     join_distributions,
+    predict_line_bands,
 )
+from labpipe.mechanics.rod.boundaries import Gravity, Held, Load
 from labpipe.mechanics.rod.line import Line, Section
 from labpipe.mechanics.rod.path import RodPath
 from labpipe.mechanics.rod.statics import follow

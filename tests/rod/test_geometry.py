@@ -147,22 +147,20 @@ def test_clamps_part_cells() -> None:
     assert free.lengths == pytest.approx([0.15, 0.25, 0.35])
     assert free.side_weights[0] == pytest.approx([0.05 / 0.15, 0.1 / 0.15])
     assert free.held_nodes.tolist() == [0, 4]
-    assert len(free.clamped_elements) == 0
+    assert len(free.clamp_pairs) == 0
     supports = split_cells_at_clamps(uneven(), ((2, True), (0, True)))
     assert supports.nodes.tolist() == [0, 1, 2, 2, 3]
-    assert supports.before.tolist() == [-2, 0, 1, -1, 2]
-    assert supports.after.tolist() == [0, 1, -1, 2, 3]
+    assert supports.sides.tolist() == [[5, 0], [0, 1], [1, 4], [4, 2], [2, 3]]
     assert supports.lengths == pytest.approx([0.05, 0.15, 0.1, 0.15, 0.35])
     assert supports.rest_curvature[0].tolist() == [0.0, 1.0, 2.0]  # of its neighbour
-    assert supports.clamped_elements.tolist() == [0, 1, 2]
-    assert supports.own_weights == pytest.approx([1.0 - CLAMP_WEIGHT] * 3)
+    assert sorted(supports.clamp_pairs[:, 0].tolist()) == [0, 1, 2]
+    assert supports.own_weights == pytest.approx([1.0 - CLAMP_WEIGHT] * 3 + [1.0])
 
 
 def test_an_element_between_two_clamps_has_a_share_of_both() -> None:
     supports = split_cells_at_clamps(uneven(), ((1, True), (2, True)))
-    row = supports.clamped_elements.tolist().index(1)
-    assert supports.own_weights[row] == pytest.approx(1.0 - 2.0 * CLAMP_WEIGHT)
-    assert sorted(supports.clamp_pairs[supports.clamp_pairs[:, 0] == row, 1].tolist()) == [0, 1]
+    assert supports.own_weights[1] == pytest.approx(1.0 - 2.0 * CLAMP_WEIGHT)
+    assert sorted(supports.clamp_pairs[supports.clamp_pairs[:, 0] == 1, 1].tolist()) == [0, 1]
 
 
 def draw_vectors(number: int = 40) -> Floats:

@@ -255,7 +255,7 @@ def column(grips: tuple[Grip, ...], *, load: float) -> tuple[StabilityCheck, Bal
     forces, none = np.zeros((N + 1, 3)), np.zeros((0, 3))
     forces[-1, 0] = -load
     clamps = LINE.frames[-np.arange(len(supports.clamps))]
-    asked = ImposedValues(LINE.positions[supports.held_nodes], clamps, forces, none, none)
+    asked = ImposedValues(LINE.positions[supports.held_nodes], clamps, forces, none, none, 0.0)
     history = LineHistory(
         np.zeros((len(supports.nodes), 0, 2)), np.zeros((0, N + 1, 3)), np.zeros(0)
     )
@@ -362,7 +362,7 @@ def test_what_ends_a_walk_or_makes_it_doubtful(approved: Approve) -> None:
     line = straight_line(LENGTH, 5, section)
     pulled = Held(-1, line.positions[-1] + ramp((0.08, 0.0, 0.0), 8))
     # 4 % in step 2, 6 % in step 3
-    ends.append((ended(line, 8, clamp(line), pulled), ("failed", 3, "torn", 3, 1)))
+    ends.append((ended(line, 8, clamp(line), pulled), ("failed", 3, "torn", 3, 0)))
     assert [facts for (_, facts), _ in ends] == [expected for _, expected in ends]
     approved(sentence for (sentence, _), _ in ends)
 

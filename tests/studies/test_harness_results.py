@@ -23,7 +23,7 @@ from labpipe.mechanics.studies.harness_numbers import (
     compute_numbers,
     compute_radius,
     evaluate_numbers,
-    find_doubts,
+    find_convergence_doubts,
     find_jump_doubt,
     find_reasons,
     find_share_doubts,
@@ -115,7 +115,7 @@ def test_elements_that_turn_far_are_too_long(
         return prepare_line(other, material.sections[0]({}), {})
 
     path, exact = follow(*at(elements), steps=2), follow(*at(100), steps=2)
-    doubts = find_doubts(path, at(elements // 2), {})
+    doubts = find_convergence_doubts(path, at(elements // 2), {})
     assert [doubt.reason.code for doubt in doubts] == ["coarse_elements"] * is_coarse
     if not is_coarse:
         radius, exact_radius = (compute_numbers(line)[RADIUS] for line in (path, exact))

@@ -21,7 +21,7 @@ from labpipe.mechanics.studies.harness_solution import (
     HarnessSolution,
     predict_bands,
     solve_harness,
-    solve_sweep_length,
+    solve_sweep,
 )
 from labpipe.mechanics.studies.harness_study import (
     build_drawn_harness,
@@ -179,12 +179,12 @@ def test_a_line_within_its_law_is_ok(tmp_path: Path) -> None:
     assert result.results[0].value is not None
     assert result.sharpest_bend.radius <= result.results[0].value
     assert not (tmp_path / "out").exists(), "nothing is written here"
-    longer = solve_sweep_length(result, 0.25)
+    (longer,) = solve_sweep(result, [0.25])
     assert longer.path.line.length == pytest.approx(0.25)
     assert (longer.harness.line.length, longer.bands) == (0.25, None)
     assert longer.sharpest_bend.radius <= longer.final_sharpest_bend.radius
     assert longer.final_sharpest_bend.step == 8
-    failed = replace(longer, status=Status.FAILED)
+    failed = replace(longer, path=replace(longer.path, status=Status.FAILED))
     assert math.isnan(failed.final_sharpest_bend.radius)
     assert math.isnan(failed.sharpest_bend.radius)
 
@@ -203,7 +203,7 @@ def test_one_beyond_its_law_is_doubtful_with_all_its_numbers(tmp_path: Path) -> 
         assert numbers == {Status.DOUBTFUL}
     coarse = arch().replace("elements: 16", "elements: 6").replace("180 mm, 0 mm", "90 mm, 30 mm")
     result = run(tmp_path, coarse)
-    radius, length = result.results[0], solve_sweep_length(result, result.path.line.length)
+    radius, (length,) = result.results[0], solve_sweep(result, [result.path.line.length])
     assert radius.status is Status.DOUBTFUL
     assert length.status is Status.DOUBTFUL, "a length of a sweep has all doubts of its numbers"
     codes = {reason.code for reason in length.reasons}

@@ -101,6 +101,7 @@ class ImposedValues:
     forces : shape (n + 1, 3), N, loads and weight at the nodes
     anchors : shape (strings, 3), m, positions of the anchors of strings
     rings : shape (rings, 3), m, positions of the rings
+    time : steps, with fractions; -1 for the initial shape, 0 for the first state
     """
 
     held: Floats
@@ -108,6 +109,7 @@ class ImposedValues:
     forces: Floats
     anchors: Floats
     rings: Floats
+    time: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -199,22 +201,22 @@ class Assembly:
         # regular for a straight line between two supports.
         min_stretch = 1e-10
         self.line, self.supports, self.planes, self.strings = line, supports, planes, strings
+        self.force = force
         self.n = len(line.lengths)
         self._has_rings = n_rings > 0
         self.indices: UnknownIndices = number_unknowns(self.n)
         section = line.section
         self.is_rigid = not np.isfinite(section.axial_stiffness)
         self._is_coupled = section.coupling != 0.0 and not self.is_rigid
-        # Whether each cell has an element, not a clamp, before and after it.
-        self._has_element = supports.before >= 0, supports.after >= 0
-        self._cell_elements = [
-            (np.flatnonzero(has_element), elements[has_element])
-            for has_element, elements in zip(
-                self._has_element, (supports.before, supports.after), strict=True
-            )
-        ]
-        self._inner = np.flatnonzero(self._has_element[0] & self._has_element[1])
-        self._couplings = self._compute_couplings()
+        is_element = supports.sides < self.n  # the other sides are clamps
+        self._inner = np.flatnonzero(is_element.all(axis=1))
+        # The elements beside each cell; at a clamp the only one, twice.
+        self._elements = np.where(is_element, supports.sides, supports.sides[:, ::-1])
+        # The coupling of an element is divided among its cells. That with a clamp is zero.
+        n_cells = supports.sum_at_frames(np.ones(supports.sides.shape))[: self.n]
+        couplings = section.coupling * line.lengths / np.maximum(n_cells, 1.0)
+        self._couplings = is_element * couplings[self._elements]
+        self._coupled_turns = is_element / supports.lengths[:, None]
         self._shortest = float(np.min(line.lengths))
         self._contact_stiffness = force / (contact_indentation * self._shortest)
         has_contacts = bool(planes or len(strings[0]) or n_rings)
@@ -257,7 +259,9 @@ class Assembly:
         scaled_forces = lengths[:, None] * shape.forces
         clamp_directions = compute_clamp_directions(self.supports, imposed.clamps)
         directions = compute_directions(self.supports, rotations, clamp_directions, scaled_forces)
-        turns, by_turn = self._sum_cell_moments(cells, directions)
+        turns = directions.moments + self._sum_at_elements(cells.gradients.reshape(-1, 2, 3))
+        stiffnesses = np.stack([cells.stiffnesses[:, :3, :3], cells.stiffnesses[:, 3:, 3:]], axis=1)
+        by_turn = directions.stiffness + self._sum_at_elements(stiffnesses)
         nodes, by_position, plane_contacts, tensions = self._sum_forces(shape, imposed, history)
         ring_contacts = tuple(
             contact_ring(shape.positions, ring, float(parameter), self._contact_stiffness)
@@ -278,8 +282,8 @@ class Assembly:
             by_force.ravel(),
             (-lengths[:, None, None] * directions.turn_derivatives).ravel(),
             (directions.moments / (1.0 + shape.stretches)[:, None]).ravel(),
-            cells.coupling[self._inner].ravel(),
-            *self._list_coupling_values(cells),
+            cells.stiffnesses[self._inner, 3:, :3].ravel(),
+            self._compute_coupling_values(cells),
             *ring_tangents,
         ]
         diagonal_blocks = [self._compliance, by_stretch, by_turn.ravel(), by_position.ravel()]
@@ -349,52 +353,39 @@ class Assembly:
         if self.is_rigid:
             right[p.stretches] = -shape.stretches
         if np.any(clamp_turns):
-            coupling = balance.cells.coupling
-            self._subtract_clamp_moments(right, s.after, s.before, coupling, clamp_turns)
-            coupling = np.swapaxes(coupling, 1, 2)
-            self._subtract_clamp_moments(right, s.before, s.after, coupling, clamp_turns)
-            row, clamp = s.clamp_pairs.T
-            turns = np.matvec(to_matrices(imposed.clamps), clamp_turns)[clamp]
-            elements = s.clamped_elements
-            changes = np.zeros((len(elements), 3))
-            np.add.at(changes, row, cross(turns, compute_clamp_directions(s, imposed.clamps)))
-            changes = np.matvec(balance.directions.clamp_derivatives, changes)
-            lengths = (self.line.lengths * (1.0 + shape.stretches))[elements]
-            right[p.forces[elements][:, None] + _AXIS_NUMBERS] += lengths[:, None] * changes
+            frame_turns = np.concatenate([np.zeros((self.n, 3)), clamp_turns])[s.sides]
+            moments = np.matvec(balance.cells.stiffnesses, frame_turns.reshape(-1, 6))
+            elements, clamps = s.clamp_pairs.T
+            space_turns = np.matvec(to_matrices(imposed.clamps), clamp_turns)[clamps]
+            turned_directions = cross(space_turns, compute_clamp_directions(s, imposed.clamps))
+            changes = np.matvec(
+                balance.directions.clamp_derivatives,
+                sum_at_nodes(elements, turned_directions, self.n),
+            )
+            _, _, turns, forces = split_unknowns(right)  # views of the right side
+            turns -= self._sum_at_elements(moments.reshape(-1, 2, 3))
+            forces += (self.line.lengths * (1.0 + shape.stretches))[:, None] * changes
         return right
 
-    def _subtract_clamp_moments(
-        self, right: Floats, elements: Ints, neighbours: Ints, coupling: Floats, turns: Floats
-    ) -> None:
-        """Subtract the moments that rotations of clamps exert on adjacent elements, in place."""
-        cells = np.flatnonzero(neighbours < 0)
-        moments = np.matvec(coupling[cells], turns[-1 - neighbours[cells]])
-        np.subtract.at(right, self.indices.turns[elements[cells]][:, None] + _AXIS_NUMBERS, moments)
+    def _sum_at_elements(self, values: Floats) -> Floats:
+        """Return the sums of values of both sides of the cells at the elements."""
+        return self.supports.sum_at_frames(values)[: self.n]
 
     def compute_reactions(self, balance: Balance, imposed: ImposedValues) -> tuple[Floats, Floats]:
         """Return the reactions of the grips.
 
         Forces are in N, shape (grips, 3), and moments in space axes, N m, shape (clamps, 3).
         """
-        s, cells = self.supports, balance.cells
+        s = self.supports
         moments = sum_at_nodes(s.clamp_pairs[:, 1], balance.directions.clamp_moments, len(s.clamps))
-        rotations = to_matrices(imposed.clamps)
-        for elements, gradient in zip((s.before, s.after), cells.gradients, strict=True):
-            rows = np.flatnonzero(elements < 0)
-            clamp = -1 - elements[rows]
-            np.add.at(moments, clamp, np.matvec(rotations[clamp], gradient[rows]))
+        gradients = s.sum_at_frames(balance.cells.gradients.reshape(-1, 2, 3))[self.n :]
+        moments += np.matvec(to_matrices(imposed.clamps), gradients)
         held_unknowns = self.indices.positions[s.held_nodes][:, None] + _AXIS_NUMBERS
         return balance.residual[held_unknowns], moments
 
-    def compute_turns(self, shape: Shape, imposed: ImposedValues) -> Floats:
-        """Return rotation vectors from frames before to frames after cells, rad, (cells, 3)."""
-        before, after = self._select_frames(shape, imposed)
-        return to_rotation_vectors(multiply(conjugate(before), after))
-
-    def _select_frames(self, shape: Shape, imposed: ImposedValues) -> tuple[Floats, Floats]:
-        """Return the frames before and after cells, shape (cells, 4) each."""
-        frames = np.concatenate([shape.frames, imposed.clamps[::-1]])
-        return frames[self.supports.before], frames[self.supports.after]
+    def select_frames(self, shape: Shape, imposed: ImposedValues) -> Floats:
+        """Return the frames before and after cells, shape (cells, 2, 4)."""
+        return np.concatenate([shape.frames, imposed.clamps])[self.supports.sides]
 
     def _bend_cells(
         self,
@@ -404,27 +395,16 @@ class Assembly:
         drag: ArtificialDrag | None,
     ) -> BentCells:
         s = self.supports
-        torques = np.zeros(len(s.nodes))
-        if self._is_coupled:
-            torques = np.sum(self._couplings * shape.stretches[self._sides], axis=1) / s.lengths
+        torques = np.vecdot(self._couplings, shape.stretches[self._elements]) / s.lengths
         return bend_cells(
             self.line.section,
-            self._select_frames(shape, imposed),
+            self.select_frames(shape, imposed),
             s.lengths,
             s.rest_curvature,
             slider_rests=history.rests,
             torques=torques,
             artificial_stiffness=None if drag is None else (drag.size, drag.turns),
         )
-
-    def _sum_cell_moments(self, cells: BentCells, directions: Directions) -> tuple[Floats, Floats]:
-        """Return the residuals of the turns, and the diagonal blocks of their tangent."""
-        residual, tangent = directions.moments.copy(), directions.stiffness.copy()
-        # No element is twice on the same side of a cell, so that plain indexing suffices.
-        for side, (rows, elements) in enumerate(self._cell_elements):
-            residual[elements] += cells.gradients[side][rows]
-            tangent[elements] += cells.stiffnesses[side][rows]
-        return residual, tangent
 
     def _sum_forces(
         self, shape: Shape, imposed: ImposedValues, history: LineHistory
@@ -487,26 +467,22 @@ class Assembly:
         residual = stiffness * shape.stretches
         residual -= lengths * np.vecdot(shape.forces, directions.unit_vectors)
         if self._is_coupled:
-            for side, rows in enumerate(self._has_element):
-                elements = self._sides[rows, side]
-                residual[elements] += self._couplings[rows, side] * cells.curvatures[rows, 2]
+            residual += self._sum_at_elements(self._couplings * cells.curvatures[:, 2:])
         return residual, stiffness, -lengths[:, None] * directions.unit_vectors
 
-    def _list_coupling_values(self, cells: BentCells) -> list[Floats]:
+    def _compute_coupling_values(self, cells: BentCells) -> Floats:
         """Return the entries of the tangent between stretches and turns."""
-        couplings = self._couplings / self.supports.lengths[:, None]
-        sides = -cells.tangent_maps[:, :, 2], cells.tangent_maps[:, 2, :]
-        return [
-            (sides[turn][rows] * couplings[rows, stretch, None]).ravel()
-            for stretch, turn, rows in self._coupled_cells
-        ]
+        if not self._is_coupled:
+            return np.zeros(0)
+        twists = self._coupled_turns[:, :, None] * cells.turn_maps[:, :, 2].reshape(-1, 2, 3)
+        return (self._couplings[:, :, None, None] * twists[:, None]).ravel()
 
     # ---- indices and magnitudes of the unknowns -----------------------------------------------
 
     def _build_pattern(self) -> tuple[Ints, Ints]:
         """Return rows and columns of the tangent: blocks, their mirror images, diagonal blocks."""
         p, s = self.indices, self.supports
-        a, b = p.turns[s.before[self._inner]], p.turns[s.after[self._inner]]
+        a, b = p.turns[s.sides[self._inner]].T
         mirrored_blocks = [
             _list_identity_entries(p.positions[:-1], p.forces),
             _list_identity_entries(p.positions[1:], p.forces),
@@ -515,10 +491,10 @@ class Assembly:
             list_block_entries(p.stretches, 1, p.turns, 3),
             list_block_entries(b, 3, a, 3),
         ]
-        for stretch, turn, cells in self._coupled_cells:
-            stretch_rows = p.stretches[self._sides[cells, stretch]]
-            turn_columns = p.turns[self._sides[cells, turn]]
-            mirrored_blocks.append(list_block_entries(stretch_rows, 1, turn_columns, 3))
+        if self._is_coupled:  # each stretch with the turns on both sides of the cell
+            stretches = p.stretches[np.repeat(self._elements, 2, axis=1)].ravel()
+            turns = p.turns[np.tile(self._elements, 2)].ravel()
+            mirrored_blocks.append(list_block_entries(stretches, 1, turns, 3))
         for step in (1, 2) if self._has_rings else ():
             mirrored_blocks.append(
                 list_block_entries(p.positions[:-step], 3, p.positions[step:], 3)
@@ -552,27 +528,6 @@ class Assembly:
         fixed[self.indices.positions[self.supports.held_nodes][:, None] + _AXIS_NUMBERS] = True
         fixed[self.indices.stretches] = self.is_rigid
         return fixed
-
-    def _compute_couplings(self) -> Floats:
-        """Return the coupling of each cell's twist to adjacent stretches, (cells, 2), N m^2.
-
-        Set `_sides`, the adjacent elements, shape (cells, 2), and `_coupled_cells`: the side of the
-        stretch, the side of the turn, and the cells of each coupling.
-        """
-        s, (has_before, has_after) = self.supports, self._has_element
-        before, after = np.where(has_before, s.before, 0), np.where(has_after, s.after, 0)
-        self._sides = np.stack([before, after], axis=1)
-        self._coupled_cells: list[tuple[int, int, Ints]] = []
-        if not self._is_coupled:
-            return np.zeros((len(s.nodes), 2))
-        for stretch in (0, 1):
-            for turn in (0, 1):
-                cells = np.flatnonzero(self._has_element[stretch] & self._has_element[turn])
-                self._coupled_cells.append((stretch, turn, cells))
-        count = np.bincount(s.before[has_before], minlength=self.n)
-        count += np.bincount(s.after[has_after], minlength=self.n)
-        coupling = self.line.section.coupling * self.line.lengths / np.maximum(count, 1)
-        return np.where(np.stack(self._has_element, axis=1), coupling[self._sides], 0.0)
 
 
 _AXIS_NUMBERS = np.arange(3)

@@ -69,7 +69,10 @@ def join_unknowns(positions: Floats, stretches: Floats, turns: Floats, forces: F
 
 
 def split_unknowns(values: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-    """Split unknowns into positions, stretches, turns and forces, as in `join_unknowns`."""
+    """Split unknowns into positions, stretches, turns and forces, as in `join_unknowns`.
+
+    Stretches, turns and forces are views of the unknowns.
+    """
     rows = values[:-3].reshape(-1, PER_ELEMENT)
     positions = np.concatenate([rows[:, :STRETCH], values[None, -3:]])
     return positions, rows[:, STRETCH], rows[:, TURN:FORCE], rows[:, FORCE:]

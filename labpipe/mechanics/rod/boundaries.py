@@ -23,6 +23,7 @@ from typing import TypeAlias
 import numpy as np
 
 from labpipe.mechanics.law.plays import require, require_not_negative, require_positive
+from labpipe.mechanics.rod import rotations
 from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats, Ints
 from labpipe.units import GRAVITY
@@ -224,6 +225,37 @@ class Gravity:
 
 
 Boundary: TypeAlias = Held | Ring | String | Load | Plane | Gravity
+
+
+def list_paths(boundary: Boundary) -> dict[str, Floats]:
+    """List the paths of a boundary, keyed by name of their field.
+
+    Parameters
+    ----------
+    boundary : boundary of a line
+    """
+    names = "position", "frame", "anchor", "force", "vector"
+    paths = ((name, getattr(boundary, name, None)) for name in names)
+    return {name: path for name, path in paths if path is not None}
+
+
+def resample(boundary: Boundary, times: Floats) -> Boundary:
+    """Resample the paths of a boundary.
+
+    Parameters
+    ----------
+    boundary : boundary of a line
+    times : shape (new steps + 1,), times of the new steps, counted in old steps; multiples of 1/2
+    """
+    changes: dict[str, object] = {}
+    rows_before, rows_after = np.floor(times).astype(int), np.ceil(times).astype(int)
+    for name, path in list_paths(boundary).items():
+        if len(path) > 1:
+            midpoints = 0.5 * (path[rows_before] + path[rows_after])
+            changes[name] = rotations.unit(midpoints) if name == "frame" else midpoints
+    if isinstance(boundary, Held) and boundary.release is not None:
+        changes["release"] = int(np.searchsorted(times, boundary.release - 1, side="right"))
+    return replace(boundary, **changes)  # type: ignore[arg-type]
 
 
 _EYE = np.eye(3)

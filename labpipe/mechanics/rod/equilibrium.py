@@ -46,29 +46,31 @@ from labpipe.records.arrays import Floats
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Equilibrium:
-    """An equilibrium of a line.
+    """An equilibrium of a line at a time.
 
     Parameters
     ----------
     shape : shape of the line
     balance : residual and tangent
     imposed : positions and forces imposed by the boundaries
+    history : history at this time
+    previous_history : history at the previous equilibrium; `history` at the start and after a
+        release
     """
 
     shape: Shape
     balance: Balance
     imposed: ImposedValues
+    history: LineHistory
+    previous_history: LineHistory
 
 
 def find_equilibrium(
     assembly: Assembly,
-    shape: Shape,
-    history: LineHistory,
-    imposed: tuple[ImposedValues, ImposedValues],
+    start: Equilibrium,
+    target: ImposedValues,
     *,
-    force: float,
     guess: LineHistory,
-    start_balance: Balance | None = None,
     drag: ArtificialDrag | None = None,
 ) -> Equilibrium | None:
     """Find the equilibrium after the boundaries have moved, starting from the previous one.
@@ -76,14 +78,11 @@ def find_equilibrium(
     Parameters
     ----------
     assembly : line with its supports
-    shape : shape before the boundaries have moved
-    history : history before the boundaries have moved
-    imposed : imposed values before and after the motion
-    force : N, magnitude of the forces on the whole line
-    guess : history for the first iteration, either `history` or that before the last step. Both
-        give equal forces. With the latter, sliders that slid continue to slide, which is the better
+    start : equilibrium before the boundaries have moved; with drag, it may have a perturbed shape
+    target : imposed values after the motion
+    guess : history for the first iteration, one of both histories of `start`, which give equal
+        forces. With the previous one, sliders that slid continue to slide, which is the better
         guess if the motion continues
-    start_balance : balance of `shape`; None to compute it
     drag : artificial drag; None without drag
 
     Returns
@@ -91,15 +90,14 @@ def find_equilibrium(
     The equilibrium; None if Newton's method does not converge to an equilibrium nearby.
     """
     max_iterations = 10
-    max_idle_iterations = 3  # without progress; Newton's method may cycle at corners of the law
+    max_idle_iterations = 2  # without progress; Newton's method may cycle at corners of the law
     progress = 0.8  # ratio of an iteration's turn to the smallest turn before
     min_fraction = 0.1  # of an iteration step; shorter steps do not converge
-    start, target = imposed
-    nodes = assembly.supports.held_nodes
+    shape, nodes = start.shape, assembly.supports.held_nodes
     # Held nodes and clamps move with the first iteration step, or the fraction of it that is taken.
-    current = replace(target, held=start.held, clamps=start.clamps)
-    balance = start_balance and _update_balance(start_balance, start, target, guess)
-    if balance is None:
+    current = replace(target, held=start.imposed.held, clamps=start.imposed.clamps)
+    balance = _update_balance(start, target, guess)
+    if balance is None or drag is not None:
         balance = assembly.compute_balance(shape, current, guess, drag)
     smallest_turn, idle_iterations = math.inf, 0
     for _ in range(max_iterations):
@@ -125,24 +123,25 @@ def find_equilibrium(
         else:
             clamps = multiply(current.clamps, from_rotation_vectors(fraction * clamp_turns))
             current = replace(current, clamps=unit(clamps))
-        balance = assembly.compute_balance(shape, current, history, drag)
+        balance = assembly.compute_balance(shape, current, start.history, drag)
         relative_change = max(turn, move / assembly.line.length)
-        if fraction == 1.0 and _is_balanced(assembly, balance, shape, relative_change, force):
-            return Equilibrium(shape, balance, target)
+        if fraction == 1.0 and _is_balanced(assembly, balance, shape, relative_change):
+            return Equilibrium(shape, balance, target, balance.history, start.history)
     return None
 
 
 def _update_balance(
-    balance: Balance, start: ImposedValues, target: ImposedValues, guess: LineHistory
+    start: Equilibrium, target: ImposedValues, guess: LineHistory
 ) -> Balance | None:
     """Return a balance updated with new imposed forces; None if other imposed values changed."""
+    balance, imposed = start.balance, start.imposed
     history, drag = balance.inputs
-    pairs = ((start.anchors, target.anchors), (start.rings, target.rings))
+    pairs = ((imposed.anchors, target.anchors), (imposed.rings, target.rings))
     has_moved = not all(np.array_equal(*pair) for pair in pairs)
     if history is not guess or drag is not None or has_moved:
         return None
-    zeros = np.zeros((len(start.forces) - 1, 3))
-    change = join_unknowns(start.forces - target.forces, zeros[:, 0], zeros, zeros)
+    zeros = np.zeros((len(target.forces) - 1, 3))
+    change = join_unknowns(imposed.forces - target.forces, zeros[:, 0], zeros, zeros)
     return replace(balance, residual=balance.residual + change)
 
 
@@ -154,7 +153,7 @@ def _limit_step(turn: float, relative_move: float) -> float:
 
 
 def _is_balanced(
-    assembly: Assembly, balance: Balance, shape: Shape, relative_change: float, force: float
+    assembly: Assembly, balance: Balance, shape: Shape, relative_change: float
 ) -> bool:
     """Return whether a shape is in balance, given the relative change of the last iteration."""
     # Relative to force, moment and length of the whole line. With 1e-7 a taut clamped line has a
@@ -167,9 +166,9 @@ def _is_balanced(
     max_relative_tension = 1e4
     length = assembly.line.length
     tension = float(np.max(np.abs(shape.forces)))
-    if assembly.is_rigid and tension > max_relative_tension * force:
+    if assembly.is_rigid and tension > max_relative_tension * assembly.force:
         return False
-    force = max(force, tension)
+    force = max(assembly.force, tension)
     residual = np.abs(balance.residual)
     residual[assembly.band.fixed] = 0.0
     nodes, stretches, turns, gaps = (float(np.max(values)) for values in split_unknowns(residual))

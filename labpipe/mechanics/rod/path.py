@@ -1,4 +1,4 @@
-"""Record of the quasi-static path of a line: its states at all steps, status and lost energy."""
+"""Record the quasi-static path of a line: its states, lost energy, and whether it can continue."""
 
 from __future__ import annotations
 
@@ -7,8 +7,14 @@ from typing import Annotated
 
 import numpy as np
 
+from labpipe.mechanics.law.sliders import find_current_sliders
+from labpipe.mechanics.rod.assembly import Assembly, Balance, Shape
 from labpipe.mechanics.rod.boundaries import Boundary
+from labpipe.mechanics.rod.equilibrium import Equilibrium
 from labpipe.mechanics.rod.line import Line
+from labpipe.mechanics.rod.rotations import to_matrices
+from labpipe.mechanics.rod.schedule import Schedule, format_boundary
+from labpipe.mechanics.rod.supports import CLAMP_WEIGHT, Supports
 from labpipe.messages import format_sentence
 from labpipe.records.arrays import ArrayRecord, Floats
 from labpipe.records.quality import Reason
@@ -105,3 +111,281 @@ class RodPath(ArrayRecord):
                 format_sentence("mechanics.rod.no_state", reason=self.reasons[0].message)
             )
         return self.states[-1]
+
+
+def merge_rests(supports: Supports, rests: Floats) -> Floats:
+    """Merge rest curvatures of sliders on both sides of the nodes into those of cells.
+
+    Without a clamp both sides form one cell. Its rest curvatures are their weighted mean, which
+    keeps every slider within its limit.
+
+    Parameters
+    ----------
+    supports : cells of the line
+    rests : shape (nodes, 2, sliders, 2), 1/m, rest curvatures of the sliders
+
+    Returns
+    -------
+    Shape (cells, sliders, 2), 1/m.
+    """
+    return np.asarray(np.einsum("cs,csjx->cjx", supports.side_weights, rests[supports.nodes]))
+
+
+def split_sides(supports: Supports, values: Floats) -> Floats:
+    """Assign the values of cells to both sides of their nodes.
+
+    Parameters
+    ----------
+    supports : cells of the line
+    values : shape (cells, ...), values of any quantity
+
+    Returns
+    -------
+    Shape (nodes, 2, ...); zero on sides without a cell.
+    """
+    sides = np.zeros((supports.n_nodes, 2, *values.shape[1:]))
+    for side in (0, 1):
+        has_side = supports.side_weights[:, side] > 0.0
+        sides[supports.nodes[has_side], side] = values[has_side]
+    return sides
+
+
+def build_state(
+    assembly: Assembly, schedule: Schedule, grips: tuple[int, ...], current: Equilibrium, step: int
+) -> RodState:
+    """Build the state of a step, with all forces and moments in space axes.
+
+    Parameters
+    ----------
+    assembly : line and supports
+    schedule : paths of the boundaries
+    grips : indices of the boundaries that hold the line
+    current : equilibrium at the end of the step
+    step : number of the step
+    """
+    supports, cells = assembly.supports, current.balance.cells
+    forces, clamp_moments = assembly.compute_reactions(current.balance, current.imposed)
+    moments = split_sides(supports, _compute_moments(assembly, current))
+    reaction_forces, reaction_moments = np.zeros((2, len(schedule.boundaries), 3))
+    reaction_forces[list(grips)] = forces
+    for k, load in schedule.loads.items():
+        reaction_forces[k] = load.force[min(step, len(load.force) - 1)]
+    clamped = [grips[int(row)] for row in supports.clamps]
+    reaction_moments[clamped] = clamp_moments
+    for k, contact in zip(schedule.planes, current.balance.plane_contacts, strict=True):
+        reaction_forces[k] = contact.forces.sum(axis=0)
+    reaction_forces[list(schedule.strings)] = current.balance.tensions
+    for k, ring_contact in zip(schedule.rings, current.balance.ring_contacts, strict=True):
+        reaction_forces[k] = ring_contact.force
+    node_curvatures = split_sides(supports, _extrapolate_to_clamps(supports, cells.curvatures))
+    rest_curvature = assembly.line.rest_curvature_at_nodes[:, None, :2]
+    return RodState(
+        positions=current.shape.positions,
+        frames=current.shape.frames,
+        stretches=current.shape.stretches,
+        forces=current.shape.forces,
+        moments=moments,
+        curvatures=split_sides(supports, cells.curvatures),
+        node_curvatures=node_curvatures,
+        curvature_vectors=node_curvatures[:, :, :2] + rest_curvature,
+        rests=split_sides(supports, current.balance.history.rests),
+        reaction_forces=reaction_forces,
+        reaction_moments=reaction_moments,
+    )
+
+
+def _extrapolate_to_clamps(supports: Supports, curvatures: Floats) -> Floats:
+    """Return the curvatures of the cells, shape (cells, 3), extrapolated to the clamps.
+
+    The curvature of a half cell at a clamp is that of the line at the distance `CLAMP_WEIGHT` times
+    the length of its element from the clamp. The extrapolation is linear through that point and the
+    next cell.
+    """
+    extrapolated, lengths = curvatures.copy(), supports.lengths
+    n = supports.n_nodes - 1
+    for frames, offset in zip(supports.sides.T[::-1], (-1, 1), strict=True):
+        cells = np.flatnonzero(frames >= n)  # half cells with a clamp on that side
+        cells = cells[(cells + offset >= 0) & (cells + offset < len(lengths))]
+        distance = CLAMP_WEIGHT * 2.0 * lengths[cells]
+        factor = distance / (lengths[cells] + 0.5 * lengths[cells + offset] - distance)
+        extrapolated[cells] += factor[:, None] * (curvatures[cells] - curvatures[cells + offset])
+    return extrapolated
+
+
+def _compute_moments(assembly: Assembly, current: Equilibrium) -> Floats:
+    """Return the moments that the line after a cell exerts on the line before it, N m, (cells, 3).
+
+    In a half cell at a clamp it is the moment at the node, not at the middle of the half cell.
+    """
+    supports, cells = assembly.supports, current.balance.cells
+    frames_after = assembly.select_frames(current.shape, current.imposed)[:, 1]
+    moments = np.asarray(np.matvec(to_matrices(frames_after), cells.gradients[:, 3:]))
+    clamp_moments = current.balance.directions.clamp_moments
+    for (element, clamp), moment in zip(supports.clamp_pairs, clamp_moments, strict=True):
+        sides = np.array([assembly.n + clamp, element])
+        moments[np.all(supports.sides == sides, axis=1)] -= moment
+        moments[np.all(supports.sides == sides[::-1], axis=1)] += moment
+    return moments
+
+
+def compute_lost_energy(assembly: Assembly, start_rests: Floats, end_rests: Floats) -> float:
+    """Compute the energy lost in the sliders in a step or a fraction of it, J.
+
+    The moment of a sliding slider is K_j kappa_j while its rest curvature changes. That of a
+    growing slider is the mean of its limits at the start and at the end.
+
+    Parameters
+    ----------
+    assembly : line with its supports
+    start_rests, end_rests : shape (cells, sliders, 2), 1/m, rest curvatures of the sliders at the
+        start and at the end
+    """
+    law = assembly.line.section.law
+    start, end = (find_current_sliders(law, rests) for rests in (start_rests, end_rests))
+    distances = np.linalg.norm(end.rests - start.rests, axis=2)
+    slips = 0.5 * (start.slip_curvatures + end.slip_curvatures)
+    return float(assembly.supports.lengths @ (distances * slips) @ start.stiffnesses)
+
+
+_LENGTH_ROUNDING = 1e-9
+"""Tolerance of lengths, relative to a length."""
+
+
+class NoEquilibriumError(Exception):
+    """Error for a path of a line that cannot be continued.
+
+    Parameters
+    ----------
+    reason : reason why the path cannot be continued
+    """
+
+    def __init__(self, reason: Reason) -> None:
+        super().__init__(reason.message)
+        self.reason = reason
+
+    @classmethod
+    def of(cls, template: str, /, **facts: object) -> NoEquilibriumError:
+        """Build the error from a template and its facts, as `Reason.of`."""
+        return cls(Reason.of(template, **facts))
+
+
+def check_reach(schedule: Schedule, grips: tuple[int, ...], step: int) -> None:
+    """Refuse held nodes that are too far apart for an inextensible line, or make it taut.
+
+    A taut line has no equilibrium under transverse loads, and its tension under axial loads is not
+    determined.
+
+    Parameters
+    ----------
+    schedule : paths of the boundaries
+    grips : indices of the boundaries that hold the line
+    step : number of the step
+
+    Raises
+    ------
+    NoEquilibriumError
+        If the distance of two held nodes is larger than the length between them or, under loads,
+        too close to it.
+    """
+    # Relative to the length. With less slack the tension exceeds 600 times the load and is
+    # dominated by rounding errors.
+    min_slack = 1e-7
+    min_relative_force = 1e-9  # of a load, relative to the forces on the line
+    imposed = schedule.compute_imposed(float(step), grips)
+    nodes = np.array([schedule.held_nodes[k] for k in grips], dtype=np.int64)
+    order = np.argsort(nodes)
+    nodes = nodes[order]
+    distances = np.linalg.norm(np.diff(imposed.held[order], axis=0), axis=1)
+    lengths = np.diff(schedule.line.stations[nodes])
+    min_force = min_relative_force * schedule.estimate_force()
+    is_loaded = np.linalg.norm(imposed.forces, axis=1) > min_force
+    for node, next_node, distance, length in zip(
+        nodes, nodes[1:], distances, lengths, strict=False
+    ):
+        slack = min_slack if np.any(is_loaded[node + 1 : next_node]) else 0.0
+        if distance <= length * (1.0 + _LENGTH_ROUNDING - slack):
+            continue
+        is_too_short = distance > length * (1.0 + _LENGTH_ROUNDING)
+        raise NoEquilibriumError.of(
+            "mechanics.rod.too_short" if is_too_short else "mechanics.rod.taut",
+            step=step,
+            place=schedule.line.describe_place(node),
+            other=schedule.line.describe_place(next_node),
+            length=length,
+            distance=distance,
+        )
+
+
+def check_planes(schedule: Schedule, grips: tuple[int, ...], step: int) -> None:
+    """Refuse a grip that holds the axis of the line nearer to a plane than its radius.
+
+    Parameters
+    ----------
+    schedule, grips, step : as for `check_reach`
+    """
+    held_positions = schedule.compute_imposed(float(step), grips).held
+    line = schedule.line
+    clearance = 0.5 * line.section.diameter
+    for plane in schedule.planes.values() if grips else ():
+        heights = (held_positions - plane.point) @ plane.normal
+        lowest = int(np.argmin(heights))
+        if heights[lowest] < clearance - _LENGTH_ROUNDING * line.length:
+            k = grips[lowest]
+            raise NoEquilibriumError.of(
+                "mechanics.rod.in_plane",
+                step=step,
+                place=line.describe_place(schedule.held_nodes[k]),
+                grip=format_boundary(schedule.boundaries, schedule.held[k]),
+                table=format_boundary(schedule.boundaries, plane),
+                height=1e3 * heights[lowest],
+                clearance=1e3 * clearance,
+            )
+
+
+def check_line(
+    assembly: Assembly, shape: Shape, balance: Balance, step: int, *, max_strain: float
+) -> None:
+    """Refuse a line that is torn or folded.
+
+    Parameters
+    ----------
+    assembly : line with its supports
+    shape : shape of the line
+    balance : balance of the shape
+    step : number of the step
+    max_strain : strain beyond which the line counts as torn
+    """
+    max_fold = 3.13  # rad, between two elements
+    element = int(np.argmax(shape.stretches))
+    stretch, max_stretch = 100.0 * shape.stretches[element], 100.0 * max_strain
+    if stretch > max_stretch:
+        raise NoEquilibriumError.of(
+            "mechanics.rod.torn",
+            step=step,
+            place=assembly.line.describe_place(element),
+            stretch=stretch,
+            max_stretch=max_stretch,
+        )
+    turns = np.linalg.norm(balance.cells.rotation_vectors, axis=1)
+    if float(np.max(turns, initial=0.0)) > max_fold:
+        cell = int(np.argmax(turns))
+        place = assembly.line.describe_place(assembly.supports.nodes[cell])
+        raise NoEquilibriumError.of(
+            "mechanics.rod.folded", step=step, place=place, turn=turns[cell]
+        )
+
+
+def check_rings(schedule: Schedule, balance: Balance, step: int) -> None:
+    """Refuse a line that has slid out of a ring.
+
+    Parameters
+    ----------
+    schedule : paths of the boundaries
+    balance : balance of the line, with the contacts of the rings
+    step : number of the step
+    """
+    for ring, contact in zip(schedule.rings.values(), balance.ring_contacts, strict=True):
+        if not 0.0 < contact.parameter < schedule.n:
+            end = schedule.line.describe_place(0 if contact.parameter <= 0.0 else schedule.n)
+            name = format_boundary(schedule.boundaries, ring)
+            raise NoEquilibriumError.of("mechanics.rod.left_ring", step=step, place=end, ring=name)

@@ -23,6 +23,7 @@ from labpipe.mechanics.rod.boundaries import (
     String,
     evaluate_curve,
     find_nearest_parameter,
+    list_paths,
 )
 from labpipe.mechanics.rod.line import Line
 from labpipe.mechanics.rod.rotations import (
@@ -66,17 +67,34 @@ class Schedule:
         self.rings = _select(boundaries, Ring)
         self.loads = _select(boundaries, Load)
         self.held_nodes = {k: self._count_from_start(held) for k, held in self.held.items()}
-        self.load_nodes = {k: self._count_from_start(load) for k, load in self.loads.items()}
         string_nodes = [self._count_from_start(string) for string in self.strings.values()]
         self.string_nodes = np.array(string_nodes, dtype=int)
         self.ring_parameters = np.array(
             [self._find_ring_start(ring) for ring in self.rings.values()]
         )
         self._require_single_holder()
-        start_line = replace(line, positions=start.positions, frames=start.frames)
-        self._start_frames = {k: start_line.get_frame(node) for k, node in self.held_nodes.items()}
         halves = 0.5 * line.section.mass_per_length * line.lengths
         self._masses = np.append(halves, 0.0) + np.append(0.0, halves)
+        # All paths have a further first row for the initial shape, in which there are no forces.
+        start_line = replace(line, positions=start.positions, frames=start.frames)
+        self._positions, self._frames = {}, {}
+        for k, node in self.held_nodes.items():
+            self._positions[k] = np.vstack([start.positions[node], self.held[k].position])
+            if (frames := self.held[k].frame) is not None:
+                self._frames[k] = np.vstack([start_line.get_frame(node), frames])
+        self._rings = [
+            np.vstack([evaluate_curve(start.positions, parameter), ring.position])
+            for ring, parameter in zip(self.rings.values(), self.ring_parameters, strict=True)
+        ]
+        self._anchors = [
+            np.vstack([string.anchor[0], string.anchor]) for string in self.strings.values()
+        ]
+        self._forces: list[tuple[Floats, Floats]] = []  # weights of the nodes, and path
+        for weight in _select(boundaries, Gravity).values():
+            self._forces.append((self._masses, np.vstack([np.zeros(3), weight.vector])))
+        for load in self.loads.values():
+            is_loaded = np.arange(self.n + 1) == self._count_from_start(load)
+            self._forces.append((is_loaded.astype(float), np.vstack([np.zeros(3), load.force])))
 
     def _count_from_start(self, boundary: Held | String | Load) -> int:
         """Return the node of a boundary, counted from the start."""
@@ -130,39 +148,17 @@ class Schedule:
         time : time in steps, from -1
         grips : indices of the boundaries that hold the line
         """
-        fraction, start = min(1.0, time + 1.0), self.start.positions
-        held_positions = [_interpolate(self.held[k].position, time) for k in grips]
-        rings = [_interpolate(ring.position, time) for ring in self.rings.values()]
-        clamps = {
-            k: _interpolate(frames, time, is_frame=True)
-            for k in grips
-            if (frames := self.held[k].frame) is not None
-        }
         forces = np.zeros((self.n + 1, 3))
-        for weight in _select(self.boundaries, Gravity).values():
-            forces += fraction * self._masses[:, None] * _interpolate(weight.vector, time)
-        for k, load in self.loads.items():
-            forces[self.load_nodes[k]] += fraction * _interpolate(load.force, time)
-        if fraction < 1.0:  # from the initial shape to row 0 of the paths
-            nodes = (start[self.held_nodes[k]] for k in grips)
-            points = (evaluate_curve(start, parameter) for parameter in self.ring_parameters)
-            held_positions = [
-                fraction * end + (1.0 - fraction) * x
-                for x, end in zip(nodes, held_positions, strict=True)
-            ]
-            rings = [
-                fraction * end + (1.0 - fraction) * x for x, end in zip(points, rings, strict=True)
-            ]
-            clamps = {k: _rotate(self._start_frames[k], end, fraction) for k, end in clamps.items()}
-        return ImposedValues(
-            np.array(held_positions).reshape(-1, 3),
-            np.array(list(clamps.values())).reshape(-1, 4),
-            forces,
-            np.array(
-                [_interpolate(string.anchor, time) for string in self.strings.values()]
-            ).reshape(-1, 3),
-            np.array(rings).reshape(-1, 3),
+        for node_weights, path in self._forces:
+            forces += node_weights[:, None] * _interpolate(path, time)
+        clamps = [
+            _interpolate(self._frames[k], time, is_frame=True) for k in grips if k in self._frames
+        ]
+        held, anchors, rings = (
+            np.array([_interpolate(path, time) for path in paths]).reshape(-1, 3)
+            for paths in ([self._positions[k] for k in grips], self._anchors, self._rings)
         )
+        return ImposedValues(held, np.array(clamps).reshape(-1, 4), forces, anchors, rings, time)
 
 
 def _select(boundaries: tuple[Boundary, ...], kind: type[T]) -> dict[int, T]:
@@ -182,16 +178,11 @@ def _find_largest(path: Floats) -> float:
 
 
 def _interpolate(path: Floats, time: float, *, is_frame: bool = False) -> Floats:
-    """Interpolate a path at a time; row 0 before the start."""
-    if len(path) == 1 or time <= 0.0:
-        return np.asarray(path[0])
-    k = min(int(time), len(path) - 2)
-    if is_frame:
-        return _rotate(path[k], path[k + 1], time - k)
-    return np.asarray(path[k] + (time - k) * (path[k + 1] - path[k]))
-
-
-def _rotate(start: Floats, end: Floats, fraction: float) -> Floats:
+    """Interpolate a path, whose first row is at the time -1, with constant values after the end."""
+    k = min(int(time + 1.0), len(path) - 1)
+    start, end, fraction = path[k], path[min(k + 1, len(path) - 1)], time + 1.0 - k
+    if not is_frame:
+        return np.asarray(start + fraction * (end - start))
     turn = to_rotation_vectors(multiply(conjugate(start), end))
     return multiply(start, from_rotation_vectors(fraction * turn))
 
@@ -199,9 +190,8 @@ def _rotate(start: Floats, end: Floats, fraction: float) -> Floats:
 def _require_rows(boundaries: tuple[Boundary, ...], steps: int) -> None:
     """Refuse paths whose number of rows is neither one nor the number of steps plus one."""
     for boundary in boundaries:
-        for name in ("position", "frame", "anchor", "force", "vector"):
-            path = getattr(boundary, name, None)
-            if path is not None and path.ndim == 2 and len(path) not in (1, steps + 1):
+        for name, path in list_paths(boundary).items():
+            if len(path) not in (1, steps + 1):
                 raise ValueError(
                     format_sentence(
                         "mechanics.rod.path_rows",

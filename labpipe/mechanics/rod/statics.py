@@ -32,12 +32,10 @@ from labpipe.mechanics.rod.banded import join_unknowns, split_unknowns
 from labpipe.mechanics.rod.boundaries import Boundary
 from labpipe.mechanics.rod.equilibrium import Equilibrium, StabilityCheck, find_equilibrium
 from labpipe.mechanics.rod.line import Line
-from labpipe.mechanics.rod.path import RodPath, RodState
-from labpipe.mechanics.rod.rotations import conjugate, multiply, to_rotation_vectors
-from labpipe.mechanics.rod.schedule import Schedule
-from labpipe.mechanics.rod.states import (
+from labpipe.mechanics.rod.path import (
     NoEquilibriumError,
-    SolverState,
+    RodPath,
+    RodState,
     build_state,
     check_line,
     check_planes,
@@ -47,7 +45,9 @@ from labpipe.mechanics.rod.states import (
     merge_rests,
     split_sides,
 )
-from labpipe.mechanics.rod.supports import split_cells_at_clamps
+from labpipe.mechanics.rod.rotations import conjugate, multiply, to_rotation_vectors
+from labpipe.mechanics.rod.schedule import Schedule
+from labpipe.mechanics.rod.supports import compute_turns, split_cells_at_clamps
 from labpipe.records.quality import Reason
 from labpipe.records.result import Status
 
@@ -65,7 +65,7 @@ class RodSettings:
     checks_stability : whether the stability of equilibria is checked
     """
 
-    min_step_fraction: float = 2.0**-14
+    min_step_fraction: float = 2.0**-12
     max_turn: float = 0.5
     max_strain: float = 0.05
     checks_stability: bool = True
@@ -154,7 +154,7 @@ class _PathSolver:
         history = replace(history, rests=merge_rests(self.assembly.supports, history.rests))
         imposed = schedule.compute_imposed(time, grips)
         balance = self.assembly.compute_balance(shape, imposed, history)
-        self.current = SolverState(time, shape, balance, imposed, history, None)
+        self.current = Equilibrium(shape, balance, imposed, history, history)
 
     def _release_grips(self, step: int) -> None:
         """Release the grips that end in a step.
@@ -167,10 +167,11 @@ class _PathSolver:
         self.snapped.append(step)
         lost, lost_in_jumps = self.lost, self.lost_in_jumps
         rests = split_sides(self.assembly.supports, current.history.rests)
-        self._assemble(grips, current.time, current.shape, replace(current.history, rests=rests))
-        equilibrium = self._find_equilibrium(current.time)
+        time = current.imposed.time
+        self._assemble(grips, time, current.shape, replace(current.history, rests=rests))
+        equilibrium = self._find_equilibrium(time)
         is_unstable = equilibrium is not None and not self._is_stable(equilibrium)
-        self._accept(current.time, equilibrium, is_unstable=is_unstable)
+        self._accept(time, equilibrium, is_unstable=is_unstable)
         self.lost_in_jumps = lost_in_jumps + self.lost - lost
 
     # ---- steps --------------------------------------------------------------------------------
@@ -196,8 +197,8 @@ class _PathSolver:
     def _advance_to(self, end: float) -> None:
         """Advance to a time, counted in steps, by fractions of steps that are halved or doubled."""
         fraction, is_rejected = 1.0, False
-        while self.current.time < end:
-            time = min(end, self.current.time + fraction)
+        while self.current.imposed.time < end:
+            time = min(end, self.current.imposed.time + fraction)
             is_smallest = fraction <= self.settings.min_step_fraction
             tries_sticking = is_smallest or not is_rejected
             equilibrium = self._find_equilibrium(time, tries_sticking=tries_sticking)
@@ -216,7 +217,7 @@ class _PathSolver:
         if equilibrium is None:
             self._relax(time, is_unstable=False)
             return
-        self._commit(time, equilibrium)
+        self._commit(equilibrium)
         if is_unstable:
             self._relax(time, is_unstable=True)
 
@@ -236,24 +237,18 @@ class _PathSolver:
         Newton's method starts with sliders that continue to slide. If `tries_sticking`, it is
         repeated with sliders that stick after a reversal.
         """
-        current = self.current
-        target = self.schedule.compute_imposed(time, self.grips)
-        balance, guess = current.balance, current.previous_history or current.history
-        while True:
-            equilibrium = find_equilibrium(
-                *(self.assembly, current.shape, current.history, (current.imposed, target)),
-                force=self.force,
-                guess=guess,
-                start_balance=balance,
-            )
+        start, target = self.current, self.schedule.compute_imposed(time, self.grips)
+        for guess in (start.previous_history, start.history):
+            equilibrium = find_equilibrium(self.assembly, start, target, guess=guess)
             if equilibrium is not None and self._is_near(equilibrium):
                 return equilibrium
-            if guess is current.history or not tries_sticking:
+            if guess is start.history or not tries_sticking:
                 return None
-            guess = current.history
-            balance = self.assembly.compute_balance(current.shape, current.imposed, guess)
-            if np.array_equal(balance.values, current.balance.values):
+            balance = self.assembly.compute_balance(start.shape, start.imposed, start.history)
+            if np.array_equal(balance.values, start.balance.values):
                 return None  # no slider continues to slide
+            start = replace(start, balance=balance)
+        return None
 
     def _is_near(self, equilibrium: Equilibrium) -> bool:
         """Return whether the line turns by less than the largest allowed angles."""
@@ -268,12 +263,11 @@ class _PathSolver:
         turns = np.linalg.norm(to_rotation_vectors(rotations), axis=1)
         return float(np.max(turns)) < 2.0 * max_turn
 
-    def _commit(self, time: float, equilibrium: Equilibrium) -> None:
+    def _commit(self, equilibrium: Equilibrium) -> None:
         """Make an equilibrium the current state, and add the energy that is lost."""
-        history, balance = self.current.history, equilibrium.balance
-        self.lost += compute_lost_energy(self.assembly, history.rests, balance.history.rests)
-        result = equilibrium.shape, balance, equilibrium.imposed, balance.history
-        self.current = SolverState(time, *result, history)
+        self.current, balance = equilibrium, equilibrium.balance
+        rests = equilibrium.previous_history.rests, equilibrium.history.rests
+        self.lost += compute_lost_energy(self.assembly, *rests)
         max_strain = self.settings.max_strain
         check_line(self.assembly, equilibrium.shape, balance, self.step, max_strain=max_strain)
         check_rings(self.schedule, balance, self.step)
@@ -328,7 +322,7 @@ class _PathSolver:
                 if drag > max_drag:
                     return False
                 continue
-            self._commit(time, equilibrium)
+            self._commit(equilibrium)
             shape = equilibrium.shape
             drag *= decrease
             decrease = drag_decrease
@@ -347,21 +341,17 @@ class _PathSolver:
         equilibrium = self._find_equilibrium(time)
         if equilibrium is None or not self._is_stable(equilibrium):
             return False
-        self._commit(time, equilibrium)
+        self._commit(equilibrium)
         return True
 
     def _find_dragged_equilibrium(
         self, shape: Shape, target: ImposedValues, size: float
     ) -> Equilibrium | None:
         """Find a stable equilibrium near a shape with a given drag; None if there is none."""
-        current = self.current
-        drag = ArtificialDrag(size, shape, self.assembly.compute_turns(shape, current.imposed))
-        equilibrium = find_equilibrium(
-            *(self.assembly, shape, current.history, (current.imposed, target)),
-            force=self.force,
-            guess=current.history,
-            drag=drag,
-        )
+        start = replace(self.current, shape=shape)
+        frames = self.assembly.select_frames(shape, start.imposed)
+        drag = ArtificialDrag(size, shape, compute_turns(frames))
+        equilibrium = find_equilibrium(self.assembly, start, target, guess=start.history, drag=drag)
         if equilibrium is None or not self._is_near(equilibrium):
             return None
         return equilibrium if self._is_stable(equilibrium) else None

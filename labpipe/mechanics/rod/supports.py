@@ -45,8 +45,8 @@ from labpipe.records.arrays import Floats, Ints
 Grip: TypeAlias = tuple[int, bool]
 """Node that is held, and whether its frame is held as well."""
 
-_Cell: TypeAlias = tuple[int, int, int, tuple[float, float], float]
-"""Elements or clamps before and after a cell, its node, weights of the sides, and length (m)."""
+_Cell: TypeAlias = tuple[tuple[int, int], int, tuple[float, float], float]
+"""Frames before and after a cell, its node, weights of the sides, and length (m)."""
 
 CLAMP_WEIGHT = 1.0 / 6.0
 """Weight of a clamp in the direction of an adjacent element, beside the frame of that element.
@@ -68,16 +68,15 @@ class Supports:
     n_nodes : number of nodes of the line
     held_nodes : shape (grips,), nodes with a prescribed position
     clamps : shape (clamps,), indices in `held_nodes` of nodes with a prescribed frame
-    before, after : shape (cells,), element before and after each cell; -1 - k for clamp k
+    sides : shape (cells, 2), frames before and after each cell: an element, or n + k for clamp k of
+        a line of n elements
     nodes : shape (cells,), node of each cell
     side_weights : shape (cells, 2), fractions of the cell before and after its node; (1, 0) or
         (0, 1) at a clamp
     lengths : shape (cells,), m, lengths of the cells
     rest_curvature : shape (cells, 3), 1/m, curvatures of the cells at rest
-    clamped_elements : shape (clamped elements,), elements beside a clamp
-    own_weights : shape (clamped elements,), weight of the element's frame in its direction
-    clamp_pairs : shape (pairs, 2), row in `clamped_elements` and index of the clamp, for each pair
-        of an element and an adjacent clamp
+    own_weights : shape (n,), weight of the frame of each element in its direction
+    clamp_pairs : shape (pairs, 2), pairs of an element and an adjacent clamp
     rest_turns : shape (pairs, 4), quaternions of the rotation at rest from the clamp to the middle
         of the element
     """
@@ -85,16 +84,30 @@ class Supports:
     n_nodes: int
     held_nodes: Ints
     clamps: Ints
-    before: Ints
-    after: Ints
+    sides: Ints
     nodes: Ints
     side_weights: Floats
     lengths: Floats
     rest_curvature: Floats
-    clamped_elements: Ints
     own_weights: Floats
     clamp_pairs: Ints
     rest_turns: Floats
+
+    def sum_at_frames(self, values: Floats) -> Floats:
+        """Sum values of both sides of the cells at the frames of these sides.
+
+        Parameters
+        ----------
+        values : shape (cells, 2, ...), values of any quantity
+
+        Returns
+        -------
+        Shape (n + clamps, ...).
+        """
+        sums = np.zeros((len(self.own_weights) + len(self.clamps), *values.shape[2:]))
+        for side in (0, 1):  # no frame is twice on the same side
+            sums[self.sides[:, side]] += values[:, side]
+        return sums
 
 
 def split_cells_at_clamps(line: Line, grips: tuple[Grip, ...]) -> Supports:
@@ -110,33 +123,29 @@ def split_cells_at_clamps(line: Line, grips: tuple[Grip, ...]) -> Supports:
     clamps = np.array([k for k, (_, is_clamp) in enumerate(grips) if is_clamp], dtype=np.int64)
     clamps_by_node = {int(held_nodes[k]): clamp for clamp, k in enumerate(clamps)}
     cells = [cell for node in range(n_nodes) for cell in _list_cells(line, node, clamps_by_node)]
-    before, after, nodes, weights, lengths = zip(*cells, strict=True) if cells else ((),) * 5
+    sides, nodes, weights, lengths = zip(*cells, strict=True) if cells else ((),) * 4
     cell_nodes = np.array(nodes, dtype=np.int64)
     rest_curvature = line.rest_curvature_at_nodes
-    element_clamps, rest_vectors = [], []
+    own_weights = np.ones(len(line.lengths))
+    clamp_pairs, rest_vectors = [], []
     for node, clamp in clamps_by_node.items():
         for element, distance_over_length in ((node - 1, -0.5), (node, 0.5)):
             if 0 <= element < len(line.lengths):
-                element_clamps.append((element, clamp))
+                own_weights[element] -= CLAMP_WEIGHT
+                clamp_pairs.append((element, clamp))
                 distance = distance_over_length * line.lengths[element]  # from clamp to middle, m
                 rest_vectors.append(distance * rest_curvature[node])
-    pairs = np.array(element_clamps, dtype=np.int64).reshape(-1, 2)
-    clamped_elements, row, n_clamps = np.unique(
-        pairs[:, 0], return_inverse=True, return_counts=True
-    )
     return Supports(
         n_nodes=n_nodes,
         held_nodes=held_nodes,
         clamps=clamps,
-        before=np.array(before, dtype=np.int64),
-        after=np.array(after, dtype=np.int64),
+        sides=np.array(sides, dtype=np.int64).reshape(-1, 2),
         nodes=cell_nodes,
         side_weights=np.array(weights, dtype=np.float64).reshape(-1, 2),
         lengths=np.array(lengths, dtype=np.float64),
         rest_curvature=rest_curvature[cell_nodes],
-        clamped_elements=clamped_elements,
-        own_weights=np.asarray(1.0 - CLAMP_WEIGHT * n_clamps, dtype=np.float64),
-        clamp_pairs=np.stack([row, pairs[:, 1]], axis=1),
+        own_weights=own_weights,
+        clamp_pairs=np.array(clamp_pairs, dtype=np.int64).reshape(-1, 2),
         rest_turns=from_rotation_vectors(np.array(rest_vectors).reshape(-1, 3)),
     )
 
@@ -147,16 +156,17 @@ def _list_cells(line: Line, node: int, clamps_by_node: dict[int, int]) -> list[_
     half_before = 0.5 * float(line.lengths[node - 1]) if node > 0 else 0.0
     half_after = 0.5 * float(line.lengths[node]) if node < n else 0.0
     if node in clamps_by_node:
-        clamp = -1 - clamps_by_node[node]
+        clamp = n + clamps_by_node[node]
         cells: list[_Cell] = [
-            (node - 1, clamp, node, (1.0, 0.0), half_before),
-            (clamp, node, node, (0.0, 1.0), half_after),
+            ((node - 1, clamp), node, (1.0, 0.0), half_before),
+            ((clamp, node), node, (0.0, 1.0), half_after),
         ]
         return [cell for cell in cells if cell[-1] > 0.0]  # no element before or after an end
     if not 0 < node < n:
         return []
     length = half_before + half_after
-    return [(node - 1, node, node, (half_before / length, half_after / length), length)]
+    weights = (half_before / length, half_after / length)
+    return [((node - 1, node), node, weights, length)]
 
 
 _EYE = np.eye(3)
@@ -176,8 +186,8 @@ class Directions:
     moments : shape (n, 3), N m, derivatives of -g . u with respect to the turn of the element
     stiffness : shape (n, 3, 3), N m, second derivatives of -g . u with respect to the turn of the
         element, symmetric
-    clamp_derivatives : shape (clamped elements, 3, 3), derivatives of u with respect to the sum of
-        the contributions of clamps
+    clamp_derivatives : shape (n, 3, 3), derivatives of u with respect to the sum of the
+        contributions of clamps
     clamp_moments : shape (pairs, 3), N m, in space axes, derivatives of -g . u with respect to the
         turn of the clamp, for each pair of an element and a clamp
     """
@@ -202,33 +212,27 @@ def compute_directions(
     clamp_directions : shape (pairs, 3), contributions of clamps, see `compute_clamp_directions`
     scaled_forces : g, shape (n, 3), N m, force of each element times its length
     """
-    u = frames[:, :, 2].copy()
-    turn_derivatives = np.zeros_like(frames)
-    turn_derivatives[:, :, 0], turn_derivatives[:, :, 1] = -frames[:, :, 1], frames[:, :, 0]
-    stiffness = _differentiate_twice(np.vecmat(scaled_forces, frames))
-    projection = np.zeros((len(supports.clamped_elements), 3, 3))
-    clamp_moments = np.zeros_like(clamp_directions)
-    if len(supports.clamped_elements):
-        elements, own_weight = supports.clamped_elements, supports.own_weights[:, None, None]
-        row = supports.clamp_pairs[:, 0]
-        mean = own_weight[:, 0] * u[elements]
-        np.add.at(mean, row, clamp_directions)
-        norm = np.sqrt(np.vecdot(mean, mean))[:, None]
-        u[elements] = mean / norm
-        # The first and second derivatives with respect to the mean are those of -g . mean / |mean|.
-        projection = (_EYE - u[elements, :, None] * u[elements, None, :]) / norm[:, :, None]
-        g = scaled_forces[elements]
-        p = np.matvec(projection, g)
-        outer = u[elements, :, None] * p[:, None, :]
-        mean_stiffness = outer + outer.mT
-        mean_stiffness += np.vecdot(g, u[elements])[:, None, None] * projection
-        mean_stiffness /= norm[:, :, None]
-        mean_derivatives = own_weight * turn_derivatives[elements]
-        stiffness[elements] = own_weight * _differentiate_twice(np.vecmat(p, frames[elements]))
-        stiffness[elements] += mean_derivatives.mT @ mean_stiffness @ mean_derivatives
-        turn_derivatives[elements] = projection @ mean_derivatives
-        clamp_moments = -cross(clamp_directions, p[row])
+    elements, own_weights = supports.clamp_pairs[:, 0], supports.own_weights
+    mean = own_weights[:, None] * frames[:, :, 2]
+    np.add.at(mean, elements, clamp_directions)
+    norm = np.sqrt(np.vecdot(mean, mean))[:, None]
+    u = mean / norm
+    scales = own_weights[:, None, None]
+    mean_derivatives = np.zeros_like(frames)
+    mean_derivatives[:, :, 0] = -own_weights[:, None] * frames[:, :, 1]
+    mean_derivatives[:, :, 1] = own_weights[:, None] * frames[:, :, 0]
+    # The first and second derivatives with respect to the mean are those of -g . mean / |mean|.
+    projection = (_EYE - u[:, :, None] * u[:, None, :]) / norm[:, :, None]
+    p = np.matvec(projection, scaled_forces)
+    outer = u[:, :, None] * p[:, None, :]
+    mean_stiffness = outer + outer.mT
+    mean_stiffness += np.vecdot(scaled_forces, u)[:, None, None] * projection
+    mean_stiffness /= norm[:, :, None]
+    stiffness = scales * _differentiate_twice(np.vecmat(p, frames))
+    stiffness += mean_derivatives.mT @ mean_stiffness @ mean_derivatives
+    turn_derivatives = projection @ mean_derivatives
     moments = -np.vecmat(scaled_forces, turn_derivatives)
+    clamp_moments = -cross(clamp_directions, p[elements])
     return Directions(u, turn_derivatives, moments, stiffness, projection, clamp_moments)
 
 
@@ -262,27 +266,24 @@ class BentCells:
     curvatures : shape (cells, 3), 1/m, curvatures minus those at rest
     moments : shape (cells, 3), N m, moments in the mean frames
     slider_rests : shape (cells, sliders, 2), 1/m, rest curvatures of the sliders after the step
-    gradients : derivatives of the energy with respect to the turns d_a and d_b of the frames before
-        and after the cells, shape (cells, 3) each, N m
-    stiffnesses : second derivatives of the energy with respect to d_a, and with respect to d_b,
-        shape (cells, 3, 3) each, N m
-    coupling : shape (cells, 3, 3), N m, second derivatives with respect to d_b and d_a
-    tangent_maps : shape (cells, 3, 3), matrices A
+    turn_maps : shape (cells, 6, 3), matrices -A and A^T
+    gradients : shape (cells, 6), N m, derivatives of the energy with respect to the turns d_a and
+        d_b of the frames before and after the cells
+    stiffnesses : shape (cells, 6, 6), N m, second derivatives with respect to these turns
     """
 
     rotation_vectors: Floats
     curvatures: Floats
     moments: Floats
     slider_rests: Floats
-    gradients: tuple[Floats, Floats]
-    stiffnesses: tuple[Floats, Floats]
-    coupling: Floats
-    tangent_maps: Floats
+    turn_maps: Floats
+    gradients: Floats
+    stiffnesses: Floats
 
 
 def bend_cells(
     section: Section,
-    frames: tuple[Floats, Floats],
+    frames: Floats,
     lengths: Floats,
     rest_curvature: Floats,
     *,
@@ -295,7 +296,7 @@ def bend_cells(
     Parameters
     ----------
     section : section of the line
-    frames : unit quaternions of the frames before and after the cells, shape (cells, 4) each
+    frames : shape (cells, 2, 4), unit quaternions of the frames before and after the cells
     lengths : shape (cells,), m, lengths of the cells
     rest_curvature : shape (cells, 3), 1/m, curvatures at rest
     slider_rests : shape (cells, sliders, 2), 1/m, rest curvatures of the sliders before the step
@@ -303,7 +304,7 @@ def bend_cells(
     artificial_stiffness : artificial stiffness of the cells relative to their initial stiffness,
         and rotation vectors psi at which it has no moment, shape (cells, 3); None without it
     """
-    psi = to_rotation_vectors(multiply(conjugate(frames[0]), frames[1]))
+    psi = compute_turns(frames)
     curvatures = psi / lengths[:, None] - rest_curvature
     response = slide_vector(section.law, curvatures[:, :2], slider_rests)
     moments = np.empty_like(psi)
@@ -320,27 +321,32 @@ def bend_cells(
         added_stiffness = factor * section_stiffness / lengths[:, None]
         moments += added_stiffness * (psi - relaxed_psi)
         stiffness += added_stiffness[:, :, None] * _EYE
-    tangent_maps, geometric = _compute_tangent_maps(psi, moments)
-    transposed = np.swapaxes(tangent_maps, 1, 2)
+    maps, geometric = _compute_tangent_maps(psi, moments)
     half_skew = 0.5 * skew(moments)
-    # The rows of A and A^T, and of the derivatives of A m and A^T m, are those of both frames.
-    stacked_maps = np.concatenate([tangent_maps, transposed], axis=1)
-    geometric_rows = np.concatenate([geometric - half_skew, geometric + half_skew], axis=1)
-    derivatives = (stacked_maps @ stiffness + geometric_rows) @ np.swapaxes(stacked_maps, 1, 2)
+    # The gradient is -A m and A^T m. Its derivatives with respect to psi follow from both factors.
+    turn_maps = np.concatenate([-maps, maps.mT], axis=1)
+    derivatives = np.concatenate([half_skew - geometric, half_skew + geometric], axis=1)
+    derivatives += turn_maps @ stiffness
+    stiffnesses = derivatives @ turn_maps.mT
     return BentCells(
         psi,
         curvatures,
         moments,
         response.rests,
-        (-np.matvec(tangent_maps, moments), np.matvec(transposed, moments)),
-        (_symmetrise(derivatives[:, :3, :3]), _symmetrise(derivatives[:, 3:, 3:])),
-        -derivatives[:, 3:, :3],
-        tangent_maps,
+        turn_maps,
+        np.matvec(turn_maps, moments),
+        0.5 * (stiffnesses + stiffnesses.mT),
     )
 
 
-def _symmetrise(matrices: Floats) -> Floats:
-    return np.asarray(0.5 * (matrices + np.swapaxes(matrices, 1, 2)))
+def compute_turns(frames: Floats) -> Floats:
+    """Return rotation vectors from frames before to frames after cells, rad, (cells, 3).
+
+    Parameters
+    ----------
+    frames : shape (cells, 2, 4), unit quaternions of the frames before and after the cells
+    """
+    return to_rotation_vectors(multiply(conjugate(frames[:, 0]), frames[:, 1]))
 
 
 def _compute_tangent_maps(psi: Floats, moments: Floats) -> tuple[Floats, Floats]:
@@ -352,6 +358,6 @@ def _compute_tangent_maps(psi: Floats, moments: Floats) -> tuple[Floats, Floats]
     tangent_maps = _EYE + 0.5 * skew(psi) + c * (outer - square[:, None] * _EYE)
     mixed = psi[:, :, None] * moments[:, None, :]
     double_cross = product * psi - square * moments  # psi x (psi x m)
-    geometric = c * (product[:, None] * _EYE + mixed - 2.0 * np.swapaxes(mixed, 1, 2))
+    geometric = c * (product[:, None] * _EYE + mixed - 2.0 * mixed.mT)
     geometric += (c_slope_over_angle[:, None] * double_cross)[:, :, None] * psi[:, None, :]
     return tangent_maps, geometric

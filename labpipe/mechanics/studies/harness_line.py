@@ -29,7 +29,7 @@ from labpipe.mechanics.law.loss_card import fit_wire_sliders
 from labpipe.mechanics.law.plays import require
 from labpipe.mechanics.law.sliders import GrowingSlider, SliderLaw, make_linear_law, share_hardening
 from labpipe.mechanics.rod import boundaries as rod
-from labpipe.mechanics.rod.input_distributions import (
+from labpipe.mechanics.rod.bands import (
     InputDistribution,
     build_calibrated_distributions,
     build_stated_distribution,

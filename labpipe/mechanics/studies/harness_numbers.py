@@ -17,15 +17,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import reduce
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from labpipe.mechanics.law.sliders import SliderLaw, find_current_sliders
 from labpipe.mechanics.rod import boundaries as rod
-from labpipe.mechanics.rod.bands import compute_node_curvature
+from labpipe.mechanics.rod.bands import collect_step_fields, compute_node_curvature
 from labpipe.mechanics.rod.line import Line, format_place
 from labpipe.mechanics.rod.path import RodPath, RodState
 from labpipe.mechanics.rod.rotations import conjugate, multiply, to_rotation_vectors, unit
@@ -42,7 +41,6 @@ LOWEST_POINT, RADIUS = "lowest_point", "smallest_bend_radius"
 RADIUS_ON_PATH = f"{RADIUS}_on_the_way"
 ENERGY_LOST, RESIDUAL = "energy_lost", "kept_curvature"
 FORCE, MOMENT, SPRINGBACK = "force.", "moment.", "springback."
-POSITIONS, CURVATURES = "positions", "curvature_vectors "
 SUPPORTS = rod.Held | rod.Ring | rod.String | rod.Plane
 _NUMBER_UNITS = {
     RADIUS: "m",
@@ -65,33 +63,15 @@ def collect_fields(path: RodPath) -> dict[str, Floats]:
 
     Returns
     -------
-    `POSITIONS` : shape (n + 1, 3), positions of the nodes at the last step, m
-    ``curvature_vectors 0`` and so on : shape (n + 1, 2, 2), curvature vectors of each step, 1/m
-    force, moment, springback : shape (3,), vectors, keyed by the names of their numbers
+    Fields of `collect_step_fields`
     `RESIDUAL` : shape (n, 2), vectors of `compute_released_curvature`, 1/m
     `ENERGY_LOST` : energy lost in bending, J
     """
-    states = enumerate(path.states)
-    curvatures = {f"{CURVATURES}{step}": state.curvature_vectors for step, state in states}
     return {
-        **curvatures,
-        **dict(_collect_boundary_fields(path)),
-        POSITIONS: path.last.positions,
+        **collect_step_fields(path),
         RESIDUAL: compute_released_curvature(path.line.section.law, path.last.rests),
         ENERGY_LOST: np.asarray(path.lost[-1]),
     }
-
-
-def _collect_boundary_fields(path: RodPath) -> Iterator[tuple[str, Floats]]:
-    """Yield forces and moments of the boundaries, then the springback of released boundaries."""
-    for index, boundary in enumerate(path.boundaries):
-        if isinstance(boundary, SUPPORTS):
-            yield f"{FORCE}{boundary.name}", path.last.reaction_forces[index]
-        if isinstance(boundary, rod.Held) and boundary.frame is not None:
-            yield f"{MOMENT}{boundary.name}", path.last.reaction_moments[index]
-    for boundary, release in list_releases(path):
-        start = path.states[release - 1].positions[boundary.node]
-        yield f"{SPRINGBACK}{boundary.name}", path.last.positions[boundary.node] - start
 
 
 def list_releases(path: RodPath) -> list[tuple[rod.Held, int]]:
@@ -113,15 +93,24 @@ def evaluate_numbers(field: Callable[[str], Floats], path: RodPath) -> dict[str,
     Numbers, SI, keyed by name, with the leading axes of the fields. Instead of a bend radius, the
     curvature is returned, 1/m.
     """
-    steps = range(len(path.states))
-    # The generator keeps the fields of one step in memory, which are large for many draws.
-    step_curvatures = (_compute_max_norm(field(f"{CURVATURES}{step}")) for step in steps)
-    vectors = [name for name, _ in _collect_boundary_fields(path)]
+    last, vectors = len(path.states) - 1, {}
+    positions, forces, moments = (
+        field(f"{name} {last}") for name in ("positions", "reaction_forces", "reaction_moments")
+    )
+    for index, boundary in enumerate(path.boundaries):
+        if isinstance(boundary, SUPPORTS):
+            vectors[f"{FORCE}{boundary.name}"] = forces[..., index, :]
+        if isinstance(boundary, rod.Held) and boundary.frame is not None:
+            vectors[f"{MOMENT}{boundary.name}"] = moments[..., index, :]
+    for support, release in list_releases(path):
+        moves = positions - field(f"positions {release - 1}")
+        vectors[f"{SPRINGBACK}{support.name}"] = moves[..., support.node, :]
+    curvatures = [_compute_max_norm(field(f"curvature_vectors {step}")) for step in range(last + 1)]
     return {
-        RADIUS: _compute_max_norm(field(f"{CURVATURES}{steps[-1]}")),
-        RADIUS_ON_PATH: reduce(np.maximum, step_curvatures),
-        LOWEST_POINT: np.asarray(compute_heights(field(POSITIONS), path).min(axis=-1)),
-        **{name: np.asarray(np.linalg.norm(field(name), axis=-1)) for name in vectors},
+        RADIUS: curvatures[-1],
+        RADIUS_ON_PATH: np.max(curvatures, axis=0),
+        LOWEST_POINT: np.asarray(compute_heights(positions, path).min(axis=-1)),
+        **{name: np.asarray(np.linalg.norm(vector, axis=-1)) for name, vector in vectors.items()},
         RESIDUAL: _compute_max_norm(field(RESIDUAL)),
         ENERGY_LOST: np.maximum(field(ENERGY_LOST), 0.0),
     }
@@ -273,13 +262,15 @@ def choose_bend_limit(harness: HarnessFile, material: Material) -> BendLimit:
 
 
 def find_sharpest_bend(path: RodPath, steps: Sequence[int]) -> Bend:
-    """Find the sharpest bend of a line in some of its steps.
+    """Find the sharpest bend of a line in some of its steps; NaN for a failed line.
 
     Parameters
     ----------
     path : path of the line
     steps : numbers of the steps, at least one
     """
+    if path.status is Status.FAILED:
+        return Bend(math.nan, -1, math.nan)
     row, node, curvature = find_largest([compute_curvature(path.states[step]) for step in steps])
     radius = float(compute_radius(np.array(curvature)))
     return Bend(radius, steps[row], float(path.line.stations[node]))
@@ -419,8 +410,6 @@ MAX_CHANGE = 0.02
 """Largest error of a number, relative to its size."""
 MAX_CHANGE_OF_BAND = 0.1
 """Largest error of a number, relative to the width of its band; the larger limit is applied."""
-_STEP_FIELDS = ("position", "frame", "anchor", "force", "vector")
-"""Names of fields of boundaries that may have a value for each step."""
 _MIN_CURVATURE = 1e-3
 """Smallest curvature of a line that is not straight, 1/m."""
 
@@ -461,21 +450,6 @@ def find_reasons(path: RodPath, material: Material) -> tuple[Reason, ...]:
             )
         )
     return tuple(reasons)
-
-
-def find_doubts(
-    path: RodPath, coarse_line: PreparedLine, intervals: Mapping[str, Interval]
-) -> list[Doubt]:
-    """Find the doubts about some numbers of a complete path.
-
-    Parameters
-    ----------
-    path : complete path of the line
-    coarse_line : the same line with half as many elements
-    intervals : intervals of numbers, keyed by name; a number may have none
-    """
-    doubts = [find_jump_doubt(path), find_unloading_doubt(path)]
-    return [*filter(None, doubts), *find_convergence_doubts(path, coarse_line, intervals)]
 
 
 def find_jump_doubt(path: RodPath) -> Doubt | None:
@@ -667,21 +641,14 @@ def select_coarse_steps(boundaries: Sequence[rod.Boundary], n_steps: int) -> Int
     for boundary in boundaries:
         release = getattr(boundary, "release", None)
         corners |= set() if release is None else {release - 1, release}
-        for name, path in _list_paths(boundary):
-            corners |= set(_find_corners(path, is_frame=name == "frame"))
+        for name, path in rod.list_paths(boundary).items():
+            if len(path) > 1:
+                corners |= set(_find_corners(path, is_frame=name == "frame"))
     selected_steps = [0]
     for step in range(1, n_steps + 1):
         if step in corners or step - selected_steps[-1] == 2:
             selected_steps.append(step)
     return np.array(selected_steps)
-
-
-def _list_paths(boundary: rod.Boundary) -> Iterator[tuple[str, Floats]]:
-    """Yield the names and values of the fields of a boundary that have a row for each step."""
-    for name in _STEP_FIELDS:
-        path = getattr(boundary, name, None)
-        if path is not None and path.ndim == 2 and len(path) > 1:
-            yield name, path
 
 
 def _find_corners(path: Floats, *, is_frame: bool) -> list[int]:
@@ -714,22 +681,9 @@ def solve_in_other_steps(prepared: PreparedLine, n_steps: int) -> tuple[int, Rod
     times = np.asarray(select_coarse_steps(prepared.boundaries, n_steps), dtype=np.float64)
     if len(times) - 1 > max_fraction * n_steps:
         times = np.linspace(0.0, n_steps, 2 * n_steps + 1, dtype=np.float64)
-    boundaries = tuple(_resample_boundary(boundary, times) for boundary in prepared.boundaries)
+    boundaries = tuple(rod.resample(boundary, times) for boundary in prepared.boundaries)
     n_other = len(times) - 1
     return n_other, follow(prepared.line, boundaries, steps=n_other)
-
-
-def _resample_boundary(boundary: rod.Boundary, times: Floats) -> rod.Boundary:
-    """Resample the paths of a boundary at other times, given in steps."""
-    changes: dict[str, object] = {}
-    rows_before, rows_after = np.floor(times).astype(int), np.ceil(times).astype(int)
-    for name, path in _list_paths(boundary):
-        midpoints = 0.5 * (path[rows_before] + path[rows_after])
-        changes[name] = unit(midpoints) if name == "frame" else midpoints
-    release = getattr(boundary, "release", None)
-    if release is not None:
-        changes["release"] = int(np.searchsorted(times, release - 1, side="right"))
-    return replace(boundary, **changes)  # type: ignore[arg-type]
 
 
 def find_change_doubt(

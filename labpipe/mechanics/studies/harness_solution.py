@@ -11,27 +11,35 @@ from pathlib import Path
 import numpy as np
 
 from labpipe.errors import ProcessingError
-from labpipe.mechanics.rod.bands import Band, LineBands, StateBands, join_bands, predict_line_bands
-from labpipe.mechanics.rod.input_distributions import InputDistribution
+from labpipe.mechanics.rod.bands import (
+    Band,
+    InputDistribution,
+    LineBands,
+    StateBands,
+    join_bands,
+    predict_line_bands,
+)
 from labpipe.mechanics.rod.path import RodPath
 from labpipe.mechanics.rod.statics import follow
 from labpipe.mechanics.studies.harness_line import Inputs, Material, prepare_line
 from labpipe.mechanics.studies.harness_numbers import (
     LOWEST_POINT,
-    POSITIONS,
     RADIUS,
     RADIUS_ON_PATH,
     Bend,
     BendLimit,
+    Doubt,
     build_results,
     choose_bend_limit,
     collect_fields,
     estimate_sizes,
     evaluate_numbers,
-    find_doubts,
+    find_convergence_doubts,
+    find_jump_doubt,
     find_reasons,
     find_share_doubts,
     find_sharpest_bend,
+    find_unloading_doubt,
     get_unit,
     list_unloading_numbers,
 )
@@ -60,7 +68,7 @@ class HarnessSolution:
     limit : allowed bend radius
     folder : folder of the result files
     files : files that were written
-    sweep : solutions for the lengths of the sweep; their reasons are those of the shown results
+    sweep : solutions of `solve_sweep` for the lengths of the sweep
     bands : bands of the shown steps; None if the uncertainty of the line is unknown
     """
 
@@ -83,6 +91,11 @@ class HarnessSolution:
         return tuple(sorted({*self.harness.show, self.harness.steps}))
 
     @property
+    def intervals(self) -> Mapping[str, Interval]:
+        """Intervals of the numbers, keyed by name; empty if the uncertainty is unknown."""
+        return {} if self.bands is None else self.bands.intervals
+
+    @property
     def bands_by_step(self) -> Mapping[int, StateBands]:
         """Bands of the shown steps, keyed by step."""
         states = () if self.bands is None else self.bands.line.states
@@ -91,24 +104,34 @@ class HarnessSolution:
     @property
     def sharpest_bend(self) -> Bend:
         """Sharpest bend of all steps; NaN for a failed line."""
-        return self._find_sharpest_bend(range(len(self.path.states)))
+        return find_sharpest_bend(self.path, range(len(self.path.states)))
 
     @property
     def final_sharpest_bend(self) -> Bend:
         """Sharpest bend at the last step; NaN for a failed line."""
-        return self._find_sharpest_bend([len(self.path.states) - 1])
-
-    def _find_sharpest_bend(self, steps: Sequence[int]) -> Bend:
-        """Find the sharpest bend in some steps; NaN for a failed line."""
-        if self.status is Status.FAILED:
-            return Bend(math.nan, -1, math.nan)
-        return find_sharpest_bend(self.path, steps)
+        return find_sharpest_bend(self.path, [len(self.path.states) - 1])
 
     @property
     def is_bend_doubtful(self) -> bool:
         """Whether the sharpest bend of all steps is doubtful."""
         numbers = [result for result in self.results if result.name == RADIUS_ON_PATH]
         return any(result.status is Status.DOUBTFUL for result in numbers)
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """Functions that report progress.
+
+    Parameters
+    ----------
+    begin : function that is called with the number of lines and the number of steps of each line
+    begin_line : function that is called with the name of each line before it is solved
+    end_step : function that is called after each step
+    """
+
+    begin: Callable[[int, int], object] = lambda _lines, _steps: None
+    begin_line: Callable[[str], object] = lambda _: None
+    end_step: Callable[[], object] = lambda: None
 
 
 def solve_harness(
@@ -118,7 +141,7 @@ def solve_harness(
     folder: Path,
     on_step: Callable[[], object] = lambda: None,
     *,
-    has_bands: bool = True,
+    is_variant: bool = False,
 ) -> HarnessSolution:
     """Solve a harness without its sweep.
 
@@ -129,13 +152,15 @@ def solve_harness(
     material : material of the line
     folder : folder of the result files, which are not written here
     on_step : function that is called after each step of the line
-    has_bands : whether bands and intervals are computed
+    is_variant : whether the harness is a variant of a sweep: without bands of the isotropic share,
+        on which shapes hardly depend, and without a check of convergence
 
     Raises
     ------
     ProcessingError
         If the line does not fit its boundaries.
     """
+    has_bands = not (is_variant and material.varies_only_share)
     paths: list[RodPath] = []
 
     def solve(index: int, inputs: Inputs) -> RodPath:
@@ -159,18 +184,27 @@ def solve_harness(
     )
     if path.status is Status.FAILED:
         return solution
-    status = Status.DOUBTFUL if reasons else Status.OK
-    return replace(solution, status=status, results=_build_results(solution))
+    solution = replace(solution, status=Status.DOUBTFUL if reasons else Status.OK)
+    doubts = [] if is_variant else _check_convergence(solution)
+    return replace(solution, results=_build_results(solution, doubts))
 
 
-def _build_results(solution: HarnessSolution) -> tuple[Result, ...]:
-    """Build the results of a solved harness with their doubts and intervals."""
-    harness, material, path = solution.harness, solution.material, solution.path
-    intervals = {} if solution.bands is None else solution.bands.intervals
+def _check_convergence(solution: HarnessSolution) -> list[Doubt]:
+    """Find the doubts about numbers of a solved harness that depend on its discretisation."""
+    harness, material = solution.harness, solution.material
     line = harness.line.model_copy(update={"elements": harness.line.elements // 2})
     coarse_harness, section = harness.model_copy(update={"line": line}), material.sections[0]
     coarse_line = prepare_line(coarse_harness, section(material.best_inputs), material.best_inputs)
-    doubts = find_doubts(path, coarse_line, intervals)
+    return list(find_convergence_doubts(solution.path, coarse_line, solution.intervals))
+
+
+def _build_results(
+    solution: HarnessSolution, convergence_doubts: Sequence[Doubt]
+) -> tuple[Result, ...]:
+    """Build the results of a solved harness with their doubts and intervals."""
+    material, path, intervals = solution.material, solution.path, solution.intervals
+    doubts = [*filter(None, (find_jump_doubt(path), find_unloading_doubt(path)))]
+    doubts += convergence_doubts
     names = list_unloading_numbers(path)
     if material.share_range:
         doubts += find_share_doubts(intervals, names, material.share_range)
@@ -187,33 +221,62 @@ def _collect_reasons(
     if bands is None:
         return reasons
     codes = {reason.code for reason in reasons} | {"beyond_tested"}
-    notes = [Reason(note.code, note.message) for note in bands.line.notes]
-    notes += [] if bands.doubt is None else [bands.doubt]
-    return reasons + tuple(note for note in notes if note.code not in codes)
+    doubts = [*(Reason(note.code, note.message) for note in bands.line.notes), bands.doubt]
+    return reasons + tuple(doubt for doubt in doubts if doubt and doubt.code not in codes)
 
 
-def solve_sweep_length(
-    solution: HarnessSolution, length: float, on_step: Callable[[], object] = lambda: None
-) -> HarnessSolution:
-    """Solve a harness with another length of its line; only its last step is shown.
+def solve_sweep(
+    solution: HarnessSolution,
+    lengths: Sequence[float],
+    progress: Progress = Progress(),
+) -> tuple[HarnessSolution, ...]:
+    """Solve a harness with other lengths of its line; only their last step is shown.
 
     Parameters
     ----------
     solution : solution for the length in the file, which is not solved again
-    length : length of the line, m
-    on_step : function that is called after each step of the line
+    lengths : lengths of the line, m
+    progress : functions that report progress
+
+    Returns
+    -------
+    The solution for each length. Their reasons are those of the shown results.
 
     Raises
     ------
     ProcessingError
         If the line does not fit its boundaries.
+
+    Notes
+    -----
+    Convergence is checked from the sharpest bend, relative to the length of an element, to the
+    first length that has converged. All lengths with less sharp bends then count as converged.
     """
     file, material, folder = solution.file, solution.material, solution.folder
-    if length != solution.harness.line.length:
-        line = solution.harness.line.model_copy(update={"length": length})
-        harness = solution.harness.model_copy(update={"line": line, "show": ()})
-        has_bands = not material.varies_only_share  # shapes hardly depend on the isotropic share
-        solution = solve_harness(harness, file, material, folder, on_step, has_bands=has_bands)
+    solutions = []
+    for length in lengths:
+        variant = solution
+        if length != solution.harness.line.length:
+            progress.begin_line(f"length {1e3 * length:.6g} mm")
+            line = solution.harness.line.model_copy(update={"length": length})
+            harness = solution.harness.model_copy(update={"line": line, "show": ()})
+            variant = solve_harness(
+                harness, file, material, folder, progress.end_step, is_variant=True
+            )
+        solutions.append(variant)
+    variants = [item for item in solutions if item is not solution and item.results]
+    variants.sort(key=lambda variant: variant.sharpest_bend.radius / variant.path.line.length)
+    for variant in variants:
+        doubts = _check_convergence(variant)
+        if not doubts:
+            break
+        results = _build_results(variant, doubts)
+        solutions[solutions.index(variant)] = replace(variant, results=results)
+    return tuple(map(_select_shown_reasons, solutions))
+
+
+def _select_shown_reasons(solution: HarnessSolution) -> HarnessSolution:
+    """Replace reasons and status of a solution by those of the results that a sweep shows."""
     if solution.status is Status.FAILED:
         return solution
     shown_reasons = [
@@ -297,16 +360,16 @@ def _evaluate(field: Callable[[str], Floats], path: RodPath) -> dict[str, Floats
     field : function that returns the field of a name
     path : path of the line at the best inputs
     """
-    return {**evaluate_numbers(field, path), _SHAPE: field(POSITIONS)}
+    last_positions = field(f"positions {len(path.states) - 1}")
+    return {**evaluate_numbers(field, path), _SHAPE: last_positions}
 
 
 def _make_interval(name: str, band: Band) -> Interval:
     """Make the interval of a number; that of a radius is made from the band of its curvature."""
-    level = 0.95
     lower, upper = float(band.lower), float(band.upper)
     if name in (RADIUS, RADIUS_ON_PATH):
         lower, upper = (1.0 / end if end > 0.0 else math.inf for end in (upper, lower))
-    return Interval(lower, upper, level)
+    return Interval(lower, upper)
 
 
 def choose_draws(distribution: InputDistribution) -> tuple[int, ...]:

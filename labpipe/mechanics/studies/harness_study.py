@@ -5,8 +5,8 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -30,8 +30,9 @@ from labpipe.mechanics.studies.harness_numbers import (
 )
 from labpipe.mechanics.studies.harness_solution import (
     HarnessSolution,
+    Progress,
     solve_harness,
-    solve_sweep_length,
+    solve_sweep,
 )
 from labpipe.mechanics.studies.study_files import FIGURES_FOLDER, write_study
 from labpipe.messages import format_sentence
@@ -60,22 +61,6 @@ SHAPE_FILE, FORCES_FILE, SWEEP_FILE = "shape.csv", "forces.csv", "sweep.csv"
 VTK_FILE, DECK_FILE = "shape.vtk", "line.mujoco.xml"
 SCHEMA = 1
 """Version of the format of ``summary.json`` and ``failure.json``."""
-
-
-@dataclass(frozen=True, slots=True)
-class Progress:
-    """Functions that report progress.
-
-    Parameters
-    ----------
-    begin : function that is called with the number of lines and the number of steps of each line
-    begin_line : function that is called with the name of each line before it is solved
-    end_step : function that is called after each step
-    """
-
-    begin: Callable[[int, int], object] = lambda _lines, _steps: None
-    begin_line: Callable[[str], object] = lambda _: None
-    end_step: Callable[[], object] = lambda: None
 
 
 def follow_harness(
@@ -114,19 +99,14 @@ def follow_harness(
     folder = Path("processed/harness") / file.stem if out is None else out
     lengths = harness.sweep.length if harness.sweep else ()
     progress = progress or Progress()
-    other_lengths = [length for length in lengths if length != harness.line.length]
-    progress.begin(len(other_lengths) + 1, harness.steps + 1)
+    progress.begin(len({harness.line.length, *lengths}), harness.steps + 1)
     progress.begin_line("as stated")
     solution = solve_harness(harness, file, material, folder, progress.end_step)
     if solution.status is Status.FAILED:
         _write_failure(solution)
         return solution
-    sweep = []
-    for length in lengths:
-        if length in other_lengths:
-            progress.begin_line(f"length {1e3 * length:.6g} mm")
-        sweep.append(solve_sweep_length(solution, length, progress.end_step))
-    return _write_solution(replace(solution, sweep=tuple(sweep)), figures=figures, png=png)
+    solution = replace(solution, sweep=solve_sweep(solution, lengths, progress))
+    return _write_solution(solution, figures=figures, png=png)
 
 
 def _write_failure(solution: HarnessSolution) -> None:
@@ -160,7 +140,7 @@ def _write_solution(solution: HarnessSolution, *, figures: bool, png: bool) -> H
         SUMMARY_FILE: _format_json(build_json(solution)),
     }
     if solution.sweep:
-        texts[SWEEP_FILE] = _format_csv(_build_sweep_table(solution))
+        texts[SWEEP_FILE] = _format_csv(list(map(_build_sweep_row, solution.sweep)))
     earlier_files, pages = [SWEEP_FILE, FAILURE_FILE], []
     if figures:
         earlier_files += [f"{FIGURES_FOLDER}/{SWEEP_FIGURE}.{ending}" for ending in ("svg", "png")]
@@ -195,11 +175,6 @@ def _build_sweep_row(solution: HarnessSolution) -> dict[str, object]:
     }
 
 
-def _build_sweep_table(solution: HarnessSolution) -> pd.DataFrame:
-    """Build the table of ``sweep.csv`` with a row for each length."""
-    return pd.DataFrame([_build_sweep_row(length_solution) for length_solution in solution.sweep])
-
-
 def _build_header(solution: HarnessSolution) -> dict[str, object]:
     """Build the first entries of ``summary.json`` and ``failure.json``."""
     files = (describe_file("harness", solution.file), *solution.material.files)
@@ -225,6 +200,8 @@ def build_json(solution: HarnessSolution) -> dict[str, object]:
     line, material, bands = solution.path.line, solution.material, solution.bands
     section, bend, limit = line.section, solution.sharpest_bend, solution.limit
     section_fields = ("diameter", "mass_per_length", "torsional_stiffness", "axial_stiffness")
+    sweep_names = (_LENGTH, "status", _RADIUS, "lower [m]", "upper [m]", _RADIUS_ON_PATH)
+    sweep_rows = map(_build_sweep_row, solution.sweep)
     allowed = select_json(limit, allowed="radius", allowed_from="source", assumed="is_assumed")
     return {
         **_build_header(solution),
@@ -245,7 +222,10 @@ def build_json(solution: HarnessSolution) -> dict[str, object]:
             "doubtful": solution.is_bend_doubtful,
         },
         "results": [build_result_entry(result) for result in solution.results],
-        "sweep": _list_sweep_rows(solution),
+        "sweep": [
+            {name.removesuffix(" [m]"): to_json(row[name]) for name in sweep_names}
+            for row in sweep_rows
+        ],
         # the kind of the bands, and the share of each cause in their variance
         "bands": {"kind": None, "reason": format_sentence("mechanics.studies.no_bands")}
         if bands is None
@@ -253,15 +233,6 @@ def build_json(solution: HarnessSolution) -> dict[str, object]:
         "quality": [select_json(note, "code", "severity", "message") for note in material.notes],
         "units": _TABLE_UNITS,
     }
-
-
-def _list_sweep_rows(solution: HarnessSolution) -> list[dict[str, object]]:
-    """List the rows of the sweep for ``summary.json``; empty without a sweep."""
-    if not solution.sweep:
-        return []
-    names = (_LENGTH, "status", _RADIUS, "lower [m]", "upper [m]", _RADIUS_ON_PATH)
-    rows = _build_sweep_table(solution)[list(names)].to_dict("records")
-    return [{str(name).removesuffix(" [m]"): to_json(row[name]) for name in row} for row in rows]
 
 
 _TABLE_UNITS: Mapping[str, str] = {
@@ -514,8 +485,8 @@ def build_drawn_sweep(solution: HarnessSolution) -> DrawnSweep | None:
     """
     if not solution.sweep:
         return None
-    sweep = sorted(solution.sweep, key=lambda length_solution: length_solution.harness.line.length)
-    table = _build_sweep_table(replace(solution, sweep=tuple(sweep)))
+    sweep = sorted(solution.sweep, key=lambda variant: variant.harness.line.length)
+    table = pd.DataFrame(map(_build_sweep_row, sweep))
     lower, upper = table["lower [m]"].to_numpy(), table["upper [m]"].to_numpy()
     return DrawnSweep(
         name=solution.file.stem,
@@ -525,8 +496,8 @@ def build_drawn_sweep(solution: HarnessSolution) -> DrawnSweep | None:
         radius_over_steps=table[_RADIUS_ON_PATH].to_numpy(),
         radius_band=None if np.isnan(lower).all() else (lower, upper),
         shapes=tuple(
-            np.empty((0, 3)) if run.status is Status.FAILED else run.path.last.positions
-            for run in sweep
+            np.empty((0, 3)) if variant.status is Status.FAILED else variant.path.last.positions
+            for variant in sweep
         ),
         allowed_radius=solution.limit.radius,
         is_doubtful=table["status"].to_numpy() == str(Status.DOUBTFUL),

@@ -271,15 +271,14 @@ def note_misfits(groups: Sequence[ValidationGroup]) -> tuple[QualityNote, ...]:
     hardly any campaign of the virtual lab had less than 95 %.
     """
     min_inside_fraction = 0.8
-    calibrated_groups = [group for group in groups if group.is_calibrated]
     return tuple(
         QualityNote.of(
             "mechanics.studies.model_misses_tests",
             f"{group.wire}, {1e3 * group.length:.4g} mm",
             share=100.0 * group.errors.inside,
         )
-        for group in calibrated_groups
-        if group.errors is not None and group.errors.inside < min_inside_fraction
+        for group in groups
+        if group.is_calibrated and group.errors and group.errors.inside < min_inside_fraction
     )
 
 
