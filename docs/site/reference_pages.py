@@ -24,7 +24,7 @@ from pydantic_core import core_schema
 
 from labpipe.messages import get_code, list_subpackages, read_templates
 from labpipe.protocol.grammar import Block, build_block
-from labpipe.protocol.harness_file import HarnessFile
+from labpipe.protocol.model_files import HarnessFile
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.sheet_grammar import CampaignPlan, TestSheet
 from labpipe.protocol.source import DIMENSION_KINDS, PLAUSIBLE_RANGES

@@ -176,7 +176,7 @@ def list_processed(campaign: CampaignFolders) -> dict[str, OutcomeFiles]:
     Outcome files, keyed by folder of the test; tests without such files are absent.
     """
     outcomes = {}
-    for test, folder, _, hidden in _walk(campaign.processed, [], skipped=FIGURES_FOLDER):
+    for test, folder, _, hidden in _walk(campaign.processed, [], skipped_name=FIGURES_FOLDER):
         if hidden & {*TEMPORARY_FOLDERS}:
             outcome = find_outcome(campaign, test)
         else:
@@ -213,9 +213,9 @@ def _compute_signature(folder: str) -> str:
 
 
 def _walk(
-    top: Path, problems: list[str], *, skipped: str = ""
+    top: Path, problems: list[str], *, skipped_name: str = ""
 ) -> Iterator[tuple[str, str, list[str], set[str]]]:
-    """Walk through folders, except hidden folders, links, and folders with the name `skipped`.
+    """Walk through folders, except hidden folders, links, and folders with the name `skipped_name`.
 
     Names that cannot be decoded are left out. Messages about them and about errors are added to
     `problems`.
@@ -237,7 +237,7 @@ def _walk(
         for name in sorted(undecodable):
             printable = f"{folder}/{name}".encode("utf-8", "backslashreplace").decode()
             problems.append(str(StoreError.about("campaign.undecodable_name", printable)))
-        subfolders[:] = sorted({*subfolders} - links - hidden - undecodable - {skipped})
+        subfolders[:] = sorted({*subfolders} - links - hidden - undecodable - {skipped_name})
         test = folder[len(str(top)) + 1 :].replace(os.sep, "/")
         yield test, folder, [*({*files} | links) - hidden - undecodable], hidden
 
@@ -307,7 +307,7 @@ def take_stamp(path: Path, previous: FileStamp | None = None) -> FileStamp:
 _UNREADABLE_FILE = FileStamp(-1, 0, 0, 0, 0, "")
 
 
-class MadeOf(NamedTuple):
+class SourceHashes(NamedTuple):
     """SHA-256 of the inputs from which results were made; empty if they are not known.
 
     Parameters
@@ -322,7 +322,7 @@ class MadeOf(NamedTuple):
     protocol: str = ""
 
 
-UNKNOWN = MadeOf()
+UNKNOWN_SOURCES = SourceHashes()
 """Placeholder for inputs that are not known."""
 
 
@@ -333,7 +333,7 @@ class HashedInputs:
     Parameters
     ----------
     key : key of all inputs, equal to the `run` of results that were made from them
-    made_of : hashes of the inputs; empty if the sheet or the protocol is faulty
+    source_hashes : hashes of the inputs; empty if the sheet or the protocol is faulty
     stamps : stamps of the test sheet and the exports, keyed by file name
     dependencies : name of the protocol, the SHA-256 of its file and of the lab's dialect cards, the
         version of labpipe, and its processing version
@@ -342,7 +342,7 @@ class HashedInputs:
     """
 
     key: str
-    made_of: MadeOf = UNKNOWN
+    source_hashes: SourceHashes = UNKNOWN_SOURCES
     stamps: Mapping[str, FileStamp] = field(default_factory=dict)
     dependencies: tuple[str, ...] = ()
     facts: Mapping[str, str] = field(default_factory=dict)
@@ -365,8 +365,8 @@ def parse_inputs(text: str) -> HashedInputs | None:
     """
     try:
         fields = json.loads(text)
-        files, *texts = fields["made_of"]
-        fields["made_of"] = MadeOf(tuple(map(tuple, files)), *texts)
+        files, *texts = fields["source_hashes"]
+        fields["source_hashes"] = SourceHashes(tuple(map(tuple, files)), *texts)
         fields["stamps"] = {name: FileStamp(*stamp) for name, stamp in fields["stamps"].items()}
         fields["dependencies"] = tuple(fields["dependencies"])
         return HashedInputs(**fields)
@@ -440,7 +440,7 @@ class InputReader:
         hashes = [(role, sha256) for role, _, sha256 in files]
         return HashedInputs(
             make_input_key(hashes, sheet_text, protocol_text),
-            MadeOf(tuple(files), hash_text(sheet_text), hash_text(protocol_text)),
+            SourceHashes(tuple(files), hash_text(sheet_text), hash_text(protocol_text)),
             stamps,
             self._hash_dependencies(folder, protocol_name),
             facts,
@@ -467,7 +467,7 @@ class InputReader:
         return hash_text(json.dumps(card_hashes)) if card_hashes else ""
 
 
-def describe_changes(before: MadeOf, now: MadeOf) -> str:
+def describe_changes(before: SourceHashes, now: SourceHashes) -> str:
     """Describe what changed since a test was processed.
 
     Parameters
@@ -481,7 +481,7 @@ def describe_changes(before: MadeOf, now: MadeOf) -> str:
     a sheet is missing.
     """
     hashes_before, hashes_now = (
-        {name: sha256 for _, name, sha256 in made_of.files} for made_of in (before, now)
+        {name: sha256 for _, name, sha256 in hashes.files} for hashes in (before, now)
     )
     changed_names = sorted({name for name, _ in hashes_before.items() ^ hashes_now.items()})
     reasons = []

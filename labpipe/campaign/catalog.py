@@ -13,6 +13,7 @@ import os
 import socket
 import sqlite3
 import time
+from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import fields
@@ -23,7 +24,7 @@ from typing import Any, Final, NamedTuple
 
 import psutil
 
-from labpipe.campaign.campaign_files import UNKNOWN, MadeOf, OutcomeFiles
+from labpipe.campaign.campaign_files import UNKNOWN_SOURCES, OutcomeFiles, SourceHashes
 from labpipe.errors import StoreError, UsageError
 from labpipe.messages import format_sentence
 from labpipe.process.output_paths import RESULT_FILE
@@ -112,13 +113,13 @@ class Entry(NamedTuple):
     ----------
     row : row of the table ``tests``
     file_state : state of the files of the test
-    made_of : exports, sheet and protocol of the last attempt
+    source_hashes : exports, sheet and protocol of the last attempt
     results : results of the last successful attempt
     """
 
     row: TestRow
     file_state: FileState = FileState()
-    made_of: MadeOf = UNKNOWN
+    source_hashes: SourceHashes = UNKNOWN_SOURCES
     results: tuple[ResultRow, ...] = ()
 
 
@@ -175,7 +176,7 @@ def read_outcome(folder: str, files: OutcomeFiles) -> Entry:
         labpipe=str(failure.get("labpipe") or entry.row.labpipe),
     )
     try:
-        return entry._replace(row=row, made_of=_parse_made_of(failure))
+        return entry._replace(row=row, source_hashes=_parse_source_hashes(failure))
     except (KeyError, TypeError, AttributeError):
         return entry._replace(row=row)
 
@@ -213,16 +214,16 @@ def _parse_summary(folder: str, content: Mapping[str, Any]) -> Entry:
         specimen=write_json(specimen),
         **{key: str(texts.get(key) or "") for key in _SUMMARY_COLUMNS},
     )
-    return Entry(row, made_of=_parse_made_of(content), results=results)
+    return Entry(row, source_hashes=_parse_source_hashes(content), results=results)
 
 
-def _parse_made_of(content: Mapping[str, Any]) -> MadeOf:
+def _parse_source_hashes(content: Mapping[str, Any]) -> SourceHashes:
     """Parse the exports, sheet and protocol from which an outcome was made."""
     files = tuple(
         (str(file["role"]), str(file["file"]), str(file["sha256"])) for file in content["inputs"]
     )
     hashes = content.get("made_of") or {}
-    return MadeOf(files, str(hashes.get("sheet", "")), str(hashes.get("protocol", "")))
+    return SourceHashes(files, str(hashes.get("sheet", "")), str(hashes.get("protocol", "")))
 
 
 def _parse_result(entry: Mapping[str, Any]) -> ResultRow:
@@ -293,13 +294,13 @@ class Claim(NamedTuple):
     ----------
     host : name of the machine, and the namespace of process ids if the system has namespaces
     pid : process id
-    process : start time of the process, s since 1970; a later process may have the same id
+    start_time : start time of the process, s since 1970; a later process may have the same id
     since : time of the claim, s since 1970
     """
 
     host: str
     pid: int
-    process: str
+    start_time: str
     since: float
 
     @property
@@ -327,7 +328,7 @@ def is_alive(claim: Claim) -> bool:
     try:
         process = psutil.Process(claim.pid)
         is_dead = process.status() in {psutil.STATUS_ZOMBIE, psutil.STATUS_DEAD}
-        return not is_dead and abs(process.create_time() - float(claim.process)) < max_clock_step
+        return not is_dead and abs(process.create_time() - float(claim.start_time)) < max_clock_step
     except psutil.AccessDenied:
         return True
     except (psutil.NoSuchProcess, ValueError):  # ValueError: claim of an earlier labpipe
@@ -399,16 +400,34 @@ class Catalog:
         rows = self._select("folder, content, marks", "seen", folder)
         return {folder: FileState(*state) for folder, *state in rows}
 
-    def read_results(self, folder: str) -> tuple[ResultRow, ...]:
-        """Read the results of a test, in order.
+    def read_group_values(self, folder: str) -> dict[str, list[float]]:
+        """Read the values of each result that is ok in the other tests of the group of a test.
+
+        Tests of a group have the same protocol, and specimens that differ at most in spool, sample
+        and uncertainty.
 
         Parameters
         ----------
         folder : folder of the test
+
+        Returns
+        -------
+        Values, keyed by result; those of rejected tests are left out.
         """
-        columns = ", ".join(RESULT_COLUMNS)
-        sql = f"select {columns} from results where folder = ? order by place"
-        return tuple(ResultRow(*row) for row in self._fetch_all(sql, folder))
+        specimen = "json_remove({}.specimen, '$.spool', '$.sample', '$.uncertainty')"
+        sql = (
+            "select results.name, results.value from tests as own"
+            " join tests as other on other.protocol = own.protocol and other.folder <> own.folder"
+            f" and {specimen.format('other')} = {specimen.format('own')}"
+            " join results on results.folder = other.folder"
+            " where own.folder = ? and other.run <> '' and other.state <> 'rejected'"
+            " and results.status = 'ok' and results.value is not null"
+            " order by other.folder, results.place"
+        )
+        values = defaultdict[str, list[float]](list)
+        for name, value in self._fetch_all(sql, folder):
+            values[name].append(value)
+        return values
 
     def has_failed_results(self) -> bool:
         """Return whether any result failed in a test that is not rejected."""

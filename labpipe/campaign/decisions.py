@@ -27,8 +27,6 @@ from labpipe.store.result_files import read_run
 DECISIONS_FILE: Final = "decisions.json"
 ACCEPT, REJECT = "accept", "reject"
 _SCHEMA: Final = 1
-_MAX_FILE_BYTES: Final = 50_000_000
-"""Maximum size of a file of decisions."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,17 +103,9 @@ def read_decisions(folder: Path, campaign: str = "") -> DecisionFile:
 def _read_decision_file(path: Path, campaign: str) -> DecisionFile:
     """Read a file of decisions that exists."""
     try:
-        size = path.stat().st_size
-        if size > _MAX_FILE_BYTES:
-            return DecisionFile(faults=(str(_make_size_error(path, size)),), is_readable=False)
         return parse_decisions(path.read_bytes(), path, campaign)
     except OSError as error:
         return _make_unreadable_file(path, "", error.strerror or str(error))
-
-
-def _make_size_error(path: Path, size: int) -> UsageError:
-    """Make the error of a file of decisions that has or would have too many bytes."""
-    return UsageError.about("campaign.too_many_decisions", path, limit=_MAX_FILE_BYTES, size=size)
 
 
 def parse_decisions(content: bytes, path: Path, campaign: str = "") -> DecisionFile:
@@ -237,8 +227,7 @@ def add_decisions(folder: Path, campaign: str, decisions: Iterable[Decision]) ->
     Raises
     ------
     UsageError
-        If the existing file cannot be read, or the new file would exceed the maximum size. The file
-        is then unchanged.
+        If the existing file cannot be read; it is then unchanged.
     StoreError
         If it cannot be written, or another process holds the lock.
 
@@ -255,12 +244,8 @@ def add_decisions(folder: Path, campaign: str, decisions: Iterable[Decision]) ->
         document = {"schema": _SCHEMA, "campaign": campaign, "decisions": [], **stored.document}
         document["decisions"] = [*document["decisions"], *map(asdict, decisions)]
         text = json.dumps(document, indent=2, ensure_ascii=False) + "\n"
-        content = text.encode("utf-8", "surrogatepass")
-        path = folder / DECISIONS_FILE
-        if len(content) > _MAX_FILE_BYTES:
-            raise _make_size_error(path, len(content))
-        with replace_file(path) as temporary:
-            temporary.write_bytes(content)
+        with replace_file(folder / DECISIONS_FILE) as temporary:
+            temporary.write_bytes(text.encode("utf-8", "surrogatepass"))
 
 
 def format_current_time() -> str:

@@ -14,7 +14,7 @@ import os
 import threading
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
-from concurrent.futures import Future
+from concurrent.futures import CancelledError, Future
 from contextlib import closing, contextmanager, suppress
 from functools import partial
 from itertools import chain, islice
@@ -212,19 +212,26 @@ The process is kept between tests, because its modules are then already imported
 """
 
 
-def inspect_worker(sheet: Path) -> tuple[tuple[str, int], bool]:
-    """Return the versions of a worker, and whether it can read a test sheet.
+def check_worker(sheet: Path, versions: tuple[str, int]) -> None:
+    """Raise UsageError on a worker that has other versions, or cannot read a test sheet.
 
     Parameters
     ----------
     sheet : absolute path of the test sheet
+    versions : versions of the client
     """
-    return _VERSIONS, sheet.exists()
+    if versions != _VERSIONS:
+        version, found = versions[0], __version__
+        raise UsageError.about(
+            "campaign.other_versions", "--executor", version=version, found=found
+        )
+    if not sheet.exists():
+        raise UsageError.about("campaign.without_data", sheet)
 
 
 def process_on_worker(
     task: Task, working_folder: Path, limit: float | None, versions: tuple[str, int]
-) -> Outcome | None:
+) -> Outcome:
     """Process a test on a worker.
 
     Parameters
@@ -236,15 +243,16 @@ def process_on_worker(
 
     Returns
     -------
-    Outcome of the test; None if the worker has other versions, or cannot read the test sheet.
+    Outcome of the test.
 
     Raises
     ------
+    UsageError
+        If the worker has other versions, or cannot read the test sheet.
     ProcessingError
         If the process of the test died or took too long.
     """
-    if inspect_worker(working_folder / task.sheet) != (versions, True):
-        return None
+    check_worker(working_folder / task.sheet, versions)
     process = vars(_THREAD_DATA).setdefault("process", WorkerProcess())
     call = partial(_attempt_in_folder, working_folder, task)
     return cast("Outcome", process.call(call, subject=task.sheet, limit=limit))
@@ -282,14 +290,18 @@ def process_on_cluster(
         with _connect(address) as client:
             try:
                 if first_task.sheet.exists():
-                    _check_workers(client, first_task)
-                with closing(_process_all(client, all_tasks, limit)) as outcomes:
-                    yield from outcomes
+                    client.run(check_worker, Path.cwd() / first_task.sheet, _VERSIONS)
+                yield from _process_all(client, all_tasks, limit)
             except LabpipeError:
                 raise
-            except Exception as error:  # a client that has lost its scheduler raises various errors
+            except (OSError, CancelledError) as error:  # as a TimeoutError and a lost connection
                 raise ProcessingError.about(
                     "campaign.lost_scheduler", "--executor", address=address
+                ) from error
+            except Exception as error:
+                kind, message = type(error).__name__, (str(error).splitlines() or [""])[0]
+                raise ProcessingError.about(
+                    "campaign.bad_cluster", "--executor", kind=kind, message=message
                 ) from error
 
 
@@ -320,22 +332,6 @@ def _connect(address: str) -> Iterator[Client]:
         logging.disable(log_level)
 
 
-def _check_workers(client: Client, task: Task) -> None:
-    """Refuse workers with another version of labpipe, and workers that cannot read a test."""
-    answers = client.run(inspect_worker, Path.cwd() / task.sheet, on_error="return")
-    for answer in answers.values():
-        if isinstance(answer, Exception):
-            raise _make_worker_error(answer) from answer
-        versions, can_read_sheet = answer
-        if versions != _VERSIONS:
-            raise UsageError.about(
-                "campaign.other_versions", "--executor", version=__version__, found=versions[0]
-            )
-        if not can_read_sheet:
-            error = UsageError.about("campaign.without_data", task.sheet)
-            raise UsageError(str(error), code="no_cluster")
-
-
 def _process_all(client: Client, tasks: Iterator[Task], limit: float | None) -> Outcomes:
     """Submit tests as workers become free, and yield their outcomes.
 
@@ -343,25 +339,20 @@ def _process_all(client: Client, tasks: Iterator[Task], limit: float | None) -> 
     """
     from distributed import wait
 
-    check_interval = 5.0  # s between checks for workers
-    max_checks_without_worker = 24
-    checks_without_worker = 0
+    check_interval, worker_timeout = 5.0, 120.0  # s
+    last_time_with_worker = time.monotonic()
     submitted: dict[Any, Task] = {}
-    while checks_without_worker < max_checks_without_worker:
+    while time.monotonic() - last_time_with_worker < worker_timeout:
         n_threads = sum(client.nthreads().values())
-        checks_without_worker = 0 if n_threads else checks_without_worker + 1
+        if n_threads:
+            last_time_with_worker = time.monotonic()
         # No more tests are submitted than there are threads: when a worker dies, dask counts the
         # tests in its queue as failed.
         for task in islice(tasks, max(not submitted, n_threads - len(submitted))):
-            future = client.submit(
-                process_on_worker, task, Path.cwd(), limit, _VERSIONS, pure=False
-            )
-            submitted[future] = task
+            arguments = (task, Path.cwd(), limit, _VERSIONS)
+            submitted[client.submit(process_on_worker, *arguments, pure=False)] = task
         if not submitted:
             return
-        if not n_threads:
-            time.sleep(check_interval)
-            continue
         completed: Iterable[Any] = ()
         with suppress(TimeoutError), client.as_current():
             completed = wait([*submitted], check_interval, "FIRST_COMPLETED").done
@@ -372,31 +363,26 @@ def _process_all(client: Client, tasks: Iterator[Task], limit: float | None) -> 
 
 
 def _fetch_outcome(task: Task, future: Any) -> Outcome:
-    """Return the outcome of a completed test, and record a failure if the worker died."""
+    """Return the outcome of a completed test, and record a failure if a worker failed."""
     from distributed import KilledWorker
 
-    error = future.exception() if future.status == "error" else None
-    if isinstance(error, KilledWorker):
+    try:
+        outcome = cast("Outcome", future.result())
+    except KilledWorker as error:
         times = error.allowed_failures + 1
-        error = ProcessingError.about("campaign.worker_died", task.sheet, times=times)
-    if isinstance(error, ProcessingError):
+        died = ProcessingError.about("campaign.worker_died", task.sheet, times=times)
+        return _record_failure(task, died)
+    except ProcessingError as error:
         return _record_failure(task, error)
-    if error is not None:
-        raise _make_worker_error(error) from error
-    outcome = cast("Outcome | None", future.result())
-    if isinstance(outcome, RefusedTest) or (outcome is not None and _can_read_results(outcome)):
-        return outcome
+    except UsageError as error:
+        if error.code != "worker_without_data":
+            raise
+    else:
+        if isinstance(outcome, RefusedTest) or _can_read_results(outcome):
+            return outcome
     if not task.sheet.exists():
         return attempt(task)
     return _record_failure(task, UsageError.about("campaign.without_data", task.sheet))
-
-
-def _make_worker_error(error: BaseException) -> ProcessingError:
-    """Make the error of a cluster from an error of a worker that cannot run labpipe."""
-    message = (str(error).splitlines() or [""])[0]
-    return ProcessingError.about(
-        "campaign.bad_cluster", "--executor", kind=type(error).__name__, message=message
-    )
 
 
 def _can_read_results(processed: ProcessedTest) -> bool:

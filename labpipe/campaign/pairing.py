@@ -71,11 +71,11 @@ class CandidateListing:
     Parameters
     ----------
     candidates : tests, sorted by folder
-    unmatched : reason why a file belongs to no test, keyed by file
+    unused_files : reason why each other file belongs to no test, keyed by file
     """
 
     candidates: tuple[Candidate, ...]
-    unmatched: Mapping[Path, str]
+    unused_files: Mapping[Path, str]
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,16 +88,16 @@ class PairingOutcome:
     messages : remarks on the content of the sheet, or on changed exports
     is_new : whether the sheet was written
     open_keys : keys of the sheet to fill in before the test can be processed
-    missing : roles without an export, or names of missing exports of an existing sheet
-    unreadable : reason why an export cannot be read, keyed by file name
+    missing_files : roles without an export, or names of missing exports of an existing sheet
+    read_errors : reason why an export cannot be read, keyed by file name
     """
 
     sheet: Path | None
     messages: tuple[str, ...] = ()
     is_new: bool = False
     open_keys: tuple[str, ...] = ()
-    missing: tuple[str, ...] = ()
-    unreadable: Mapping[str, str] = field(default_factory=dict)
+    missing_files: tuple[str, ...] = ()
+    read_errors: Mapping[str, str] = field(default_factory=dict)
 
 
 def read_plan(folder: Path) -> CampaignPlan:
@@ -149,19 +149,19 @@ def _list_by_folder(
 ) -> CandidateListing:
     """List each folder with files as a test."""
     top_files = filter(_could_be_export, _scan(folder)[1])
-    unmatched = {folder / name: "it is not in the folder of a test" for name in top_files}
+    unused_files = {folder / name: "it is not in the folder of a test" for name in top_files}
     candidates = []
     for test_folder, names in _walk_test_folders(folder, is_skipped):
         files = {name: test_folder / name for name in names if _could_be_export(name)}
         for name in filter(has_control_characters, list(files)):
-            unmatched[files.pop(name)] = _CONTROL_CHARACTERS_IN_NAME
+            unused_files[files.pop(name)] = _CONTROL_CHARACTERS_IN_NAME
         values = {} if pair.name is None else pair.name.match(test_folder.name)
         if pair.name is not None and values is None:
             reason = f"the name of its folder does not fit {pair.name.text!r}"
-            unmatched |= dict.fromkeys(files.values(), reason)
+            unused_files |= dict.fromkeys(files.values(), reason)
         elif files or SHEET_NAME in names:
             candidates.append(Candidate(test_folder, files, values or {}))
-    return CandidateListing(tuple(candidates), unmatched)
+    return CandidateListing(tuple(candidates), unused_files)
 
 
 def _walk_test_folders(
@@ -183,28 +183,28 @@ def _list_by_name(
     """List as one test the exports whose names agree in the values of the patterns."""
     top, patterns = folder / pair.source, pair.exports
     candidates: dict[tuple[str, ...], Candidate] = {}
-    unmatched: dict[Path, str] = {}
+    unused_files: dict[Path, str] = {}
     depth = 1 + max(pattern.text.count("/") for pattern in patterns.values())
     for name in _walk_exports(top, depth=depth):
         path = top / name
         matches = {role: pattern.match(name) for role, pattern in patterns.items()}
         values_by_role = {role: values for role, values in matches.items() if values is not None}
         if has_control_characters(name):
-            unmatched[path] = _CONTROL_CHARACTERS_IN_NAME
+            unused_files[path] = _CONTROL_CHARACTERS_IN_NAME
         elif not values_by_role:
-            unmatched[path] = "its name fits no pattern in campaign.yaml"
+            unused_files[path] = "its name fits no pattern in campaign.yaml"
         elif len(values_by_role) > 1:
-            unmatched[path] = f"its name fits several patterns: {', '.join(values_by_role)}"
+            unused_files[path] = f"its name fits several patterns: {', '.join(values_by_role)}"
         else:
             ((role, values),) = values_by_role.items()
             key = tuple(f"{field}={values[field].casefold()}" for field in sorted(values))
             test = make_test_name(values.get("test") or patterns[role].get_stem(name))
             files = candidates.setdefault(key, Candidate(folder / test, {}, values)).files
             if files.setdefault(role, path) != path:
-                unmatched[path] = f"{files[role].name} is already the {role} of the same test"
+                unused_files[path] = f"{files[role].name} is already the {role} of the same test"
     included = [candidate for candidate in candidates.values() if not is_skipped(candidate.folder)]
     included.sort(key=lambda candidate: candidate.name)
-    return CandidateListing(tuple(included), unmatched)
+    return CandidateListing(tuple(included), unused_files)
 
 
 def _walk_exports(top: Path, depth: int, prefix: str = "") -> Iterator[str]:
@@ -284,7 +284,7 @@ def pair_test(candidate: Candidate, plan: CampaignPlan, stable_time: float = 0.0
     if isinstance(plan.pair, NamePair):
         roles = plan.pair.exports if plan.wait_for is None else plan.wait_for
         if missing_roles := tuple(role for role in roles if role not in candidate.files):
-            return PairingOutcome(None, missing=missing_roles)
+            return PairingOutcome(None, missing_files=missing_roles)
     copies = _copy_exports(candidate)
     tests = read_campaign_tests(candidate.folder.resolve().parent)
     inferred = infer_test(candidate.folder, collect_columns(plan, candidate), campaign_tests=tests)
@@ -297,7 +297,7 @@ def pair_test(candidate: Candidate, plan: CampaignPlan, stable_time: float = 0.0
         with suppress(OSError):  # the folder is not empty
             if copies:
                 candidate.folder.rmdir()
-        return PairingOutcome(None, missing=missing, unreadable=inferred.read_errors)
+        return PairingOutcome(None, missing_files=missing, read_errors=inferred.read_errors)
     # These facts of the plan have no column in a campaign sheet.
     specimen = {key: value for key, value in plan.specimen.items() if key not in _SPECIMEN_COLUMNS}
     overrides = {key: override.model_dump() for key, override in plan.overrides.items()}
@@ -315,7 +315,7 @@ def _check_sheet(candidate: Candidate) -> PairingOutcome:
     names = chain.from_iterable(sheet.files.values())
     missing = tuple(name for name in names if not (candidate.folder / name).exists())
     if missing:
-        return PairingOutcome(None, missing=missing)
+        return PairingOutcome(None, missing_files=missing)
     originals = [path for path in candidate.files.values() if path.parent != candidate.folder]
     changed = [path for path in originals if _differs(path, candidate.folder / path.name)]
     messages = [format_sentence("campaign.newer_export", file=path.name) for path in changed]

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import csv
+import io
 import json
 import re
 import sqlite3
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
-from typing import IO, Any, Final
+from sqlite3 import SQLITE_DENY, SQLITE_OK
+from typing import Any, Final
 
 from labpipe.campaign.catalog import RESULT_COLUMNS, Catalog
 from labpipe.errors import UsageError, sort_by_likeness
@@ -40,6 +42,7 @@ _MAX_SHEET_ROWS: Final = 1_048_575
 _ALLOWED_ACTIONS: Final = frozenset(
     {sqlite3.SQLITE_SELECT, sqlite3.SQLITE_READ, sqlite3.SQLITE_FUNCTION, sqlite3.SQLITE_RECURSIVE}
 )
+"""Actions that SQLite allows a condition: to select, to read and to call functions."""
 _CONTROL_CHARACTERS = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069]")
 """Characters that control a terminal or change the direction of text."""
 
@@ -89,7 +92,9 @@ def query_results(catalog: Catalog, where: str) -> QueryResult:
         columns = QUERY_COLUMNS | _list_specimen_columns(connection)
         (n_results,) = connection.execute("select count(*) from results").fetchone()
         max_checks, check_numbers = base_checks + checks_per_result * n_results, count(1)
-        connection.set_authorizer(_authorize_reads)
+        connection.set_authorizer(
+            lambda action, *_: SQLITE_OK if action in _ALLOWED_ACTIONS else SQLITE_DENY
+        )
         connection.set_progress_handler(lambda: next(check_numbers) > max_checks, _STEPS_PER_CHECK)
         selection = ", ".join(f'{sql} as "{name}"' for name, sql in columns.items())
         # The condition is on its own line, so that a comment in it ends there.
@@ -120,11 +125,6 @@ def _make_condition_error(where: str, message: str, columns: list[str]) -> Usage
     return UsageError.about("campaign.bad_condition", "--where", place, message=message)
 
 
-def _authorize_reads(action: int, *_: str | None) -> int:
-    """Allow SQLite only to select, to read and to call functions."""
-    return sqlite3.SQLITE_OK if action in _ALLOWED_ACTIONS else sqlite3.SQLITE_DENY
-
-
 def _list_specimen_columns(connection: sqlite3.Connection) -> dict[str, str]:
     """List the SQL expressions of dimensions, labels and answers of the tests, keyed by column."""
     max_columns = 200
@@ -143,35 +143,32 @@ def _list_specimen_columns(connection: sqlite3.Connection) -> dict[str, str]:
     return columns
 
 
-def write_query_result(query_result: QueryResult, output_format: str, out: IO[str]) -> None:
-    """Write rows as text.
+def format_query_result(query_result: QueryResult, output_format: str) -> str:
+    """Format rows as text.
 
     Parameters
     ----------
-    query_result : rows to write
-    output_format : ``table``, ``csv`` or ``json``
-    out : text stream
+    query_result : rows to format
+    output_format : ``table``, ``csv`` or ``json``. A table is for a terminal: it has no column
+        ``run``, no empty columns, and no columns that are equal to the first one
     """
+    names, rows = query_result.columns, query_result.rows
     if output_format == "csv":
-        writer = csv.writer(out, lineterminator="\n")
-        writer.writerows(
-            map(_quote_formula, row) for row in (query_result.columns, *query_result.rows)
+        buffer = io.StringIO()
+        csv.writer(buffer, lineterminator="\n").writerows(
+            map(_quote_formula, row) for row in (names, *rows)
         )
-    elif output_format == "json":
-        entries = [dict(zip(query_result.columns, row, strict=True)) for row in query_result.rows]
+        return buffer.getvalue()
+    if output_format == "json":
+        entries = (dict(zip(names, row, strict=True)) for row in rows)
         lines = ",".join(f"\n{json.dumps(entry, ensure_ascii=False)}" for entry in entries)
-        out.write(f"[{lines}\n]\n")
-    else:
-        out.writelines(_format_table(query_result))
-
-
-def _format_table(query_result: QueryResult) -> Iterator[str]:
-    """Yield aligned lines, without ``run``, empty columns, and columns equal to the first one."""
-    columns = zip(query_result.columns, *query_result.rows, strict=True)
-    tests, *other_columns = [[*map(_format_cell, column)] for column in columns]
-    distinct_columns = [tests, *(column for column in other_columns if column[1:] != tests[1:])]
-    shown_columns = [cells for cells in distinct_columns if cells[0] != "run" and any(cells[1:])]
-    yield from (f"{line}\n" for line in align_columns(shown_columns))
+        return f"[{lines}\n]\n"
+    tests, *other_columns = [
+        [*map(_format_cell, cells)] for cells in zip(names, *rows, strict=True)
+    ]
+    columns = [tests, *(cells for cells in other_columns if cells[1:] != tests[1:])]
+    shown_columns = [cells for cells in columns if cells[0] != "run" and any(cells[1:])]
+    return "".join(f"{line}\n" for line in align_columns(shown_columns))
 
 
 def align_columns(columns: Iterable[Sequence[str]], n_left_aligned: int | None = None) -> list[str]:
@@ -188,6 +185,18 @@ def align_columns(columns: Iterable[Sequence[str]], n_left_aligned: int | None =
         side = "<" if n_left_aligned is None or index < n_left_aligned else ">"
         aligned_columns.append([f"{cell:{side}{max(map(len, column))}}" for cell in column])
     return ["  ".join(row).rstrip() for row in zip(*aligned_columns, strict=True)]
+
+
+def join_names(names: Sequence[str], max_names: int = 4) -> str:
+    """Join the first names by commas, and state how many more there are.
+
+    Parameters
+    ----------
+    names : names in order
+    max_names : largest number of names in the text
+    """
+    suffix = f" and {len(names) - max_names} more" if len(names) > max_names else ""
+    return ", ".join(names[:max_names]) + suffix
 
 
 def _format_cell(value: object) -> str:

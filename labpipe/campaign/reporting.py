@@ -772,13 +772,6 @@ def _make_group(
     )
 
 
-_SHARED_FIELDS = (
-    *("test", "specimen", "protocol", "results", "slips", "lines", "quality", "run", "date"),
-    *("operator", "instruments", "inputs"),
-)
-"""Fields that a test result and a sample have in common."""
-
-
 def make_sample(result: TestResult) -> Sample:
     """Make a sample of a report from a processed test.
 
@@ -790,16 +783,18 @@ def make_sample(result: TestResult) -> Sample:
     -------
     The sample without shapes, law, source and label.
     """
+    sample_fields, result_fields = (
+        {field.name for field in fields(kind)} for kind in (Sample, TestResult)
+    )
     curve = result.curve
     curves: dict[Direction, list[SampleCurve]] = {direction: [] for direction in Direction}
     if curve is not None:
         for branch in curve.branches:
             curves[branch.direction].append(_average_branch(result, curve, branch))
     return Sample(
-        **{name: getattr(result, name) for name in _SHARED_FIELDS},
+        **{name: getattr(result, name) for name in sample_fields & result_fields},
         loading=tuple(curves[Direction.LOADING]),
         unloading=tuple(curves[Direction.UNLOADING]),
-        display=dict(result.display),
     )
 
 

@@ -281,7 +281,8 @@ def _complete_row(
     if row.code == NEWER_RESULT or row.state == PENDING:
         return row
     if inputs is not None and inputs.key != _get_last_key(row):
-        return row._replace(state=STALE, why=describe_changes(outcome.made_of, inputs.made_of))
+        why = describe_changes(outcome.source_hashes, inputs.source_hashes)
+        return row._replace(state=STALE, why=why)
     if decision is None or decision.decision != REJECT:
         return row
     row = row._replace(state=REJECTED, why=decision.because)
@@ -348,7 +349,7 @@ def run_campaign(
     campaign: CampaignFolders,
     executor: Executor,
     *,
-    forced: Collection[str] = (),
+    forced_folders: Collection[str] = (),
     make_task: Callable[..., Task] = Task,
     on_start: Callable[[int], None] = lambda _: None,
     on_outcome: Callable[[str, str], None] = lambda *_: None,
@@ -359,7 +360,7 @@ def run_campaign(
     ----------
     campaign : folders of the campaign
     executor : function that processes the tests
-    forced : folders of the tests that are processed even if nothing changed
+    forced_folders : folders of the tests that are processed even if nothing changed
     make_task : function that makes the task of a test from its sheet, folder of results and key,
         such as a partial of `Task`
     on_start : function that is called once with the number of tests to process
@@ -380,11 +381,11 @@ def run_campaign(
         due_folders = [
             folder
             for folder, row in overview.rows.items()
-            if folder in overview.raw.sheets and (row.is_due or folder in forced)
+            if folder in overview.raw.sheets and (row.is_due or folder in forced_folders)
         ]
         on_start(len(due_folders))
         outcomes, claimed_elsewhere = _process_tests(
-            sync, executor, due_folders, forced, make_task=make_task, on_outcome=on_outcome
+            sync, executor, due_folders, forced_folders, make_task=make_task, on_outcome=on_outcome
         )
         overview = sync.refresh() if due_folders else overview
         return RunSummary(overview, [*outcomes], claimed_elsewhere)
@@ -413,8 +414,8 @@ def run_test(
         As `run_campaign`.
     """
     with open_campaign(campaign, for_writing=True) as sync:
-        forced = [folder] if is_forced else []
-        outcomes, claimed_elsewhere = _process_tests(sync, executor, [folder], forced)
+        forced_folders = [folder] if is_forced else []
+        outcomes, claimed_elsewhere = _process_tests(sync, executor, [folder], forced_folders)
         return None if claimed_elsewhere else sync.refresh_test(folder), outcomes.get(folder)
 
 
@@ -422,7 +423,7 @@ def _process_tests(
     sync: CatalogSync,
     executor: Executor,
     due_folders: list[str],
-    forced: Collection[str],
+    forced_folders: Collection[str],
     *,
     make_task: Callable[..., Task] = Task,
     on_outcome: Callable[[str, str], None] = lambda *_: None,
@@ -447,7 +448,7 @@ def _process_tests(
                 continue
             sheet = sync.get_sheet_path(folder)
             claimed_folders[sheet] = folder
-            if key := sync.read_due_key(folder, is_forced=folder in forced):
+            if key := sync.read_due_key(folder, is_forced=folder in forced_folders):
                 yield make_task(sheet, sync.campaign.processed / folder, run=key)
             else:
                 sync.catalog.release_tests(claimed_folders.pop(sheet))

@@ -5,7 +5,6 @@ The verdict on a test gives its status, a comparison with its group and what to 
 
 from __future__ import annotations
 
-import json
 import time
 import tomllib
 from collections import defaultdict
@@ -21,7 +20,6 @@ from typing import Final, NamedTuple, TypeAlias
 import numpy as np
 
 from labpipe.campaign.campaign_files import CampaignFolders
-from labpipe.campaign.catalog import OK, REJECTED, TestRow
 from labpipe.campaign.executors import Executor, Outcome, Outcomes, await_outcome
 from labpipe.campaign.pairing import (
     Candidate,
@@ -30,7 +28,7 @@ from labpipe.campaign.pairing import (
     pair_test,
     read_plan,
 )
-from labpipe.campaign.queries import escape_controls
+from labpipe.campaign.queries import escape_controls, join_names
 from labpipe.campaign.running import open_campaign, read_overview, run_test
 from labpipe.campaign.workers import Pool
 from labpipe.errors import LabpipeError, ProcessingError
@@ -49,19 +47,6 @@ _MAX_RESULTS: Final = 3
 
 Values: TypeAlias = Mapping[str, Sequence[float]]
 """Values of several tests, keyed by result."""
-
-
-def make_group_key(row: TestRow) -> str:
-    """Make the key of the group of a test from its protocol and specimen.
-
-    Parameters
-    ----------
-    row : row of the test; spool, sample and uncertainty of its specimen are ignored
-    """
-    ignored_fields = ("spool", "sample", "uncertainty")  # may differ within a group
-    specimen = json.loads(row.specimen)
-    fields = {key: value for key, value in specimen.items() if key not in ignored_fields}
-    return json.dumps([row.protocol, fields], sort_keys=True)
 
 
 def describe_test(
@@ -87,8 +72,8 @@ def describe_test(
     for status in (Status.FAILED, Status.DOUBTFUL):
         names = [result.name for result in test.results if result.status is status]
         n_ok -= len(names)
-        faults += [f"{len(names)} {status} ({_join_names(names)})"] if names else []
-    faults += [f"outside the group: {_join_names(outside_names)}"] if outside_names else []
+        faults += [f"{len(names)} {status} ({join_names(names)})"] if names else []
+    faults += [f"outside the group: {join_names(outside_names)}"] if outside_names else []
     headline = f"{name}: {'CHECK' if faults else 'OK'}, {', '.join([f'{n_ok} ok', *faults])}"
     group_sizes = list(dict.fromkeys(comparison.group_size for comparison in comparisons))
     if len(group_sizes) == 1:  # the size is written once for all results
@@ -208,13 +193,6 @@ def _compare_with_group(
     return _Comparison(name, text, f"n = {n} so far", is_outside)
 
 
-def _join_names(names: Sequence[str]) -> str:
-    """Join the first names, and state how many more there are."""
-    max_names = 4
-    suffix = f" and {len(names) - max_names} more" if len(names) > max_names else ""
-    return ", ".join(names[:max_names]) + suffix
-
-
 def process_in_pool(pool: Pool, tasks: Iterable[Task]) -> Outcomes:
     """Process tests without figures one after another in a pool.
 
@@ -240,18 +218,18 @@ class WatchedCampaign:
     """
 
     def __init__(self, folders: CampaignFolders, executor: Executor) -> None:
-        self._folders, self._executor = folders, executor
-        self._rows = read_overview(folders).rows
+        self._folders, self._executor, self.raw = folders, executor, folders.raw
+        rows = read_overview(folders).rows
+        self._processed_folders = {folder for folder, row in rows.items() if not row.is_due}
 
-    @property
-    def raw(self) -> Path:
-        """Folder of the exports."""
-        return self._folders.raw
+    def was_processed(self, sheet: Path) -> bool:
+        """Return whether the files of a test had been processed when the watch began.
 
-    def is_processed(self, sheet: Path) -> bool:
-        """Return whether the present files of a test have been processed."""
-        row = self._rows.get(self._make_label(sheet))
-        return row is not None and not row.is_due
+        Parameters
+        ----------
+        sheet : path of the sheet of the test
+        """
+        return self._get_folder(sheet) in self._processed_folders
 
     def process(self, sheet: Path, *, is_forced: bool = False) -> Outcome | None:
         """Process a test and store its row.
@@ -270,38 +248,25 @@ class WatchedCampaign:
         LabpipeError
             If another labpipe processes the test, or the catalog cannot be written.
         """
-        label = self._make_label(sheet)
-        row, outcome = run_test(self._folders, self._executor, label, is_forced=is_forced)
+        folder = self._get_folder(sheet)
+        row, outcome = run_test(self._folders, self._executor, folder, is_forced=is_forced)
         if row is None:
-            raise ProcessingError.about("campaign.test_in_use", label)
-        self._rows = {**self._rows, label: row}
+            raise ProcessingError.about("campaign.test_in_use", folder)
         return outcome
 
     def read_group_values(self, sheet: Path) -> dict[str, list[float]]:
-        """Read the values of each result that is ok in the other tests of the group of a test.
+        """Read the values of the other tests of a group, as `Catalog.read_group_values` does.
 
         Parameters
         ----------
         sheet : path of the sheet of the test
-
-        Returns
-        -------
-        Values, keyed by result; those of rejected tests are left out.
         """
-        label = self._make_label(sheet)
-        group, values = make_group_key(self._rows[label]), defaultdict[str, list[float]](list)
         with open_campaign(self._folders) as sync:
-            for folder, row in self._rows.items():
-                is_valid = folder != label and row.run and row.state != REJECTED
-                if is_valid and make_group_key(row) == group:
-                    for result in sync.catalog.read_results(folder):
-                        if result.status == OK and result.value is not None:
-                            values[result.name].append(result.value)
-        return values
+            return sync.catalog.read_group_values(self._get_folder(sheet))
 
-    def _make_label(self, sheet: Path) -> str:
-        """Make the label of a test, its folder relative to the campaign."""
-        return sheet.parent.relative_to(self._folders.raw).as_posix()
+    def _get_folder(self, sheet: Path) -> str:
+        """Return the folder of a test relative to the campaign, which identifies the test."""
+        return sheet.parent.relative_to(self.raw).as_posix()
 
 
 Signature: TypeAlias = tuple[int, int] | None
@@ -355,7 +320,7 @@ class Watcher:
     pair : function that writes the sheet of a test, as `pair_test` does
     draw : function that draws figures. It is called with the folder of results before the verdict
         on a test is reported, and must therefore return at once
-    say : function that is called with each message
+    show_message : function that is called with each message
     clock : function that returns a monotonic time, s
     """
 
@@ -365,17 +330,22 @@ class Watcher:
         *,
         pair: Callable[[Candidate, CampaignPlan, float], PairingOutcome],
         draw: Callable[[Path], object],
-        say: Callable[[str], None],
+        show_message: Callable[[str], None],
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._campaign, self._pair, self._draw, self._say = campaign, pair, draw, say
+        self._campaign, self._pair, self._draw, self._show_message = (
+            campaign,
+            pair,
+            draw,
+            show_message,
+        )
         self._clock, self._plan_file = clock, campaign.raw / PLAN_NAME
         self._plan_signature = _read_signature(self._plan_file)
         self.plan = read_plan(campaign.raw)
         self._tests = defaultdict[Path, _WatchedTest](_WatchedTest)
         self._reported = set[str]()
         self._n_scans = 0
-        self._is_folder_missing = self._has_found_ready = False
+        self._is_folder_missing = False
 
     def scan(self) -> bool:
         """Scan the folder once, and handle the newest test that is ready.
@@ -397,18 +367,18 @@ class Watcher:
                 self._is_folder_missing = True
                 reason = (error.strerror or str(error)).lower()
                 path = error.filename or raw
-                self._say(format_sentence("campaign.lost_folder", path=path, why=reason))
+                self._show_message(format_sentence("campaign.lost_folder", path=path, why=reason))
             return False
         if self._is_folder_missing:
             self._is_folder_missing = False
-            self._say(format_sentence("campaign.folder_is_back", path=raw))
+            self._show_message(format_sentence("campaign.folder_is_back", path=raw))
         return len(ready) > 1
 
-    def _say_once(self, text: str) -> None:
+    def _show_once(self, text: str) -> None:
         """Report a message unless it was reported since the plan was last read."""
         if text not in self._reported:
             self._reported.add(text)
-            self._say(text)
+            self._show_message(text)
 
     def _is_skipped(self, folder: Path) -> bool:
         """Return whether this scan skips a test that was handled long ago."""
@@ -428,31 +398,21 @@ class Watcher:
         try:
             self.plan = read_plan(self._campaign.raw)
         except LabpipeError as error:
-            self._say(format_sentence("campaign.faulty_plan", error=error, file=PLAN_NAME))
+            self._show_message(format_sentence("campaign.faulty_plan", error=error, file=PLAN_NAME))
             return
         self._reported.clear()
         for test in self._tests.values():
             test.next_attempt = 0.0 if isnan(test.handled_at) else inf
-        self._say(format_sentence("campaign.plan_read_again", file=PLAN_NAME))
+        self._show_message(format_sentence("campaign.plan_read_again", file=PLAN_NAME))
 
     def _find_ready(self) -> list[Candidate]:
-        """Find the tests that are ready, the newest first, and report files that are not used.
-
-        The first scan that finds a test leaves out tests whose results are up to date.
-        """
+        """Find the tests that are ready, the newest first, and report files that are not used."""
         listing = list_candidates(self._campaign.raw, self.plan, is_skipped=self._is_skipped)
-        for path, reason in listing.unmatched.items():
+        for path, reason in listing.unused_files.items():
             if self._measure_stable_time(path, [path]) > self.plan.patience:
                 file = self._format_path(path)
-                self._say_once(format_sentence("campaign.unused_file", file=file, why=reason))
+                self._show_once(format_sentence("campaign.unused_file", file=file, why=reason))
         ready = [candidate for candidate in listing.candidates if self._is_ready(candidate)]
-        if ready and not self._has_found_ready:
-            self._has_found_ready = True
-            for candidate in [*ready]:
-                if candidate.sheet.exists() and self._campaign.is_processed(candidate.sheet):
-                    ready.remove(candidate)
-                    test = self._tests[candidate.folder]
-                    test.next_attempt, test.handled_at = inf, -self.plan.patience
         stable_times = {candidate.folder: self._get_stable_time(candidate) for candidate in ready}
         return sorted(ready, key=lambda candidate: stable_times[candidate.folder])
 
@@ -471,11 +431,14 @@ class Watcher:
     def _is_ready(self, candidate: Candidate) -> bool:
         """Return whether the files of a test are complete, stable, not locked and due.
 
-        Files are due unless they were handled in this state or the next attempt is later. Files
-        that remain locked are reported.
+        Files are due unless they were handled in this state, before or during the watch, or the
+        next attempt is later. Files that remain locked are reported.
         """
+        is_new = not self._tests[candidate.folder].signatures
         stable_time = self._measure_stable_time(candidate.folder, candidate.paths)
         test = self._tests[candidate.folder]
+        if is_new and self._campaign.was_processed(candidate.sheet):
+            test.next_attempt, test.handled_at = inf, -self.plan.patience
         is_complete = all(test.signatures[path] for path in candidate.files.values())
         is_due = self._clock() >= test.next_attempt and stable_time >= self.plan.still_for
         if not (is_complete and is_due):
@@ -484,7 +447,7 @@ class Watcher:
         locked_files = [path for path in paths if not _can_open(path)]
         for path in locked_files if stable_time > self.plan.patience else ():
             label, file = escape_controls(candidate.name), escape_controls(path.name)
-            self._say_once(format_sentence("campaign.locked_file", test=label, file=file))
+            self._show_once(format_sentence("campaign.locked_file", test=label, file=file))
         return not locked_files
 
     def _handle(self, candidate: Candidate) -> None:
@@ -496,12 +459,12 @@ class Watcher:
             pairing = self._pair(candidate, self.plan, self._get_stable_time(candidate))
         except LabpipeError as error:
             test.next_attempt = inf
-            self._say_once(f"{escape_controls(candidate.name)}: {error}")
+            self._show_once(f"{escape_controls(candidate.name)}: {error}")
             return
         if pairing.sheet is None:
-            self._say_missing(candidate, pairing)
+            self._show_missing_files(candidate, pairing)
             return
-        self._say_sheet(candidate, pairing)
+        self._show_sheet(candidate, pairing)
         # The signatures are taken before processing, because exports may change meanwhile.
         signatures = test.signatures | {candidate.sheet: _read_signature(candidate.sheet)}
         if pairing.open_keys or self._process(candidate):
@@ -514,7 +477,7 @@ class Watcher:
         try:
             outcome = self._campaign.process(candidate.sheet, is_forced=test.is_forced)
         except LabpipeError as error:
-            self._say_once(f"{escape_controls(candidate.name)}: {error}")
+            self._show_once(f"{escape_controls(candidate.name)}: {error}")
             return False
         if isinstance(outcome, RefusedTest):
             test.is_forced = not all(map(_can_open, [candidate.sheet, *candidate.files.values()]))
@@ -522,22 +485,22 @@ class Watcher:
                 return False
         test.is_forced = False
         if outcome is not None:
-            self._say_verdict(candidate, outcome)
+            self._show_verdict(candidate, outcome)
         return True
 
-    def _say_missing(self, candidate: Candidate, pairing: PairingOutcome) -> None:
+    def _show_missing_files(self, candidate: Candidate, pairing: PairingOutcome) -> None:
         """Report once which files of a test are missing, or which cannot be read."""
         label = escape_controls(candidate.name)
-        for name, reason in pairing.unreadable.items():
+        for name, reason in pairing.read_errors.items():
             if self._get_stable_time(candidate) > self.plan.patience:
                 file = escape_controls(name)
                 texts = {"test": label, "file": file, "why": reason}
-                self._say_once(format_sentence("campaign.unread_file", **texts))
-        if pairing.missing and not pairing.unreadable:
-            names = ", ".join(pairing.missing)
-            self._say_once(format_sentence("campaign.missing_files", test=label, files=names))
+                self._show_once(format_sentence("campaign.unread_file", **texts))
+        if pairing.missing_files and not pairing.read_errors:
+            names = ", ".join(pairing.missing_files)
+            self._show_once(format_sentence("campaign.missing_files", test=label, files=names))
 
-    def _say_sheet(self, candidate: Candidate, pairing: PairingOutcome) -> None:
+    def _show_sheet(self, candidate: Candidate, pairing: PairingOutcome) -> None:
         """Report the sheet of a test if it was written, its messages and its open keys."""
         lines = [*pairing.messages]
         if pairing.is_new:
@@ -548,9 +511,9 @@ class Watcher:
             keys = ", ".join(pairing.open_keys)
             lines.append(format_sentence("campaign.keys_to_fill_in", keys=keys))
         if lines:
-            self._say("\n".join(lines))
+            self._show_message("\n".join(lines))
 
-    def _say_verdict(self, candidate: Candidate, outcome: Outcome) -> None:
+    def _show_verdict(self, candidate: Candidate, outcome: Outcome) -> None:
         """Report the verdict on a test, and start to draw its figures."""
         label = escape_controls(candidate.name)
         if isinstance(outcome, RefusedTest):
@@ -560,7 +523,7 @@ class Watcher:
             values = self._campaign.read_group_values(candidate.sheet)
             lines = describe_test(label, outcome.result, values, main_names)
             self._draw(outcome.folder)
-        self._say("\n".join(lines))
+        self._show_message("\n".join(lines))
 
     def _format_path(self, path: Path) -> str:
         """Write a path as printable text, relative to the campaign if it is inside."""
@@ -569,14 +532,14 @@ class Watcher:
         return escape_controls(shown_path.as_posix())
 
 
-def watch(folders: CampaignFolders, *, figures: bool, say: Callable[[str], None]) -> None:
+def watch(folders: CampaignFolders, *, figures: bool, show_message: Callable[[str], None]) -> None:
     """Watch a campaign until the user interrupts it.
 
     Parameters
     ----------
     folders : folders of the campaign
     figures : whether figures are drawn, in the worker process after a test is processed
-    say : function that is called with each message
+    show_message : function that is called with each message
 
     Raises
     ------
@@ -597,8 +560,8 @@ def watch(folders: CampaignFolders, *, figures: bool, say: Callable[[str], None]
 
         pool.submit(load_all_protocols, subject="labpipe")  # imports most of what tests need
         campaign = WatchedCampaign(folders, partial(process_in_pool, pool))
-        watcher = Watcher(campaign, pair=pair, draw=draw, say=say)
-        say(f"watching {folders.name}; press Ctrl+C to stop")
+        watcher = Watcher(campaign, pair=pair, draw=draw, show_message=show_message)
+        show_message(f"watching {folders.name}; press Ctrl+C to stop")
         load_all_protocols()  # loads units and grammar before the first verdict
         while True:
             start_time = time.monotonic()

@@ -1,7 +1,7 @@
 """Run the command line: parse the arguments, run the command, return the exit status.
 
-Only the standard library is imported here, so that ``labpipe --help`` answers at once. The module
-of a command is imported when it runs.
+This module imports only the standard library, so that ``labpipe --help`` answers at once. The
+module of a command is imported when that command runs.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from labpipe import __version__
 _SharedArguments = Mapping[str, Sequence[Any]]
 """Lists of arguments that several commands share, keyed by name of the list."""
 
-DONE, SOME_FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+EXIT_OK, EXIT_SOME_FAILED, EXIT_ERROR, EXIT_INTERRUPTED = 0, 1, 2, 130
 """Exit statuses of commands."""
 
 _COMPLETION_VARIABLE = "_ARGCOMPLETE"
@@ -41,7 +41,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     Returns
     -------
-    Exit status: 0 done, 1 some results failed, 2 bad input, 130 interrupted.
+    Exit status: 0 done, 1 some results failed, 2 bad input or a system error such as a
+    full disk, 130 interrupted.
 
     Raises
     ------
@@ -57,7 +58,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if arguments is not None:
         return _run(options)
     if not sys.warnoptions:
-        # Warnings of NumPy are hidden, unless `python -W default` requests them.
+        # RuntimeWarnings, most of NumPy, are hidden unless an option -W of Python is given.
         warnings.simplefilter("ignore", RuntimeWarning)
     gc.disable()
     try:
@@ -72,16 +73,16 @@ def _run(options: argparse.Namespace, *, on_imported: Callable[[], None] = lambd
     Parameters
     ----------
     options : parsed arguments
-    on_imported : function that is called when the module of the command has been imported
+    on_imported : function that is called after the module of the command is imported
     """
     # These modules are imported here, because --help does not need them.
     from labpipe.errors import LabpipeError, choose_error_code, describe_system_error
     from labpipe.messages import format_sentence
 
-    # The matrices of a test are too small for more than one BLAS thread.
+    # The matrices of a test are too small to benefit from more than one BLAS thread.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     if isinstance(sys.stdout, io.TextIOWrapper):
-        # The name of a file may have characters that the terminal cannot show.
+        # The name of a file may contain characters that the terminal cannot show.
         sys.stdout.reconfigure(errors="backslashreplace")
     try:
         command = import_module(f"labpipe.cli.{options.command}")
@@ -89,56 +90,57 @@ def _run(options: argparse.Namespace, *, on_imported: Callable[[], None] = lambd
         return int(command.run(options))
     except LabpipeError as error:
         print(f"labpipe {options.command}: {error}", file=sys.stderr)
-        return BAD_INPUT
+        return EXIT_ERROR
     except KeyboardInterrupt:
         print(f"labpipe: {format_sentence('cli.interrupted')}", file=sys.stderr)
-        return INTERRUPTED
+        return EXIT_INTERRUPTED
     except BrokenPipeError:
-        # The reader has closed the pipe. Python flushes the remaining output at exit, to nowhere.
+        # The reader has closed the pipe. Python discards the remaining output at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return DONE
+        return EXIT_OK
     except Exception as error:
-        code, message = choose_error_code(error), format_sentence("cli.no_memory")
+        code = choose_error_code(error)
         if code == "fault_of_labpipe":
             raise
-        if code != "out_of_memory":
-            message = describe_system_error(error)
+        is_memory = code == "out_of_memory"
+        message = format_sentence("cli.no_memory") if is_memory else describe_system_error(error)
         print(f"labpipe {options.command}: {message}", file=sys.stderr)
-        return BAD_INPUT
+        return EXIT_ERROR
 
 
 def _freeze_imports() -> None:
     """Enable garbage collection only for objects that are created after this call.
 
     Imported modules contain a hundred thousand permanent objects. Scanning them would take a sixth
-    of the time of a test. The threshold is so high that a figure with tens of thousands of objects
-    is collected as a whole.
+    of the processing time of a test. The threshold is so high that the tens of thousands of objects
+    of a figure are freed in one collection.
     """
     gc.freeze()
     gc.set_threshold(50_000)
     gc.enable()
 
 
-def build_parser(first_word: str = "") -> argparse.ArgumentParser:
+def build_parser(command_name: str = "") -> argparse.ArgumentParser:
     """Build the parser of the command line from ``commands.toml``.
 
     Parameters
     ----------
-    first_word : first word of the command line; if it is a command, the parser has only this
-        command, which saves time
+    command_name : first argument; if it is the name of a command, only this command is added, which
+        saves time
     """
     text = Path(__file__).with_name("commands.toml").read_text(encoding="utf-8")
-    (_, texts), (_, shared), *commands = tomllib.loads(text).items()
+    commands = tomllib.loads(text)
+    texts, shared = commands.pop("labpipe"), commands.pop("shared")
     parser = argparse.ArgumentParser(
         prog="labpipe", formatter_class=argparse.RawDescriptionHelpFormatter, **texts
     )
     parser.add_argument("--version", action="version", version=f"labpipe {__version__}")
-    # The metavar is long, because argparse wraps the line of a command with a longer name.
+    # The metavar is long, because argparse wraps the help line of a command with a longer name.
     subparsers = parser.add_subparsers(
         dest="command", metavar="COMMAND [...]", required=True, prog="labpipe"
     )
-    for name, command in [entry for entry in commands if entry[0] == first_word] or commands:
-        _add_command(subparsers, name, command, shared)
+    for name in [command_name] if command_name in commands else commands:
+        _add_command(subparsers, name, commands[name], shared)
     return parser
 
 
@@ -146,10 +148,10 @@ def _add_command(
     subparsers: Any, name: str, entry: Mapping[str, Any], shared: _SharedArguments
 ) -> None:
     """Add a command, or an action of a command, from its entry in ``commands.toml``."""
-    about = entry["about"]
-    description = f"{about[0].upper()}{about[1:]}."
+    help_text = entry["about"]
+    description = f"{help_text[0].upper()}{help_text[1:]}."
     parser = subparsers.add_parser(
-        name, help=about, description=description, epilog=entry.get("epilog")
+        name, help=help_text, description=description, epilog=entry.get("epilog")
     )
     _add_arguments(parser, entry.get("arguments", ()), shared)
     if "actions" in entry:
@@ -159,7 +161,7 @@ def _add_command(
 
 
 def _add_arguments(parser: Any, arguments: Iterable[Any], shared: _SharedArguments) -> None:
-    """Add arguments, lists of shared arguments, and groups of exclusive arguments."""
+    """Add arguments, lists of shared arguments, and mutually exclusive groups to a parser."""
     for argument in arguments:
         if isinstance(argument, str):
             _add_arguments(parser, shared[argument], shared)
@@ -168,25 +170,27 @@ def _add_arguments(parser: Any, arguments: Iterable[Any], shared: _SharedArgumen
         else:
             options = {key: value for key, value in argument.items() if key != "name"}
             if "type" in options:
-                options["type"] = _TYPES[options["type"]]
+                options["type"] = _ARGUMENT_PARSERS[options["type"]]
             parser.add_argument(argument["name"], **options)
 
 
 def _parse_path(text: str) -> Path:
-    """Parse a path; raise an error for a name that the system cannot use."""
+    """Parse a path; raise an error for a name that the operating system rejects."""
     max_length = 60  # characters of the name in the message
     try:
         Path(text).resolve().exists()
     except (OSError, RuntimeError, ValueError) as error:  # a name too long, or a loop of links
-        reason = getattr(error, "strerror", None) or "a link that leads back to itself"
+        reason = getattr(error, "strerror", None) or str(error)
+        if isinstance(error, RuntimeError):
+            reason = "a link that leads back to itself"
         short_text = text if len(text) <= max_length else f"{text[:max_length]}..."
         message = f"expected the name of a file or a folder, found {short_text!r} ({reason})"
         raise argparse.ArgumentTypeError(message) from error
     return Path(text)
 
 
-def _parse_count(text: str, minimum: int = 0) -> int:
-    """Parse a whole number of at least a minimum."""
+def _parse_integer(text: str, minimum: int = 0) -> int:
+    """Parse an integer that is at least `minimum`."""
     if not text.isdecimal() or int(text) < minimum:
         range_text = f" of {minimum} or more" if minimum else ""
         message = f"expected a whole number{range_text}, found {text!r}"
@@ -194,10 +198,10 @@ def _parse_count(text: str, minimum: int = 0) -> int:
     return int(text)
 
 
-_TYPES: Mapping[str, Callable[[str], object]] = {
+_ARGUMENT_PARSERS: Mapping[str, Callable[[str], object]] = {
     "path": _parse_path,
-    "count": partial(_parse_count, minimum=1),
-    "whole": _parse_count,
-    "number": int,
+    "positive": partial(_parse_integer, minimum=1),
+    "nonnegative": _parse_integer,
+    "integer": int,
 }
 """Parser of each type of argument in ``commands.toml``."""

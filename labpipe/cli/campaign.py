@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import io
 import json
 import sys
 from collections.abc import Callable, Iterable, Sequence
@@ -17,8 +16,8 @@ from labpipe.campaign.decisions import Decision, import_decision_file
 from labpipe.campaign.executors import parse_executor
 from labpipe.campaign.queries import (
     escape_controls,
+    format_query_result,
     query_results,
-    write_query_result,
     write_workbook,
 )
 from labpipe.campaign.running import (
@@ -45,8 +44,10 @@ def run(options: argparse.Namespace) -> int:
     return int(_ACTIONS[options.action](options, find_campaign(options.folder)))
 
 
-def _run(options: argparse.Namespace, campaign: CampaignFolders, forced: Sequence[str] = ()) -> int:
-    """Process new and changed tests, and the tests in the folders of `forced`."""
+def _run(
+    options: argparse.Namespace, campaign: CampaignFolders, forced_folders: Sequence[str] = ()
+) -> int:
+    """Process new and changed tests, and the tests in the folders of `forced_folders`."""
     executor = parse_executor(options.executor, jobs=options.jobs, limit=60.0 * options.limit)
     make_task = partial(
         Task, figures=not options.no_figures, png=options.png, follow_links=options.follow_links
@@ -55,7 +56,7 @@ def _run(options: argparse.Namespace, campaign: CampaignFolders, forced: Sequenc
         summary = run_campaign(
             campaign,
             executor,
-            forced=forced,
+            forced_folders=forced_folders,
             make_task=make_task,
             on_start=begin,
             on_outcome=lambda folder, state: show(f"{escape_controls(folder)}: {state}"),
@@ -108,12 +109,11 @@ def _query(options: argparse.Namespace, campaign: CampaignFolders) -> int:
     if options.out == "xlsx":
         write_workbook(query_result, options.file)
     elif options.file is None:
-        write_query_result(query_result, options.out, sys.stdout)
+        print(format_query_result(query_result, options.out), end="")
     else:
-        buffer = io.StringIO()
-        write_query_result(query_result, options.out, buffer)
+        text = format_query_result(query_result, options.out)
         with replace_file(options.file) as temporary:
-            temporary.write_bytes(buffer.getvalue().encode("utf-8", "backslashreplace"))
+            temporary.write_bytes(text.encode("utf-8", "backslashreplace"))
     print(f"{len(query_result.rows)} rows", file=sys.stderr)
     return 0
 
@@ -165,10 +165,10 @@ def _watch(options: argparse.Namespace, campaign: CampaignFolders) -> int:
     """Process tests as their exports arrive."""
     from labpipe.campaign.watching import watch
 
-    def say(text: str) -> None:
+    def show_message(text: str) -> None:
         print(f"{datetime.now():%H:%M:%S}  {text}", flush=True)
 
-    watch(campaign, figures=not options.no_figures, say=say)
+    watch(campaign, figures=not options.no_figures, show_message=show_message)
     return 0
 
 

@@ -13,15 +13,15 @@ from labpipe.store.replace import map_errors
 
 def run(options: argparse.Namespace) -> int:
     """Copy the example files and the protocols; a file with other content is never replaced."""
-    examples, protocols = find_shipped_folder("examples"), find_shipped_folder("protocols")
-    targets = {options.folder / path.name: path for path in sorted(examples.iterdir())}
-    targets |= {
-        options.folder / "protocols" / path.name: path for path in sorted(protocols.iterdir())
+    folders = {
+        options.folder: find_shipped_folder("examples"),
+        options.folder / "protocols": find_shipped_folder("protocols"),
     }
     copies = {
-        target: source
-        for target, source in targets.items()
-        if source.is_file() and source.resolve() != target.resolve()  # not to itself
+        folder / source.name: source
+        for folder, shipped_folder in folders.items()
+        for source in sorted(shipped_folder.iterdir())
+        if source.is_file() and source.resolve() != (folder / source.name).resolve()
     }
     for copy, source in copies.items():
         if copy.exists() and copy.read_bytes() != source.read_bytes():

@@ -6,11 +6,10 @@ import argparse
 import json
 import sys
 from collections import defaultdict
-from collections.abc import Sequence
 
 import numpy as np
 
-from labpipe.campaign.queries import align_columns
+from labpipe.campaign.queries import align_columns, join_names
 from labpipe.cli.terminal import shorten_path, show_completed
 from labpipe.mechanics.studies.wire_models import ModelledWires, build_json, model_wires
 from labpipe.mechanics.studies.wire_sheets import describe_stress_tables
@@ -23,6 +22,8 @@ _TABLE_HEADINGS = (
     *("first slip", "range", "force at 0.3 L"),
 )
 _TABLE_UNITS = ("", "", "", "N mm^2", "N mm^2", "1/m", "1/m", "N")
+_MAX_NAMES = 10
+"""Largest number of wires that a line names."""
 _RELATIVE_TIP_DEFLECTION = 0.3
 """Tip deflection at which the force is printed, as a fraction of the free length."""
 
@@ -50,7 +51,7 @@ def format_wire_models(wires: ModelledWires) -> str:
     -------
     A table with a row per wire, each note once, wires without a model, and the folder of the files.
     """
-    n_text_columns, n_tables = 3, len(wires.tables)
+    n_text_columns = 3
     rows = [_TABLE_HEADINGS, _TABLE_UNITS, *map(_format_cells, wires.tables)]
     lines = align_columns(zip(*rows, strict=True), n_text_columns)
     wires_by_note = defaultdict[str, list[str]](list)
@@ -63,12 +64,15 @@ def format_wire_models(wires: ModelledWires) -> str:
             wires_by_note[f"info: {describe_stress_tables(curves)}"].append(table.name)
     lines.append("")
     for text in dict.fromkeys([*notes, *wires_by_note]):
-        lines.append(f"  {text}  [{_join_names(wires_by_note[text], n_tables)}]")
+        names = wires_by_note[text]
+        is_long, is_each = len(names) > _MAX_NAMES, len(names) == len(wires.tables)
+        label = f"all {len(names)} wires" if is_long and is_each else join_names(names, _MAX_NAMES)
+        lines.append(f"  {text}  [{label}]")
     if wires.refused:
-        lines.append(f"  not modelled: {_join_names([*wires.refused])} (reasons below)")
+        lines.append(f"  not modelled: {join_names([*wires.refused], _MAX_NAMES)} (reasons below)")
     if wires.removed:
-        names = _join_names(wires.removed)
-        lines.append(f"  no longer in the sheet, files removed: {names}")
+        removed_names = join_names(wires.removed, _MAX_NAMES)
+        lines.append(f"  no longer in the sheet, files removed: {removed_names}")
     return "\n".join([*lines, f"results: {shorten_path(wires.folder)}"])
 
 
@@ -86,18 +90,3 @@ def _format_cells(table: WireTable) -> tuple[str, ...]:
         f"{table.curvature[-1]:.4g}",
         "-" if np.isnan(force) else f"{force:.4g}",
     )
-
-
-def _join_names(names: Sequence[str], n_wires: int = 0) -> str:
-    """Join the names of wires; more than ten names are shortened to their number.
-
-    Parameters
-    ----------
-    names : names of wires
-    n_wires : number of all wires of the sheet; 0 if it is never named
-    """
-    max_names = 10
-    if len(names) > max_names and len(names) == n_wires:
-        return f"all {n_wires} wires"
-    n_others = len(names) - max_names
-    return ", ".join(names[:max_names]) + (f" and {n_others} more" if n_others > 0 else "")

@@ -131,8 +131,8 @@ def check_paths(paths: Sequence[Path] = (), *, follow_links: bool = False) -> Ch
 
 def _select_loader(path: Path) -> Callable[[Path], object] | None:
     """Select the loader of a plan or harness file; None for any other file."""
-    from labpipe.protocol.harness_file import HarnessFile
-    from labpipe.protocol.sheet_grammar import PLAN_NAME, CalibrationPlan
+    from labpipe.protocol.model_files import CalibrationPlan, HarnessFile
+    from labpipe.protocol.sheet_grammar import PLAN_NAME
 
     if path.name == PLAN_NAME:
         return load_campaign_plan

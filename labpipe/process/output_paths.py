@@ -75,7 +75,7 @@ def identify_recording(result: TestResult, protocol: Protocol) -> RecordingIdent
     noise_factor, force_fraction, displacement_fraction, max_samples = 0.5, 2e-5, 1e-3, 1000
     exports = tuple(sorted((file.role, file.sha256) for file in result.inputs))
     channels = tuple(
-        (role, source.part, *(channel.channel for channel in source.all_channels.values()))
+        (role, source.part, *(channel.names for channel in source.all_channels.values()))
         for role, source in protocol.sources.items()
     )
     markers, curve = protocol.markers, result.curve

@@ -266,7 +266,7 @@ def read_role(path: Path, source: Source) -> Recording:
         As in `read_inputs`; also if neither file nor protocol states a unit, or if they contradict
         each other.
     """
-    channel_names = [channel.channel for channel in source.all_channels.values()]
+    channel_names = [channel.names for channel in source.all_channels.values()]
     try:
         recording = read_export(
             path, source.reader, channels=channel_names, dialect=source.dialect, part=source.part
@@ -285,9 +285,7 @@ def _describe_channel_fault(error: NoChannelError, source: Source, path: Path) -
         part = format_overrides(f"{source.key}.part", error.parts[0])
         fault = ReadError.about("process.several_parts", path, count=count, names=names, part=part)
         return str(fault)
-    keys = [
-        channel.key for channel in source.all_channels.values() if channel.channel == error.names
-    ]
+    keys = [channel.key for channel in source.all_channels.values() if channel.names == error.names]
     name = format_overrides(f"{keys[0]}.channel", "...") if keys else ""
     return f"{error} Name the right one with {name}." if keys else str(error)
 
@@ -320,7 +318,7 @@ def name_channels(recording: Recording, source: Source, path: Path) -> Recording
     code = ""
     for name, spec in source.all_channels.items():
         try:
-            channel = select_channel(recording, spec.channel, path)
+            channel = select_channel(recording, spec.names, path)
             _check_unit(channel, spec, path)
             converted = _convert_to_si(channel, name, spec)
             _check_channel_size(converted, spec, path)
@@ -372,10 +370,10 @@ def _make_naming_notes(channel: Channel, name: str, spec: ChannelSource) -> Iter
     unit, file_unit = spec.unit, channel.unit_in_file
     if unit and file_unit and not _are_equal_units(unit, file_unit, _choose_si_unit(spec, unit)):
         yield QualityNote.of("process.unit_overridden", name, file_unit=file_unit, unit=unit)
-    if not is_exact_name(spec.channel, channel):
+    if not is_exact_name(spec.names, channel):
         max_listed, path = 3, channel.path
-        names = " or ".join(map(repr, spec.channel[:max_listed]))
-        names += " ..." if len(spec.channel) > max_listed else ""
+        names = " or ".join(map(repr, spec.names[:max_listed]))
+        names += " ..." if len(spec.names) > max_listed else ""
         yield QualityNote.of("process.channel_spelt_otherwise", name, names=names, path=path)
 
 

@@ -18,7 +18,7 @@ from labpipe.process.sheet_inference import (
     split_file_names,
 )
 from labpipe.protocol.load import find_protocol
-from labpipe.protocol.sheet_grammar import SHEET_NAME, find_sheet_faults, write_test_sheet
+from labpipe.protocol.sheet_grammar import SHEET_NAME, TestSheet, write_test_sheet
 from labpipe.protocol.source import ROLES
 from labpipe.readers.workbooks import Table, read_campaign_sheet
 from labpipe.store.replace import map_errors, replace_file
@@ -282,7 +282,8 @@ def _list_faults(
     open_keys : keys that the user fills in, whose faults are not reported
     """
     open_names = {key.rpartition(".")[2] for key in open_keys}
-    faults = [x for x in find_sheet_faults(data) if not set(map(str, x.path)) & open_names]
+    _, found = TestSheet.read(data)
+    faults = [fault for fault in found if not set(map(str, fault.path)) & open_names]
     if "protocol" in values:
         protocol = find_protocol(values["protocol"], sheet_folder=test_folder or file.parent)
         faults += [protocol] if isinstance(protocol, Fault) else []

@@ -10,7 +10,8 @@ from __future__ import annotations
 import inspect
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from datetime import date
 from functools import cache, partial
@@ -18,12 +19,15 @@ from importlib.resources import files
 from pathlib import PurePosixPath, PureWindowsPath
 from types import MappingProxyType, UnionType
 from typing import (
+    TYPE_CHECKING,
     Annotated,
     Any,
     Final,
     Literal,
     Self,
+    TypeVar,
     Union,
+    cast,
     get_args,
     get_origin,
     get_type_hints,
@@ -42,9 +46,12 @@ from pydantic import (
     PlainValidator,
     SerializationInfo,
     SerializerFunctionWrapHandler,
+    TypeAdapter,
     ValidationError,
     ValidationInfo,
+    ValidatorFunctionWrapHandler,
     WithJsonSchema,
+    WrapValidator,
     create_model,
     model_serializer,
     model_validator,
@@ -52,7 +59,7 @@ from pydantic import (
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, core_schema
 
-from labpipe.errors import Fault
+from labpipe.errors import Fault, KeyPath
 from labpipe.protocol.yaml_text import (
     FaultsError,
     Values,
@@ -60,6 +67,7 @@ from labpipe.protocol.yaml_text import (
     build_refusal,
     convert_errors,
     parse_yaml,
+    prefix_paths,
     raise_faults,
 )
 from labpipe.records.declarations import (
@@ -100,6 +108,10 @@ SI_UNITS: Final = MappingProxyType(
     }
 )
 """SI unit of each quantity that a protocol can name."""
+if TYPE_CHECKING:
+    QuantityName = str
+else:
+    QuantityName = Literal[tuple(SI_UNITS)]
 
 NUMBER_PATTERN: Final = r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?"
 """Pattern of a number with a decimal point."""
@@ -321,7 +333,8 @@ def _parse_span(text: object) -> Span:
     raise build_refusal("protocol.no_span", found=text, remedy=suggest_quantity(text, "s", "0.1 s"))
 
 
-def _format_span(span: Span) -> str:
+def format_span(span: Span) -> str:
+    """Format the length of a filter's window for YAML."""
     form = _SPAN_FORMS.get(span.kind)
     return f"{span.value:.0f} samples" if form is None else form.format(span.value)
 
@@ -474,12 +487,7 @@ class Block(BaseModel):
 
     # Pydantic builds a model when it is first used, as most commands use few of them. A default
     # must not build its model: it is constructed without validation.
-    model_config = ConfigDict(
-        extra="forbid",
-        frozen=True,
-        allow_inf_nan=False,
-        defer_build=True,
-    )
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
 
     def __init_subclass__(cls, **options: Any) -> None:
         """Replace the markers of the fields before pydantic reads their types."""
@@ -493,57 +501,72 @@ class Block(BaseModel):
         return [field.alias or name for name, field in cls.model_fields.items()]
 
     @classmethod
-    def read(cls, data: object) -> Self | list[Fault]:
-        """Validate plain values.
+    def read(cls, data: object) -> tuple[Self | None, list[Fault]]:
+        """Validate plain values, and check the valid ones even if others are at fault.
 
         Parameters
         ----------
-        data : the content of the YAML block; anything but a block is a fault
+        data : the content of the YAML block
 
         Returns
         -------
-        The block, or all faults of its values.
+        The block and all faults. If there are faults, the block is a draft: a value at fault is the
+        default of its key if that is a block, a list or a mapping, and None otherwise. The block is
+        None if the content is no block.
         """
+        faults: list[Fault] = []
         try:
-            return cls.model_validate(data)
+            block = cls.model_validate(data)
         except ValidationError as error:
-            return convert_errors(error, data)
+            faults = convert_errors(error, data)
+            if not isinstance(data, Mapping):
+                return None, faults
+            block = cls.model_validate(data, context=_DRAFT)
+        known_paths = {fault.path + (fault.missing,) * bool(fault.missing) for fault in faults}
+        contradictions: list[Fault] = []
+        for path, value in reversed([*list_blocks(block)]):  # inner blocks before outer ones
+            fault_paths = known_paths.union(fault.path for fault in contradictions)
+            if isinstance(value, Block):
+                contradictions += prefix_paths(path, value.find_key_faults())
+            if not any(fault_path[: len(path)] == path for fault_path in fault_paths):
+                find_faults = getattr(value, "find_value_faults", tuple[Fault, ...])
+                contradictions += prefix_paths(path, find_faults())
+        # A fault of the value of a key that must not be there is omitted.
+        refused_keys = {fault.path for fault in contradictions if fault.at == "key"}
+        faults = [fault for fault in faults if fault.path not in refused_keys]
+        known_paths -= refused_keys
+        return block, faults + [x for x in contradictions if x.path not in known_paths]
 
-    @classmethod
-    def find_contradictions(cls, data: Values) -> Iterable[Fault]:  # noqa: ARG003 - subclasses use it
-        """Find contradictions between keys, even if other keys are invalid.
-
-        Parameters
-        ----------
-        data : the block as written
+    def find_key_faults(self) -> Iterable[Fault]:
+        """Find contradictions between keys, even if values are at fault (see `read`).
 
         Returns
         -------
-        The faults, with their paths in `data`; by default none.
+        The faults, with their paths in the block; by default none.
+        """
+        return ()
+
+    def find_value_faults(self) -> Iterable[Fault]:
+        """Find contradictions between values; called only if each of them is valid.
+
+        Returns
+        -------
+        The faults, with their paths in the block; by default none.
         """
         return ()
 
     @model_validator(mode="wrap")
     @classmethod
-    def _collect_faults(cls, data: object, handler: ModelWrapValidatorHandler[Self]) -> Self:
-        """Raise the faults of single values together with the contradictions.
-
-        A contradiction at an invalid value is omitted, and so is a fault of the value of a key that
-        must not be there.
-        """
-        contradictions = list(cls.find_contradictions(data)) if isinstance(data, Mapping) else []
-        faults: list[Fault] = []
+    def _convert_errors(
+        cls, data: object, handler: ModelWrapValidatorHandler[Self], info: ValidationInfo
+    ) -> Self:
+        """Raise faults in place of pydantic's errors, or build a draft."""
         try:
-            block = handler(data)
+            return handler(data)
         except ValidationError as error:
-            faults = convert_errors(error, data, cls.list_keys())
-        else:
-            if not contradictions:
-                return block
-        refused_keys = {fault.path for fault in contradictions if fault.at == "key"}
-        faults = [fault for fault in faults if fault.path not in refused_keys]
-        invalid_paths = {fault.path for fault in faults}
-        raise FaultsError(*faults, *(x for x in contradictions if x.path not in invalid_paths))
+            if info.context is _DRAFT and isinstance(data, Mapping):
+                return _build_draft(cls, data)
+            raise FaultsError(*convert_errors(error, data, cls.list_keys())) from error
 
     @model_serializer(mode="wrap")
     def _omit_unset_keys(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
@@ -555,6 +578,65 @@ class Block(BaseModel):
             for key, value in handler(self).items()
             if value is not None or key not in unset
         }
+
+
+_B = TypeVar("_B", bound=Block)
+_DRAFT = "draft"
+"""Context of a validation in which a block with faults becomes a draft, see `Block.read`."""
+
+
+def _build_draft(block: type[_B], data: Values) -> _B:
+    """Build a block from its valid values; keys that it does not know keep theirs."""
+    keys = {field.alias or name: name for name, field in block.model_fields.items()}
+    values = {key: value for key, value in data.items() if key not in keys}
+    for key, name in keys.items():
+        default = block.model_fields[name].get_default()
+        is_emptied = key in data and not isinstance(default, Block | tuple | dict)
+        values[name] = None if is_emptied or block.model_fields[name].is_required() else default
+        if key in data:
+            with suppress(ValidationError):  # its fault is already reported
+                adapter = _build_adapter(block, name)
+                values[name] = adapter.validate_python(data[key], context=_DRAFT)
+    stated_names = {name for key, name in keys.items() if key in data}
+    return cast("_B", block.model_construct(stated_names, **values))
+
+
+@cache
+def _build_adapter(block: type[Block], name: str) -> TypeAdapter[Any]:
+    """Build the validator of one field of a block."""
+    field = block.model_fields[name]
+    markers = (*field.metadata, Field(discriminator=field.discriminator))
+    field_type: Any = Annotated[(field.annotation, *markers)]
+    return TypeAdapter(field_type)
+
+
+_PLAIN_TYPES = frozenset((str, float, int, bool, date, type(None)))
+
+
+def list_blocks(node: object, path: KeyPath = ()) -> Iterator[tuple[KeyPath, Any]]:
+    """List a block, list or mapping, and all that are in it, with their paths.
+
+    Parameters
+    ----------
+    node : validated block, list or mapping
+    path : path of `node`, which the paths of its values begin with
+    """
+    yield path, node
+    for key, value in list_items(node):
+        if type(value) not in _PLAIN_TYPES:
+            yield from list_blocks(value, (*path, key))
+
+
+def list_items(node: object) -> Iterable[tuple[Any, Any]]:
+    """List keys and values of a block or mapping, or indices and items of a list.
+
+    Keys are the names of fields: only keys of texts and numbers differ from them.
+    """
+    if isinstance(node, Block):
+        return (vars(node) | (node.__pydantic_extra__ or {})).items()
+    if isinstance(node, dict):
+        return node.items()
+    return enumerate(node) if isinstance(node, tuple) else ()
 
 
 def build_pydantic_type(hint: Any) -> Any:
@@ -577,7 +659,7 @@ def build_pydantic_type(hint: Any) -> Any:
     if origin in (tuple, list, dict):
         return origin[tuple(build_pydantic_type(argument) for argument in arguments)]
     if hint is Span:
-        serializer = PlainSerializer(_format_span)
+        serializer = PlainSerializer(format_span)
         return Annotated[
             Span, PlainValidator(_parse_span), serializer, WithJsonSchema(_SPAN_SCHEMA)
         ]
@@ -588,7 +670,8 @@ def _replace_markers(inner: Any, markers: tuple[Any, ...]) -> Any:
     """Convert an annotated type into one with validators in place of its markers."""
     for marker in markers:
         if isinstance(marker, TaggedChoice):
-            return Annotated[inner, _ChoiceAnnotation(get_args(inner), marker.key)]
+            choice = _ChoiceAnnotation(get_args(inner), marker.key)
+            return Annotated[inner, choice, WrapValidator(_validate_choice)]
     inner = build_pydantic_type(inner)
     annotations: list[Any] = []
     for marker in markers:
@@ -626,7 +709,7 @@ def _check_larger(
     marker: LargerThan, form: QuantityText, value: float, info: ValidationInfo
 ) -> float:
     """Refuse a value that is not above that of an earlier field."""
-    bound = info.data.get(marker.field)
+    bound = (info.data or {}).get(marker.field)
     if bound is not None and value <= bound:
         found, bound_text = form.format(value), form.format(bound)
         raise build_refusal("protocol.not_larger", found=found, key=marker.key, bound=bound_text)
@@ -665,7 +748,7 @@ def build_block(kind: Any, tag: str = "") -> type[Block]:
     Parameters
     ----------
     kind : frozen dataclass of settings. A field with ``compare=False`` is no setting and has no
-        key. The dataclass may have a static method ``find_contradictions``, as `Block` has.
+        key. The dataclass may have a method ``find_value_faults``, as `Block` has.
     tag : key that distinguishes the kinds of a list; `kind` has its value in a class variable of
         this name. Empty for a block that is no item of such a list.
 
@@ -679,10 +762,7 @@ def build_block(kind: Any, tag: str = "") -> type[Block]:
         if field.compare:
             default = ... if field.default is MISSING else field.default
             keys[field.name] = (hints[field.name], default)
-    check = getattr(kind, "find_contradictions", None)
-    checks = {} if check is None else {"find_contradictions": staticmethod(check)}
-    base = type("Settings", (Block,), {**checks, "__module__": __name__})
-    return create_model(kind.__name__, __base__=base, __doc__=kind.__doc__, **keys)
+    return create_model(kind.__name__, __base__=Block, __doc__=kind.__doc__, **keys)
 
 
 @dataclass(frozen=True, slots=True)
@@ -703,7 +783,9 @@ class _BlockAnnotation:
         self, _source: object, _handler: GetCoreSchemaHandler
     ) -> CoreSchema:
         serialization = core_schema.plain_serializer_function_ser_schema(self._write, info_arg=True)
-        return core_schema.no_info_plain_validator_function(self._read, serialization=serialization)
+        return core_schema.with_info_plain_validator_function(
+            self._read, serialization=serialization
+        )
 
     def __get_pydantic_json_schema__(
         self, _schema: CoreSchema, handler: GetJsonSchemaHandler
@@ -713,11 +795,12 @@ class _BlockAnnotation:
         # A definition of its own lets the schema of the file refer to this block many times.
         return handler(core_schema.definitions_schema(block.__pydantic_core_schema__, []))
 
-    def _read(self, data: object) -> object:
+    def _read(self, data: object, info: ValidationInfo) -> object:
         block = build_block(self.kind, self.tag)
-        validated = block.read(data)
-        if isinstance(validated, list):
-            raise FaultsError(*validated)
+        try:
+            validated = block.model_validate(data, context=info.context)
+        except ValidationError as error:
+            raise FaultsError(*convert_errors(error, data)) from error
         names = (name for name in block.model_fields if name != self.tag)
         return self.kind(**{name: getattr(validated, name) for name in names})
 
@@ -750,3 +833,15 @@ class _ChoiceAnnotation:
             for kind in self.kinds
         }
         return core_schema.tagged_union_schema(blocks, self.tag)
+
+
+def _validate_choice(
+    data: object, handler: ValidatorFunctionWrapHandler, info: ValidationInfo
+) -> object:
+    """Validate settings of one of several kinds; in a draft, None stands for an unknown kind."""
+    try:
+        return handler(data)
+    except ValidationError:
+        if info.context is _DRAFT:
+            return None
+        raise

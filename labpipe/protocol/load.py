@@ -8,26 +8,24 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Collection, Iterator
-from dataclasses import asdict
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, TypeVar, cast
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import yaml
 
 from labpipe.errors import Fault, KeyPath, ProtocolError, sort_by_likeness
 from labpipe.protocol.grammar import Block
 from labpipe.protocol.schema import (
-    MARKER_FIGURES,
     AlignNone,
     Protocol,
-    ResultEntry,
+    find_unknown_main_results,
     list_result_names,
+    list_unmet_needs,
 )
 from labpipe.protocol.sheet_grammar import (
     COPY_REMEDY,
     SHEET_NAME,
-    CalibrationPlan,
     CampaignPlan,
     TestSheet,
 )
@@ -35,11 +33,10 @@ from labpipe.protocol.source import ROLES, find_implausible_sizes
 from labpipe.protocol.yaml_text import (
     Document,
     LocatedBlock,
-    Values,
+    LocatedList,
     build_choice_fault,
     build_error,
     get_block,
-    get_list,
     parse_yaml,
     read_text,
     suggest_word,
@@ -48,7 +45,7 @@ from labpipe.records.declarations import Step, TravelFromSpeed
 from labpipe.units import parse_count
 
 if TYPE_CHECKING:
-    from labpipe.protocol.harness_file import HarnessFile
+    from labpipe.protocol.model_files import CalibrationPlan, HarnessFile
 
 _SUFFIXES = (".yaml", ".yml")
 _Dumper = yaml.CSafeDumper if yaml.__with_libyaml__ else yaml.SafeDumper
@@ -226,6 +223,8 @@ def load_calibration_plan(path: Path) -> CalibrationPlan:
     ProtocolError
         If the file cannot be read or is invalid; the message has one line per fault.
     """
+    from labpipe.protocol.model_files import CalibrationPlan
+
     return validate_document(CalibrationPlan, parse_yaml(read_text(path), str(path)))
 
 
@@ -265,7 +264,7 @@ def load_harness(path: Path) -> HarnessFile:
         If the file cannot be read or is invalid, or if a file that it names does not exist; the
         message has one line per fault.
     """
-    from labpipe.protocol.harness_file import HarnessFile, find_missing_files
+    from labpipe.protocol.model_files import HarnessFile, find_missing_files
 
     document = parse_yaml(read_text(path), str(path))
     harness = validate_document(HarnessFile, document)
@@ -307,25 +306,26 @@ def resolve_protocol(
         raise build_error([sheet_document.place(protocol_file)])
     text, name = read_text(protocol_file), str(protocol_file)
     merged = parse_yaml(text, name)
-    # The key is read before the overrides: a test folder from elsewhere must not allow links.
-    follow_links |= str(get_block(merged.data).get(_FOLLOW_LINKS)).lower() == "true"
     merged.faults += map(sheet_document.place, apply_overrides(merged, sheet_document))
-    faults = [
-        *_find_role_faults(sheet, merged.data),
-        *_find_link_faults(sheet, sheet_path.parent, follow_links=follow_links),
-        *_find_wrong_answers(sheet, get_block(merged.data, "questions")),
-    ]
-    protocol = Protocol.read(merged.data)
-    if isinstance(protocol, list):
-        is_file_valid = isinstance(Protocol.read(parse_yaml(text, name).data), Protocol)
-        placed_faults = [*merged.faults, *map(sheet_document.place, faults)]
-        for fault in protocol:
-            is_in_sheet = merged.find_location(fault.path)[0].file == str(sheet_path)
-            remark = f"(With the overrides of {sheet_path}.)"
-            placed_faults.append(
-                merged.place(fault, remark if is_file_valid and not is_in_sheet else "")
-            )
-        raise build_error(placed_faults)
+    protocol, protocol_faults = Protocol.read(merged.data)
+    is_file_valid = protocol_faults and Protocol.read(parse_yaml(text, name).data)[1] == []
+    placed_faults = []
+    for fault in protocol_faults:
+        is_in_sheet = merged.find_location(fault.path)[0].file == str(sheet_path)
+        is_due_to_sheet = is_file_valid and not is_in_sheet
+        remark = f"(With the overrides of {sheet_path}.)" if is_due_to_sheet else ""
+        # A main result that an override removes is removed from the groups, too.
+        if not (is_due_to_sheet and fault.path[:2] == ("groups", "main")):
+            placed_faults.append(merged.place(fault, remark))
+    faults: list[Fault] = []
+    if protocol is not None:
+        # A test sheet cannot override whether links are followed.
+        follow_links |= protocol.follow_links
+        faults += _find_role_faults(sheet, protocol)
+        faults += _find_link_faults(sheet, sheet_path.parent, follow_links=follow_links)
+        faults += _find_wrong_answers(sheet, protocol)
+    if protocol is None or placed_faults:
+        raise build_error([*merged.faults, *placed_faults, *map(sheet_document.place, faults)])
     # Overrides may have removed steps: the others keep the numbers that they have in the file.
     steps = tuple(
         step.with_number(int(merged.find_location(("steps", index))[0].name))
@@ -402,36 +402,35 @@ def validate_document(model: type[_B], document: Document) -> _B:
     ProtocolError
         If the file is invalid; the message has one line per fault.
     """
-    block = model.read(document.data)
-    faults = block if isinstance(block, list) else []
+    block, faults = model.read(document.data)
     if placed_faults := [*document.faults, *map(document.place, faults)]:
         raise build_error(placed_faults)
     return cast("_B", block)
 
 
-def _find_wrong_answers(sheet: TestSheet, questions: Values) -> Iterator[Fault]:
+def _find_wrong_answers(sheet: TestSheet, protocol: Protocol) -> Iterator[Fault]:
     """Find answers to no question of the protocol, and answers that the protocol does not list."""
+    questions = protocol.questions
     for name, answer in sheet.specimen.observed.items():
-        path, answers = ("specimen", "observed", name), questions.get(name)
+        path = ("specimen", "observed", name)
         if name not in questions:
             remedy = "The protocol asks no questions; use specimen.labels."
             expected = "a question of the protocol:"
             yield build_choice_fault(path, name, questions, expected, remedy=remedy, at="key")
-        elif isinstance(answers, list) and answer not in answers:
-            answer_list = ", ".join(map(repr, answers))
-            yield Fault.of("protocol.no_answer", path, answers=answer_list, found=answer)
+        elif answer not in questions[name]:
+            answers = ", ".join(map(repr, questions[name]))
+            yield Fault.of("protocol.no_answer", path, answers=answers, found=answer)
 
 
-def _find_role_faults(sheet: TestSheet, protocol: object) -> Iterator[Fault]:
+def _find_role_faults(sheet: TestSheet, protocol: Protocol) -> Iterator[Fault]:
     """Find roles without a source in the protocol, and required sources without a file."""
-    sources = get_block(protocol, "sources")
-    for role in sheet.files:
-        if sources and role not in sources:
-            expected = "a role of the protocol:"
-            yield build_choice_fault(("files", role), role, sources, expected, at="key")
-    for missing_role in sorted(set(sources) & set(ROLES) - set(sheet.files)):
-        if str(get_block(sources, missing_role).get("optional")).lower() != "true":
-            yield Fault.of("protocol.no_file_of_role", ("files",), role=missing_role)
+    sources = protocol.sources or sheet.files.keys()
+    for role in sheet.files.keys() - sources:
+        expected = "a role of the protocol:"
+        yield build_choice_fault(("files", role), role, sources, expected, at="key")
+    for role, source in (protocol.sources or {}).items():
+        if role in ROLES and role not in sheet.files and not source.optional:
+            yield Fault.of("protocol.no_file_of_role", ("files",), role=role)
 
 
 def _find_link_faults(sheet: TestSheet, folder: Path, *, follow_links: bool) -> Iterator[Fault]:
@@ -447,8 +446,6 @@ def _find_link_faults(sheet: TestSheet, folder: Path, *, follow_links: bool) -> 
             yield Fault.of("protocol.link_out", ("files", role), name=name, copy=COPY_REMEDY)
 
 
-_FOLLOW_LINKS: Final = "follow_links"
-"""Key of a protocol that allows exports to be links out of the folder of the test."""
 _SHEET_DIMENSIONS = ("length", "gauge_length", "span", "mass_per_length", "section")
 """Keys of the sheet's specimen that override those of the protocol."""
 
@@ -457,7 +454,7 @@ def apply_overrides(protocol: Document, sheet: Document) -> Iterator[Fault]:
     """Apply the overrides of a test sheet to a protocol.
 
     Changed values get their locations in the sheet. An override with null removes an item of a
-    list; a removed result is also removed from ``groups.main``.
+    list.
 
     Parameters
     ----------
@@ -481,77 +478,63 @@ def apply_overrides(protocol: Document, sheet: Document) -> Iterator[Fault]:
         if key in sheet_paths:
             override, value = sheet.get_value(path), sheet.get_value(sheet_paths[key])
             yield Fault.of("protocol.override_twice", path, key=key, override=override, value=value)
-        elif key == _FOLLOW_LINKS:
+        elif key == "follow_links":  # a test folder from elsewhere must not allow links
             yield Fault.of("protocol.not_overridable", path[:2], at="key", key=key)
         else:
             value_paths[key] = path
-    removed_items: dict[KeyPath, object] = {}
     for key, path in value_paths.items():
-        yield from _set_value(protocol, key, sheet, path, removed_items)
+        yield from _set_value(protocol, key, sheet, path)
     align = get_block(protocol.data).get("align")
     if "align" in overrides and isinstance(align, dict) and align.get("method") == "stated":
         align.setdefault("because", sheet.get_value(("overrides", "align", "because")))
-    removed_names = {name for item in removed_items.values() for name in _list_names(item)}
-    removed_items |= {
-        ("groups", "main", index): name
-        for index, name in enumerate(get_list(protocol.data, "groups", "main"))
-        if str(name).partition(".")[0] in removed_names
-    }
-    # The last items go first, so that the paths of the others stay valid.
-    for path in sorted(removed_items, key=lambda path: path[-1], reverse=True):
-        items = protocol.get_value(path[:-1])
-        del items[path[-1]], items.locations[path[-1]]
 
 
 def _set_value(
-    protocol: Document,
-    dotted_key: str,
-    sheet: Document,
-    value_path: KeyPath,
-    removed_items: dict[KeyPath, object],
+    protocol: Document, dotted_key: str, sheet: Document, value_path: KeyPath
 ) -> Iterator[Fault]:
     """Set the value at a dotted key of the protocol to the value at a path of the sheet.
 
-    If the new value of an item of a list is null, the old item is added to `removed_items`. An
-    unknown key, or a key below a missing list of steps or results, is a fault.
+    An item of a list whose new value is null is removed. An unknown key, or a key below a missing
+    list of steps or results, is a fault.
     """
     value, (location, _) = sheet.get_value(value_path), sheet.find_location(value_path)
     location = location._replace(key=sheet.find_location(value_path[:2])[0].key)
     node: Any = protocol.data
-    path: KeyPath = ()
     words = dotted_key.split(".")
     for depth, word in enumerate(words, start=1):
         key = _find_key(node, word)
         if key is None:
             yield _build_key_fault(node, word, value_path[:2])
             return
-        path = (*path, key)
         if depth == len(words):
             break
-        if isinstance(node, LocatedBlock) and node.get(str(key)) is None:
-            if path in {("steps",), ("results",)}:
+        if isinstance(node, LocatedBlock) and node.get(word) is None:
+            if depth == 1 and word in ("steps", "results"):
                 path = value_path[:2]
                 yield Fault.of(
-                    "protocol.override_of_no_list", path, at="key", key=dotted_key, block=key
+                    "protocol.override_of_no_list", path, at="key", key=dotted_key, block=word
                 )
                 return
-            node[str(key)], node.locations[str(key)] = LocatedBlock(), location._replace(name=key)
+            node[word], node.locations[word] = LocatedBlock(), location._replace(name=word)
         node = node[key]
-    if isinstance(key, int) and value is None:
-        removed_items[path] = node[key]
+    if isinstance(node, LocatedList) and value is None:
+        del node[key], node.locations[key]
+        return
     location = location._replace(name=node.locations[key].name if isinstance(key, int) else word)
     node[key], node.locations[key] = copy.deepcopy(value), location
 
 
-def _find_key(node: object, word: str) -> str | int | None:
+def _find_key(node: object, word: str) -> Any:
     """Find what a word of a dotted key means: a key, or an item by number, name or kind."""
     if isinstance(node, dict):
         return word
-    if not isinstance(node, list):
+    if not isinstance(node, LocatedList):
         return None
     index = parse_count(word)
     if index is not None:
-        return index if index < len(node) else None
+        # Earlier overrides may have removed items; the others keep their numbers.
+        numbers = [location.name for location in node.locations]
+        return numbers.index(index) if index in numbers else None
     # Names precede kinds: of several stiffnesses, one may have the name `stiffness`.
     for list_labels in (_list_names, _list_kinds):
         matches = [i for i, item in enumerate(node) if word in list_labels(item)]
@@ -602,27 +585,26 @@ def remove_absent_sources(protocol: Protocol, roles: Collection[str]) -> Protoco
         if role in roles or not source.optional
     }
     reduced = protocol.model_copy(update={"sources": sources})
-    lacks_markers = "markers" in protocol.sources and "markers" not in sources
     steps = tuple(_list_possible_steps(reduced, {*protocol.channels} - {*reduced.channels}))
-    computed_channels = {step.channel for step in steps if isinstance(step, TravelFromSpeed)}
-    has_one_clock = protocol.curve is not None and protocol.curve.displacement in computed_channels
-    results = tuple(
-        result
-        for result in reduced.results
-        if not (result.needs.shape and lacks_markers)
-        and not (result.needs.clocks and has_one_clock)
-    )
-    removed_names = _list_summary_names(protocol.results) - _list_summary_names(results)
-    main = tuple(name for name in reduced.groups.main if name not in removed_names)
-    groups = reduced.groups.model_copy(update={"main": main})
-    update: dict[str, object] = {"steps": steps, "results": results, "groups": groups}
-    if has_one_clock:
-        update["align"] = AlignNone()
-    if lacks_markers:
-        figures = tuple(name for name in reduced.report.figures if name not in MARKER_FIGURES)
-        update["report"] = reduced.report.model_copy(update={"figures": figures})
+    update: dict[str, object] = {"steps": steps}
+    if "markers" not in sources:
         update["markers"] = None
-    return reduced.model_copy(update=update)
+    computed_channels = {step.channel for step in steps if isinstance(step, TravelFromSpeed)}
+    if protocol.curve is not None and protocol.curve.displacement in computed_channels:
+        update["align"] = AlignNone()
+    reduced = reduced.model_copy(update=update)
+    unmet = {path for path, *_ in list_unmet_needs(reduced)}
+    results = enumerate(reduced.results)
+    kept_results = tuple(x for index, x in results if ("results", index, "result") not in unmet)
+    reduced = reduced.model_copy(update={"results": kept_results})
+    unmet = {path for path, *_ in list_unmet_needs(reduced)}
+    unmet |= {fault.path for fault in find_unknown_main_results(reduced)}
+    figures, main = enumerate(reduced.report.figures), enumerate(reduced.groups.main)
+    kept_figures = tuple(x for index, x in figures if ("report", "figures", index) not in unmet)
+    kept_main = tuple(name for index, name in main if ("groups", "main", index) not in unmet)
+    report = reduced.report.model_copy(update={"figures": kept_figures})
+    groups = reduced.groups.model_copy(update={"main": kept_main})
+    return reduced.model_copy(update={"report": report, "groups": groups})
 
 
 def find_missing_curve_sources(protocol: Protocol, full_protocol: Protocol) -> Iterator[Fault]:
@@ -667,8 +649,3 @@ def _list_possible_steps(protocol: Protocol, absent_channels: set[str]) -> Itera
                 yield step
         elif getattr(step, "channel", None) not in absent_channels:
             yield step
-
-
-def _list_summary_names(entries: tuple[ResultEntry, ...]) -> set[str]:
-    """List the names of results in the summary."""
-    return {name for entry in entries for name in list_result_names(entry.result, asdict(entry))}

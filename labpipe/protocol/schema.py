@@ -1,33 +1,29 @@
 """Protocols: the blocks of a protocol file, and their checks against each other.
 
-Most checks between blocks use the protocol as written, not the validated models: a misspelt key in
-one block must not hide a fault of another.
+The checks between blocks also run on a protocol with faults, see `Block.read`: a misspelt key
+in one block does not hide a fault of another.
 """
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from dataclasses import fields
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self, TypeAlias, Union
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeAlias, Union
 
-from pydantic import (
-    AfterValidator,
-    BeforeValidator,
-    Field,
-    ValidationInfo,
-    field_validator,
-    model_validator,
-)
+from pydantic import AfterValidator, BeforeValidator, Field
 
-from labpipe.errors import Fault, KeyPath, format_overrides, sort_by_likeness
+from labpipe.errors import Fault, KeyPath, format_overrides
 from labpipe.protocol.grammar import (
     SI_UNITS,
     Block,
     FileStem,
+    QuantityName,
     Remark,
     Text,
+    format_span,
     try_parse_quantity,
 )
 from labpipe.protocol.source import (
@@ -35,21 +31,14 @@ from labpipe.protocol.source import (
     ROLES,
     ChannelSource,
     Plausible,
-    Role,
+    RoleKey,
     Section,
     SizeUncertainties,
     Source,
     assign_roles,
     find_implausible_sizes,
 )
-from labpipe.protocol.yaml_text import (
-    Values,
-    build_choice_fault,
-    build_refusal,
-    get_block,
-    get_list,
-    raise_faults,
-)
+from labpipe.protocol.yaml_text import Values, build_choice_fault, build_refusal
 from labpipe.records.declarations import (
     LIMITS,
     STEPS,
@@ -57,6 +46,7 @@ from labpipe.records.declarations import (
     Distance,
     Drift,
     Duration,
+    FitShape,
     Force,
     Fraction,
     Key,
@@ -71,12 +61,13 @@ from labpipe.records.declarations import (
     Quantity,
     Ratio,
     Snake,
+    SpecimenFrame,
     Speed,
     Step,
     TaggedChoice,
+    TravelFromSpeed,
     Uncertainty,
     WholeNumber,
-    list_defaults,
     list_references,
 )
 from labpipe.results import KINDS
@@ -98,8 +89,6 @@ FIGURES: Final = MappingProxyType(
     }
 )
 """Figures that a protocol can name, and what they need."""
-MARKER_FIGURES: Final = frozenset(name for name in FIGURES if {*FIGURES[name]} - {_CURVE})
-"""Figures that need a source of marker tracks."""
 
 if TYPE_CHECKING:
     ResultEntry: TypeAlias = Kind
@@ -129,17 +118,12 @@ class SpecimenBlock(Block):
     uncertainty: SizeUncertainties | None = None
     """Standard uncertainties of these dimensions; a test sheet overrides them."""
 
-    @field_validator("uncertainty")
-    @classmethod
-    def _check_uncertainties(cls, sizes: Any, info: ValidationInfo) -> Any:
-        """Refuse a standard uncertainty that is not below the dimension itself."""
-        dimensions = {**vars(info.data.get("section") or Section()), **info.data}
-        raise_faults(
-            Fault.of("protocol.size_unknown", (key,), key=key)
-            for key, uncertainty in (sizes.by_key if sizes else {}).items()
-            if uncertainty >= (dimensions.get(key) or math.inf)
-        )
-        return sizes
+    def find_value_faults(self) -> Faults:
+        """Find standard uncertainties that are not below the dimension itself."""
+        dimensions = {**vars(self.section or Section()), **vars(self)}
+        for key, uncertainty in (self.uncertainty or SizeUncertainties()).by_key.items():
+            if uncertainty >= (dimensions.get(key) or math.inf):
+                yield Fault.of("protocol.size_unknown", ("uncertainty", key), key=key)
 
 
 class LoadString(Block):
@@ -314,14 +298,11 @@ class ElasticLine(Block):
     straight: Fraction = 0.9998
     """Smallest r^2 of the line if no window is stated."""
 
-    @classmethod
-    def find_contradictions(cls, data: Values) -> Iterator[Fault]:
+    def find_value_faults(self) -> Faults:
         """Find a window with one end."""
-        if ("from" in data) != ("to" in data):
-            stated_key, missing_key = ("from", "to") if "from" in data else ("to", "from")
-            yield Fault.of(
-                "protocol.half_window", (stated_key,), given=stated_key, missing=missing_key
-            )
+        if (self.start is None) != (self.stop is None):
+            stated, missing = ("from", "to") if self.stop is None else ("to", "from")
+            yield Fault.of("protocol.half_window", (stated,), given=stated, missing=missing)
 
 
 class CurveBlock(Block):
@@ -350,30 +331,23 @@ class Branches(Block):
     """Smallest motion between two turning points; a smaller one is noise."""
 
 
-def _check_display(units: dict[str, str]) -> dict[str, str]:
-    """Refuse units of unknown quantities, and units of another dimension."""
-    faults = []
-    for quantity, unit in units.items():
-        path, si_unit = (quantity,), SI_UNITS.get(quantity)
-        if si_unit is None:
-            expected = "one of the quantities"
-            faults.append(build_choice_fault(path, quantity, SI_UNITS, expected, at="key"))
-        elif try_parse_quantity(f"1 {unit}", si_unit) is None:
-            example, found = f"{quantity} such as {si_unit}", repr(unit)
-            faults.append(Fault.of("protocol.no_unit", path, quantity=example, found=found))
-    raise_faults(faults)
-    return units
-
-
 class Report(Block):
     """Units and figures of the report."""
 
-    display: Annotated[dict[str, Text], AfterValidator(_check_display)] = Field({})
+    display: dict[QuantityName, Text] = Field({})
     """Unit of each quantity, such as force: mN."""
     figures: tuple[_FigureName, ...] = ()
     """Figures of each test, in this order."""
     style: Literal["page", "journal"] = "page"
     """Style of figures: as on the page, or with a serif font for a journal."""
+
+    def find_value_faults(self) -> Faults:
+        """Find units of another dimension."""
+        for quantity, unit in self.display.items():
+            si_unit, path = SI_UNITS[quantity], ("display", quantity)
+            if try_parse_quantity(f"1 {unit}", si_unit) is None:
+                example, found = f"{quantity} such as {si_unit}", repr(unit)
+                yield Fault.of("protocol.no_unit", path, quantity=example, found=found)
 
 
 LotFraction: TypeAlias = Annotated[float, Quantity("1", "%", "99 %", minimum=0.5, maximum=0.9999)]
@@ -410,7 +384,8 @@ Version: TypeAlias = Annotated[Literal[1], BeforeValidator(_parse_version)]
 
 
 def _number_steps(steps: tuple[Step, ...]) -> tuple[Step, ...]:
-    return tuple(step.with_number(index) for index, step in enumerate(steps))
+    # In a draft, None stands for a step of an unknown kind.
+    return tuple(step.with_number(index) for index, step in enumerate(steps) if step)
 
 
 class Protocol(Block):
@@ -423,7 +398,7 @@ class Protocol(Block):
     """Purpose, in one line."""
     follow_links: bool = False
     """Whether exports may be links to files outside the folder of the test."""
-    sources: Annotated[dict[Role, Source], Field(min_length=1), AfterValidator(assign_roles)]
+    sources: Annotated[dict[RoleKey, Source], Field(min_length=1), AfterValidator(assign_roles)]
     """Export of each role."""
     specimen: SpecimenBlock = SpecimenBlock.model_construct()
     rig: Rig = Rig.model_construct()
@@ -451,39 +426,65 @@ class Protocol(Block):
             name: channel for source in sources for name, channel in source.all_channels.items()
         }
 
-    @classmethod
-    def find_contradictions(cls, data: Values) -> Faults:
-        """Find contradictions between the blocks of the protocol."""
-        outline = Outline(data)
-        yield from _find_repeated_channels(outline)
-        yield from _find_unmet_needs(outline)
-        yield from _find_step_faults(outline)
-        yield from _find_curve_faults(outline)
-        yield from _find_result_faults(outline)
-        yield from _find_unknown_main_results(outline)
+    @property
+    def has_clamp(self) -> bool:
+        """Return whether ``markers.clamp`` names a rigid body."""
+        return self.markers is not None and self.markers.clamp is not None
 
-    @model_validator(mode="after")
-    def _check_sizes(self) -> Self:
-        """Refuse implausible dimensions, and two different uncertainties of one length."""
+    @property
+    def clocks(self) -> dict[str, str | None]:
+        """Return the role of the export whose clock a channel has, keyed by channel."""
+        clocks: dict[str, str | None] = {
+            name: role
+            for role, source in reversed((self.sources or {}).items())
+            for name in source.all_channels
+        }
+        for step in self.steps:
+            clock = clocks.get(step.force) if isinstance(step, TravelFromSpeed) else "markers"
+            for name in self.list_added_channels(step):
+                clocks.setdefault(name, clock)
+        return clocks
+
+    def list_added_channels(self, *steps: Step) -> list[str]:
+        """List the channels that steps add; those of a cantilever are added only with a clamp."""
+        return [
+            name.format(channel=getattr(step, "channel", None))
+            for step in steps
+            if self.has_clamp or not isinstance(step, SpecimenFrame | FitShape)
+            for name in step.added_channels
+        ]
+
+    def find_key_faults(self) -> Faults:
+        """Find contradictions between the blocks of the protocol."""
+        sources = self.sources or {}
+        for role in sources.keys() - {*ROLES}:
+            yield build_choice_fault(("sources", role), role, ROLES, at="key")
+        if sources:
+            yield from _find_repeated_channels(self)
+            yield from _find_step_faults(self)
+            yield from _find_curve_faults(self)
+        yield from _find_unmet_needs(self)
+        yield from _find_result_faults(self)
+        yield from find_unknown_main_results(self)
+
+    def find_value_faults(self) -> Faults:
+        """Find implausible dimensions, and two different uncertainties of one length."""
         blocks = {"specimen": self.specimen, "rig": self.rig, "markers": self.markers}
-        faults = [*find_implausible_sizes(blocks, (), self.plausible)]
+        yield from find_implausible_sizes(blocks, (), self.plausible)
         uncertainties = self.specimen.uncertainty or SizeUncertainties()
         for index, result in enumerate(self.results):
             if not isinstance(result, BendingStiffness):
                 continue
-            key = "length" if result.support == "cantilever" else "span"
-            result_value, specimen_value = result.length_uncertainty, getattr(uncertainties, key)
+            key, result_value = result.length, result.length_uncertainty
+            specimen_value = getattr(uncertainties, key)
             if result_value is not None and specimen_value not in (None, result_value):
-                fault = Fault.of(
+                yield Fault.of(
                     "protocol.length_twice",
                     ("results", index, "length_uncertainty"),
                     key=key,
                     result_value=f"{1e3 * result_value:.6g} mm",
                     specimen_value=f"{1e3 * specimen_value:.6g} mm",
                 )
-                faults.append(fault)
-        raise_faults(faults)
-        return self
 
 
 _CLAMP = "a clamped end"
@@ -495,97 +496,8 @@ _REMEDIES = {
     _ALIGNMENT: "Set 'align.method' to 'turning-points'.",
     _SHAPE_STEP: "Add the step 'fit-shape'.",
 }
-_FROM_SPEED = "travel-from-speed"
-_ALIGNMENTS = ("turning-points", "common-start", "stated")
 _CYCLE_SUFFIX = re.compile(r"\.\d+$")
 """Number of the cycle or slip at the end of the name of a result."""
-
-
-class Outline:
-    """Channels, steps and results of a protocol as written, valid or not.
-
-    Parameters
-    ----------
-    data : the protocol as plain values
-
-    Attributes
-    ----------
-    has_clamp : whether ``markers.clamp`` names a rigid body
-    channels : name, role, path and block of each channel of a source
-    steps, results : path, name in YAML and block of each entry
-    source_channels, step_channels : names of the channels that sources give and that steps add
-    clocks : role of the export whose clock a channel has, keyed by channel; None if unknown
-    units : SI unit of a channel, keyed by channel; None if unknown
-    """
-
-    def __init__(self, data: Values) -> None:
-        self.data = data
-        self.has_clamp = self.get_block("markers").get("clamp") is not None
-        self.channels = [*_list_channels(self.get_block("sources"))]
-        self.steps = _list_entries(data, "steps", "step")
-        self.results = _list_entries(data, "results", "result")
-        self.source_channels = [name for name, *_ in self.channels]
-        self.step_channels = list[str]()
-        self.clocks: dict[str, str | None] = {}
-        self.units: dict[str, str | None] = {}
-        for name, role, _, block in reversed(self.channels):
-            self.clocks[name] = role
-            self.units[name] = SI_UNITS.get(str(block.get("quantity", name)))
-        for _, kind, step in self.steps:
-            clock = self.clocks.get(str(step.get("force"))) if kind == _FROM_SPEED else "markers"
-            for name in self.list_added_channels(kind, step):
-                self.clocks.setdefault(name, clock)
-                self.units[name] = "m"
-                self.step_channels.append(name)
-
-    def get_block(self, *path: str) -> Values:
-        """Return the block at a path; an empty one if there is none."""
-        return get_block(self.data, *path)
-
-    def list_added_channels(self, kind: str, step: Values) -> tuple[str, ...]:
-        """List the channels that a step adds; those of a cantilever are added only with a clamp."""
-        if kind not in STEPS or (kind in ("specimen-frame", "fit-shape") and not self.has_clamp):
-            return ()
-        values = {"channel": None, **step}
-        return tuple(name.format_map(values) for name in STEPS[kind].added_channels)
-
-    def list_met_needs(self) -> Iterator[str]:
-        """Yield the needs of steps, results and figures that the protocol meets."""
-        sources, curve = self.get_block("sources"), self.get_block("curve")
-        readers = [str(get_block(sources, role).get("reader")) for role in sources]
-        kinds = {kind for _, kind, _ in self.steps}
-        conditions = {
-            _MARKER_SOURCE: "markers" in sources or MARKER_READERS & {*readers},
-            _CLAMP: self.has_clamp,
-            _ALIGNMENT: self.get_block("align").get("method") in _ALIGNMENTS,
-            _SHAPE_STEP: kinds & {"fit-shape", "three-point-shape"},
-        }
-        yield from (need for need, is_met in conditions.items() if is_met)
-        yield from (f"a block {key!r}" for key in self.data if self.get_block(key))
-        yield from (f"a block 'curve.{key}'" for key in curve if get_block(curve, key))
-        yield from (f"the step {kind!r}" for kind in kinds)
-        yield from (f"a result {kind!r}" for _, kind, _ in self.results)
-
-
-def _list_channels(sources: Values) -> Iterator[tuple[str, str, KeyPath, Values]]:
-    """Yield name, role, path and block of channels; a misspelt role is read as the nearest one."""
-    for role in sources:
-        source, path = get_block(sources, role), ("sources", role)
-        camera_keys = {"scale_uncertainty", "certificate"} if role == "markers" else set()
-        if source.keys() & ChannelSource.model_fields.keys() - camera_keys:
-            name = role if role in ROLES else sort_by_likeness(role, list(ROLES), limit=1)[0]
-            yield name, role, path, source
-        for name in get_block(source, "channels"):
-            yield name, role, (*path, "channels", name), get_block(source, "channels", name)
-
-
-def _list_entries(data: Values, key: str, kind_key: str) -> list[tuple[KeyPath, str, Values]]:
-    """List path, kind and block of the entries of a list that have a kind."""
-    return [
-        ((key, index), item[kind_key], item)
-        for index, item in enumerate(get_list(data, key))
-        if isinstance(item, Mapping) and isinstance(item.get(kind_key), str)
-    ]
 
 
 def list_result_names(name: str, entry: Values) -> tuple[str, ...]:
@@ -605,59 +517,91 @@ def list_result_names(name: str, entry: Values) -> tuple[str, ...]:
     return () if kind is None else tuple(output.name_in(kind, entry) for output in kind.outputs)
 
 
-def _find_repeated_channels(outline: Outline) -> Faults:
+def list_summary_names(result: Kind) -> tuple[str, ...]:
+    """List the names that a result has in the summary, see `list_result_names`."""
+    entry = {field.name: getattr(result, field.name) for field in fields(result)}
+    return list_result_names(result.result, entry)
+
+
+def _find_repeated_channels(protocol: Protocol) -> Faults:
     """Find channels with one name; a step may replace the channel of an optional source."""
-    owners = dict.fromkeys(outline.step_channels, "a step")
-    from_speed = {
-        str(step.get("channel")) for _, kind, step in outline.steps if kind == _FROM_SPEED
-    }
-    for name, role, path, _ in outline.channels:
-        is_optional = str(outline.get_block("sources", role).get("optional")).lower() == "true"
-        if not (name in from_speed and is_optional):
+    owners = dict.fromkeys(protocol.list_added_channels(*protocol.steps), "a step")
+    from_speed = {step.channel for step in protocol.steps if isinstance(step, TravelFromSpeed)}
+    for role, source in protocol.sources.items():
+        for name, channel in source.all_channels.items():
+            if name in from_speed and source.optional:
+                continue
             if name in owners:
-                yield Fault.of(
-                    "protocol.channel_taken", path, at="key", name=name, owner=owners[name]
-                )
+                path: KeyPath = ("sources", role)
+                path += () if channel is source else ("channels", name)
+                owner = owners[name]
+                yield Fault.of("protocol.channel_taken", path, at="key", name=name, owner=owner)
             owners[name] = f"the source {role!r}"
 
 
-def _find_unmet_needs(outline: Outline) -> Faults:
+def _find_unmet_needs(protocol: Protocol) -> Faults:
     """Find needs of steps, results and figures that the protocol does not meet."""
-    provided = {*outline.list_met_needs()}
-    for path, user, need in _list_needs(outline):
-        if need not in provided:
-            remedy = _REMEDIES.get(need, f"Add {need}.").replace("Add a ", "Add the ")
-            if user in KINDS_BY_NAME and need.startswith("a block 'curve."):
-                override = format_overrides(f"results.{user}", "null")
-                remedy = f"{remedy[:-1]}, or remove the result: {override}."
-            yield Fault.of("protocol.lacking", path, need=need, user=user, remedy=remedy)
+    for path, user, need in list_unmet_needs(protocol):
+        remedy = _REMEDIES.get(need, f"Add {need}.").replace("Add a ", "Add the ")
+        if user in KINDS_BY_NAME and need.startswith("a block 'curve."):
+            override = format_overrides(f"results.{user}", "null")
+            remedy = f"{remedy[:-1]}, or remove the result: {override}."
+        yield Fault.of("protocol.lacking", path, need=need, user=user, remedy=remedy)
 
 
-def _list_needs(outline: Outline) -> Iterator[tuple[KeyPath, str, str]]:
-    """Yield path, name and need of each step, result, figure and block that needs another one."""
-    curve, align = outline.get_block("curve"), outline.get_block("align")
+def _list_met_needs(protocol: Protocol) -> Iterator[str]:
+    """Yield the needs of steps, results and figures that a protocol meets."""
+    sources, steps = protocol.sources or {}, {step.step for step in protocol.steps}
+    readers = {reader for source in sources.values() for reader in source.reader or ()}
+    conditions = {
+        _MARKER_SOURCE: "markers" in sources or MARKER_READERS & readers,
+        _CLAMP: protocol.has_clamp,
+        _ALIGNMENT: protocol.align.method != "none",
+        _SHAPE_STEP: steps & {"fit-shape", "three-point-shape"},
+        _CURVE: protocol.curve,
+        _BRANCHES: protocol.branches,
+        _MARKERS: protocol.markers,
+    }
+    yield from (need for need, is_met in conditions.items() if is_met)
+    yield from (f"a block 'curve.{key}'" for key, value in protocol.curve or () if value)
+    yield from (f"the step {step!r}" for step in steps)
+    yield from (f"a result {result.result!r}" for result in protocol.results if result)
+
+
+def list_unmet_needs(protocol: Protocol) -> list[tuple[KeyPath, str, str]]:
+    """List path, name and need of each step, result, figure and block that lacks another one."""
+    curve, align = protocol.curve, protocol.align
     users: list[tuple[KeyPath, str, Iterable[str]]] = []
-    for path, name, _ in outline.steps:
-        uses_markers = name in STEPS and STEPS[name].uses_markers
-        needs = (_MARKER_SOURCE, _MARKERS) if uses_markers else ()
-        users.append(((*path, "step"), name, needs))
-    for path, name, _ in outline.results:
-        users.append(((*path, "result"), name, _list_result_needs(name, curve)))
-    for index, name in enumerate(get_list(outline.data, "report", "figures")):
-        users.append((("report", "figures", index), name, FIGURES.get(str(name), ())))
-    if align.get("method") == "turning-points":
+    for step in protocol.steps:
+        needs = (_MARKER_SOURCE, _MARKERS) if step.uses_markers else ()
+        users.append((("steps", step.number, "step"), step.step, needs))
+    for path, result in _list_results(protocol):
+        users.append(((*path, "result"), result.result, _list_result_needs(result.needs, curve)))
+    for index, name in enumerate(protocol.report.figures):
+        users.append((("report", "figures", index), name, FIGURES[name]))
+    if align.method == "turning-points":
         users.append((("align", "method"), "turning-points", (_MARKER_SOURCE, _CLAMP)))
-    if outline.get_block("branches"):
+    if protocol.branches:
         users.append((("branches",), "branches", [_CURVE]))
-    clocks = {outline.clocks.get(str(curve.get(key))) for key in ("force", "displacement")}
-    if len(clocks - {None}) > 1:
-        users.append((("align", "method") if align else ("curve",), "curve", [_ALIGNMENT]))
-    return ((path, name, need) for path, name, needs in users for need in needs)
+    clocks = (
+        {protocol.clocks.get(name) for name in (curve.force, curve.displacement)} if curve else {}
+    )
+    if len({*clocks} - {None}) > 1:
+        is_stated = "align" in protocol.model_fields_set
+        users.append((("align", "method") if is_stated else ("curve",), "curve", [_ALIGNMENT]))
+    met_needs = {*_list_met_needs(protocol)}
+    needs_of_users = ((path, name, need) for path, name, needs in users for need in needs)
+    return [(path, name, need) for path, name, need in needs_of_users if need not in met_needs]
 
 
-def _list_result_needs(name: str, curve: Values) -> list[str]:
-    """List the needs of a kind of result; a correction is needed only where there is a curve."""
-    needs = KINDS_BY_NAME[name].needs if name in KINDS_BY_NAME else Needs()
+def _list_results(protocol: Protocol) -> list[tuple[KeyPath, Kind]]:
+    """List path and settings of the results; in a draft, None stands for an unknown kind."""
+    results = enumerate(protocol.results)
+    return [(("results", index), result) for index, result in results if result]
+
+
+def _list_result_needs(needs: Needs, curve: CurveBlock | None) -> list[str]:
+    """List the needs of a result; a correction is needed only where there is a curve."""
     conditions = {
         **dict.fromkeys((_CURVE, _BRANCHES), needs.branches),
         _ALIGNMENT: needs.clocks,
@@ -668,44 +612,46 @@ def _list_result_needs(name: str, curve: Values) -> list[str]:
     return [need for need, is_needed in conditions.items() if is_needed]
 
 
-def _find_step_faults(outline: Outline) -> Faults:
+def _find_step_faults(protocol: Protocol) -> Faults:
     """Find steps in the wrong order, and steps on channels that do not exist."""
-    channels, earlier_steps = list(outline.source_channels), list[str]()
-    for path, name, step in outline.steps:
-        kind, kind_path = STEPS.get(name), (*path, "step")
-        if kind is not None and kind.uses_markers:
-            if name in earlier_steps:
-                yield Fault.of("protocol.step_again", kind_path, step=name)
-            needed = kind.required_step
-            if needed and needed not in earlier_steps:
-                yield Fault.of("protocol.step_before", kind_path, step=name, needed=needed)
-        for key in list_references(kind, "channel") if kind is not None else ("channel",):
-            yield from _find_channel_faults(step, (*path, key), channels, outline.step_channels)
-        if name == _FROM_SPEED:
-            yield from _find_speed_faults(outline, step, kind_path)
-        span = str(step.get("span")).strip()
-        if span.endswith("%") and not outline.get_block("branches"):
-            yield Fault.of("protocol.span_of_no_branch", (*path, "span"), found=repr(span))
-        channels += outline.list_added_channels(name, step)
-        earlier_steps.append(name)
+    channels, earlier_steps = [*protocol.channels], list[str]()
+    later_channels = protocol.list_added_channels(*protocol.steps)
+    for step in protocol.steps:
+        path: KeyPath = ("steps", step.number)
+        kind_path = (*path, "step")
+        if step.uses_markers and step.step in earlier_steps:
+            yield Fault.of("protocol.step_again", kind_path, step=step.step)
+        needed = step.required_step
+        if needed and needed not in earlier_steps:
+            yield Fault.of("protocol.step_before", kind_path, step=step.step, needed=needed)
+        for key in list_references(STEPS[step.step], "channel"):
+            name = getattr(step, key)
+            yield from _find_channel_faults(name, (*path, key), channels, later_channels)
+        if isinstance(step, TravelFromSpeed):
+            yield from _find_speed_faults(protocol, step, kind_path)
+        span = getattr(step, "span", None)
+        if span is not None and span.kind == "branch" and not protocol.branches:
+            found = repr(format_span(span))
+            yield Fault.of("protocol.span_of_no_branch", (*path, "span"), found=found)
+        channels += protocol.list_added_channels(step)
+        earlier_steps.append(step.step)
 
 
-def _find_speed_faults(outline: Outline, step: Values, path: KeyPath) -> Faults:
+def _find_speed_faults(protocol: Protocol, step: TravelFromSpeed, path: KeyPath) -> Faults:
     """Find several cycles, and a missing speed or stroke if no source measures the travel."""
-    rig = outline.get_block("rig")
-    if rig.get("cycles") not in (None, "1", 1):
-        yield Fault.of("protocol.many_cycles", ("rig", "cycles"), found=rig["cycles"])
-    if step.get("channel") not in outline.source_channels:
-        for key in {"crosshead_speed", "stroke"} - {*rig}:
+    rig = protocol.rig
+    if rig.cycles not in (None, 1):
+        yield Fault.of("protocol.many_cycles", ("rig", "cycles"), found=rig.cycles)
+    if step.channel not in protocol.channels:
+        for key in {"crosshead_speed", "stroke"} - rig.model_fields_set:
             yield Fault.of("protocol.no_speed", path, key=key)
 
 
 def _find_channel_faults(
-    block: Values, path: KeyPath, channels: Sequence[str], later_channels: Collection[str] = ()
+    name: str | None, path: KeyPath, channels: Collection[str], later_channels: Collection[str] = ()
 ) -> Faults:
-    """Find a channel that does not exist, or not yet; its name is at the last key of the path."""
-    name = block.get(str(path[-1]))
-    if not isinstance(name, str) or name in channels:
+    """Find a channel that does not exist, or not yet."""
+    if name is None or name in channels:
         return
     if name in later_channels:
         yield Fault.of("protocol.channel_later", path, name=name)
@@ -715,47 +661,49 @@ def _find_channel_faults(
         yield Fault.of("protocol.no_channel_at_all", path, name=name)
 
 
-def _find_curve_faults(outline: Outline) -> Faults:
+def _find_curve_faults(protocol: Protocol) -> Faults:
     """Find channels of the curve, its branches and its clocks that do not exist or do not fit."""
-    curve, align = outline.get_block("curve"), outline.get_block("align")
-    channels = outline.source_channels + outline.step_channels
-    if align.get("method") in _ALIGNMENTS:
-        yield from _find_channel_faults(align, ("align", "channel"), outline.source_channels)
-    uses = (("curve", "force", "N"), ("curve", "displacement", "m"), ("branches", "channel", "m"))
-    for block, key, si_unit in uses:
-        name, path = outline.get_block(block).get(key), (block, key)
-        yield from _find_channel_faults(outline.get_block(block), path, channels)
-        channel_unit = outline.units.get(str(name))
-        if channel_unit not in (None, si_unit):
+    curve, branches, sources = protocol.curve, protocol.branches, protocol.channels
+    added_channels = protocol.list_added_channels(*protocol.steps)
+    if not isinstance(protocol.align, AlignNone):
+        yield from _find_channel_faults(protocol.align.channel, ("align", "channel"), sources)
+    uses = []
+    if curve:
+        uses += [(("curve", "force"), curve.force, "N")]
+        uses += [(("curve", "displacement"), curve.displacement, "m")]
+    if branches:
+        uses += [(("branches", "channel"), branches.channel, "m")]
+    for path, name, si_unit in uses:
+        yield from _find_channel_faults(name, path, [*sources, *added_channels])
+        unit = SI_UNITS.get(sources[name].measured_quantity) if name in sources else None
+        unit = "m" if name in added_channels else unit
+        if unit not in (None, si_unit):
             yield Fault.of(
-                "protocol.channel_unit", path, unit=si_unit, name=name, channel_unit=channel_unit
+                "protocol.channel_unit", path, unit=si_unit, name=name, channel_unit=unit
             )
-    for quantity in get_list(curve, "reverse"):
-        name = curve.get(quantity) if isinstance(quantity, str) else None
-        if name in outline.step_channels and name not in outline.source_channels:
+    for quantity in (curve and curve.reverse) or ():
+        name = getattr(curve, quantity)
+        if name in added_channels and name not in sources:
             yield Fault.of("protocol.reverse_of_made", ("curve", "reverse"), name=name)
 
 
-def _find_result_faults(outline: Outline) -> Faults:
+def _find_result_faults(protocol: Protocol) -> Faults:
     """Find repeated results, stiffnesses that do not exist, and a displacement on another clock."""
     earlier_names, stiffnesses = set[str](), list[str]()
-    displacement = str(outline.get_block("curve").get("displacement"))
-    for path, kind_name, entry in outline.results:
-        kind = KINDS_BY_NAME.get(kind_name)
-        if kind is None:
-            continue
-        settings, kind_path = {**list_defaults(kind), **entry}, (*path, "result")
-        if kind.needs.clamp and outline.clocks.get(displacement) not in (None, "markers"):
+    displacement = protocol.curve and protocol.curve.displacement
+    for path, result in _list_results(protocol):
+        kind, kind_path = type(result), (*path, "result")
+        if kind.needs.clamp and protocol.clocks.get(displacement or "") not in (None, "markers"):
             found = displacement
-            yield Fault.of("protocol.clock_of_force", kind_path, result=kind_name, found=found)
+            yield Fault.of("protocol.clock_of_force", kind_path, result=kind.result, found=found)
         for key in list_references(kind, "stiffness"):
-            name = settings.get(key)
-            if isinstance(name, str) and not stiffnesses:
+            name = getattr(result, key)
+            if name is not None and not stiffnesses:
                 yield Fault.of("protocol.no_stiffness", (*path, key), name=name)
-            elif isinstance(name, str) and name not in stiffnesses:
+            elif name is not None and name not in stiffnesses:
                 valid = "one of the stiffnesses above,"
                 yield build_choice_fault((*path, key), name, stiffnesses, valid)
-        names = list_result_names(kind_name, entry)
+        names = list_summary_names(result)
         repeated_names = [name for name in names if name in earlier_names]
         if repeated_names:
             yield Fault.of("protocol.result_again", kind_path, name=repeated_names[0])
@@ -767,13 +715,14 @@ def _find_result_faults(outline: Outline) -> Faults:
         ]
 
 
-def _find_unknown_main_results(outline: Outline) -> Faults:
+def find_unknown_main_results(protocol: Protocol) -> Faults:
     """Find main results of groups that no entry of ``results`` gives."""
-    names = [name for _, kind, entry in outline.results for name in list_result_names(kind, entry)]
+    results = (result for _, result in _list_results(protocol))
+    names = [name for result in results for name in list_summary_names(result)]
     names_per_cycle = {_CYCLE_SUFFIX.sub("", name) for name in names if _CYCLE_SUFFIX.search(name)}
-    for index, name in enumerate(get_list(outline.data, "groups", "main")):
+    for index, name in enumerate(protocol.groups.main):
         path: KeyPath = ("groups", "main", index)
-        base_name = _CYCLE_SUFFIX.sub("", str(name))
+        base_name = _CYCLE_SUFFIX.sub("", name)
         if name in names or (base_name != name and base_name in names_per_cycle):
             continue
         if names:

@@ -1,4 +1,4 @@
-"""Test sheets (``test.yaml``) with their bundle, and the plans of calibrations and campaigns.
+"""Test sheets (``test.yaml``) with their bundle, and the plans of campaigns.
 
 A campaign pairs exports by name patterns such as ``{type}-{length mm}-{sample}_force.mat``. In a
 pattern, ``{type}`` matches text, ``{length mm}`` a number in that unit, ``{date}`` a date with the
@@ -13,10 +13,8 @@ import difflib
 import json
 import re
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import replace
 from datetime import date
-from functools import partial
-from typing import Annotated, Any, Literal, NamedTuple, Self
+from typing import Annotated, Any, Literal, NamedTuple
 
 import yaml
 from pydantic import (
@@ -26,8 +24,6 @@ from pydantic import (
     PlainSerializer,
     PlainValidator,
     WithJsonSchema,
-    field_validator,
-    model_validator,
 )
 
 from labpipe.errors import Fault, UsageError, format_error
@@ -40,25 +36,16 @@ from labpipe.protocol.grammar import (
     Text,
     build_path_validator,
     build_row_validator,
-    build_unique_name_validator,
     try_parse_quantity,
 )
 from labpipe.protocol.schema import Version
 from labpipe.protocol.source import Role, Section, SizeUncertainties
-from labpipe.protocol.yaml_text import (
-    Values,
-    build_refusal,
-    describe_value,
-    get_block,
-    raise_faults,
-    suggest_word,
-)
+from labpipe.protocol.yaml_text import build_refusal, get_block, prefix_paths, suggest_word
 from labpipe.records.declarations import (
     Duration,
     Length,
     LinearMass,
     Offset,
-    Quantity,
     Snake,
     WholeNumber,
 )
@@ -146,34 +133,28 @@ class SheetBundle(Block):
         settings = {key: value for key, value in self if key not in ("wires", "number")}
         return Bundle(wires, **settings | {"positions": self.positions or ()})
 
-    @classmethod
-    def find_contradictions(cls, data: Values) -> Iterator[Fault]:
+    def find_key_faults(self) -> Iterator[Fault]:
         """Find taping without tape, tape without taping, and a bore without a conduit."""
-        tape, taping, conduit = (data.get(key) or NONE for key in ("tape", "taping", "conduit"))
-        if tape == NONE and taping != NONE:
-            yield Fault.of("protocol.no_tape", ("taping",), found=describe_value(taping))
-        if tape != NONE and taping == NONE:
-            yield Fault.of("protocol.no_taping", ("tape",), found=describe_value(tape))
-        bore = data.get("conduit_bore")
-        if conduit == NONE and bore is not None:
-            yield Fault.of("protocol.no_conduit", ("conduit_bore",), found=describe_value(bore))
+        if self.tape == NONE and self.taping != NONE:
+            yield Fault.of("protocol.no_tape", ("taping",), found=repr(self.taping))
+        if self.tape != NONE and self.taping == NONE:
+            yield Fault.of("protocol.no_taping", ("tape",), found=repr(self.tape))
+        if self.conduit == NONE and self.conduit_bore is not None:
+            found = f"{1e3 * self.conduit_bore:.12g} mm"
+            yield Fault.of("protocol.no_conduit", ("conduit_bore",), found=repr(found))
 
-    @model_validator(mode="after")
-    def _check_wires(self) -> Self:
-        """Refuse a number, an arrangement and positions that do not fit the wires."""
-        raise_faults(_find_bundle_faults(self.record, self.number))
-        return self
-
-
-def _find_bundle_faults(bundle: Bundle, number: int | None) -> Iterator[Fault]:
-    """Find a stated number, an arrangement and positions that do not fit the wires."""
-    if number not in (None, bundle.number):
-        yield Fault.of("protocol.number_of_wires", ("number",), bundle=bundle, found=number)
-    if len(bundle.wires) == 1 and bundle.arrangement != PACKED:
-        yield Fault.of("protocol.one_type", ("arrangement",), found=bundle.arrangement)
-    found = len(bundle.positions)
-    if found not in (0, bundle.number):
-        yield Fault.of("protocol.number_of_places", ("positions",), bundle=bundle, found=found)
+    def find_value_faults(self) -> Iterator[Fault]:
+        """Find a stated number, an arrangement and positions that do not fit the wires."""
+        bundle = self.record
+        if self.number not in (None, bundle.number):
+            yield Fault.of(
+                "protocol.number_of_wires", ("number",), bundle=bundle, found=self.number
+            )
+        if len(bundle.wires) == 1 and bundle.arrangement != PACKED:
+            yield Fault.of("protocol.one_type", ("arrangement",), found=bundle.arrangement)
+        found = len(bundle.positions)
+        if found not in (0, bundle.number):
+            yield Fault.of("protocol.number_of_places", ("positions",), bundle=bundle, found=found)
 
 
 def parse_bundle(text: str, *, arrangement: str = PACKED) -> Bundle:
@@ -193,9 +174,9 @@ def parse_bundle(text: str, *, arrangement: str = PACKED) -> Bundle:
     UsageError
         If the text has another form, or its wires do not allow the arrangement.
     """
-    bundle = SheetBundle.read({"wires": text, "arrangement": arrangement})
-    if isinstance(bundle, list):
-        raise UsageError("\n".join(_format_fault(fault, text) for fault in bundle))
+    bundle, faults = SheetBundle.read({"wires": text, "arrangement": arrangement})
+    if bundle is None or faults:
+        raise UsageError("\n".join(_format_fault(fault, text) for fault in faults))
     return bundle.record
 
 
@@ -256,12 +237,13 @@ class SheetSpecimen(Block):
         names = (self.type, self.spool, self.sample)
         return Specimen(*names, self.dimensions, bundle, self.labels, self.observed)
 
-    @classmethod
-    def find_contradictions(cls, data: Values) -> Iterator[Fault]:
+    def find_key_faults(self) -> Iterator[Fault]:
         """Find additional keys that name no dimension, and labels with the name of a key."""
-        keys = [*cls.list_keys(), "span"]
-        for key, value in data.items():
-            if key in keys:
+        keys = [*self.list_keys(), "span"]
+        # In a draft, the values of additional keys are those of the file.
+        values: dict[str, Any] = {**self.__pydantic_extra__}
+        for key, value in values.items():
+            if key == "span":
                 continue
             snake_key, path = re.sub(r"\W+", "_", key.casefold()), (key,)
             is_number = not isinstance(value, str) or re.fullmatch(_NUMBER_WITHOUT_UNIT, value)
@@ -272,7 +254,7 @@ class SheetSpecimen(Block):
                 yield Fault.of("protocol.no_dimension", path, at="key", key=key, remedy=remedy)
             elif try_parse_quantity(value, "m") is None and not is_number:
                 yield Fault.of("protocol.label_as_size", path, at="key", key=key, value=value)
-        for key in {*get_block(data, "labels")} & {*keys}:
+        for key in {*(self.labels or {})} & {*keys}:
             yield Fault.of("protocol.label_as_key", ("labels", key), at="key", key=key)
 
 
@@ -344,21 +326,6 @@ _OVERRIDE_EXAMPLES = {
 """Override that a comment shows as an example, by role of an export of the test."""
 
 
-def find_sheet_faults(data: Mapping[str, object]) -> list[Fault]:
-    """Validate the values of a test sheet before it is written.
-
-    Parameters
-    ----------
-    data : values with the keys of ``test.yaml``
-
-    Returns
-    -------
-    The faults, with their paths in `data`.
-    """
-    sheet = TestSheet.read(data)
-    return sheet if isinstance(sheet, list) else []
-
-
 def write_test_sheet(data: Mapping[str, object]) -> str:
     """Format a test sheet as commented YAML.
 
@@ -398,140 +365,6 @@ def _format_entry(key: str, value: object) -> str:
     if value is None or key not in _COMMENTS or (isinstance(value, str) and other_lines):
         return text
     return f"{first_line:<27} # {_COMMENTS[key]}\n{other_lines}"
-
-
-_COPY_CURVE = "Copy the curve into the folder of the plan and name it from there."
-
-
-def _parse_unit(si_unit: str, value: object) -> str:
-    if try_parse_quantity(f"1 {value}", si_unit) is None:
-        raise build_refusal("protocol.no_unit_like", found=value, si_unit=si_unit)
-    return str(value)
-
-
-def _parse_sign(value: object) -> int:
-    if str(value) not in ("1", "+1", "-1"):
-        raise build_refusal("protocol.no_sign", found=value)
-    return int(str(value))
-
-
-LengthUnit = Annotated[str, BeforeValidator(partial(_parse_unit, "m")), Field(examples=["mm"])]
-ForceUnit = Annotated[str, BeforeValidator(partial(_parse_unit, "N")), Field(examples=["N"])]
-Sign = Annotated[Literal[1, -1], BeforeValidator(_parse_sign)]
-
-
-class _Column(Block):
-    """One of the two columns of a curve."""
-
-    column: Text | None = None
-    """Name of the column, or its number, counted from 1; by default 'deflection' or 'force'."""
-    sign: Sign = 1
-    """-1 if the values decrease in the direction of bending."""
-
-
-class DeflectionColumn(_Column):
-    """Column of the deflection of the tip."""
-
-    unit: LengthUnit | None = None
-    """Unit of the values, if the heading states none."""
-
-
-class ForceColumn(_Column):
-    """Column of the force at the tip."""
-
-    unit: ForceUnit | None = None
-    """Unit of the values, if the heading states none."""
-
-
-class Comparison(Block):
-    """External curve: from finite elements, a digitised figure or another lab."""
-
-    name: Text
-    file: Annotated[str, build_path_validator("the folder of the plan", _COPY_CURVE)]
-    """File (csv or xlsx) in the folder of the plan, or below it."""
-    wire: Text
-    """Name of the wire in the wire sheet."""
-    length: Length
-    """Free length."""
-    load: Literal["as tested", "normal"] = "as tested"
-    """Direction of the force; as tested: that of the string of the tests; normal: normal to the
-    undeformed axis, as in most finite-element models."""
-    deflection: DeflectionColumn = DeflectionColumn.model_construct()
-    force: ForceColumn = ForceColumn.model_construct()
-    because: Text
-    """Origin of the curve."""
-
-
-Friction = Annotated[float, Quantity("N", "N", "0.05 N", above=0.0)]
-Modulus = Annotated[float, Quantity("Pa", "MPa", "1000 MPa", above=0.0)]
-Scale = Annotated[float, Quantity("1", "1", "1", above=0.0)]
-Scatter = Annotated[float, Quantity("1", "%", "3 %", minimum=0.0, maximum=0.5)]
-Factor = Annotated[float, Quantity("1", "1", "1.5", above=1.0)]
-
-
-class _Parameter(Block):
-    """Treatment of one parameter in a calibration."""
-
-    enters: Literal["free", "fixed", "prior"] = "free"
-    """free: fitted; fixed: constant; prior: fitted with a log-normal prior."""
-    factor: Factor | None = None
-    """Factor of a prior, whose 95 % interval is value / factor to value x factor."""
-    because: Remark = ""
-    """Origin of a prior or a fixed value."""
-
-    @classmethod
-    def find_contradictions(cls, data: Values) -> Iterator[Fault]:
-        """Find missing keys of a prior or fixed value, and a factor without a prior."""
-        enters, stated_keys = data.get("enters", "free"), {key for key in data if data[key]}
-        needed_keys = {"fixed": ("value", "because"), "prior": ("value", "because", "factor")}
-        for key in needed_keys.get(str(enters), ()):
-            if key not in stated_keys:
-                yield Fault.of("protocol.no_key_of_parameter", key=key, enters=enters)
-        if enters in ("free", "fixed") and "factor" in stated_keys:
-            yield Fault.of("protocol.factor_of_no_prior", ("factor",), at="key")
-
-
-class RadialFriction(_Parameter):
-    """Radial friction phi = F_rad (mu_s + mu_p)."""
-
-    value: Friction | None = None
-
-
-class InsulationModulus(_Parameter):
-    """Young's modulus of the insulation."""
-
-    value: Modulus | None = None
-
-
-class CopperScale(_Parameter):
-    """Factor on the strength of the copper."""
-
-    value: Scale | None = None
-
-
-class Parameters(Block):
-    """Parameters of a calibration."""
-
-    radial_friction: RadialFriction = RadialFriction.model_construct()
-    insulation_modulus: InsulationModulus = InsulationModulus.model_construct()
-    copper_scale: CopperScale = CopperScale.model_construct()
-
-
-class CalibrationPlan(Block):
-    """Plan of a calibration: its parameters, tests and external curves."""
-
-    version: Version
-    wire: Text | None = None
-    """Specimen type whose tests are fitted; other types are predicted."""
-    parameters: Parameters = Parameters.model_construct()
-    scatter: Scatter | None = None
-    """Relative standard deviation between samples, if it is known."""
-    points: Annotated[int, WholeNumber(20, 5000)] = 272
-    """Number of points of each curve."""
-    up_to: Length | None = None
-    """Largest deflection that the fit uses."""
-    comparisons: Annotated[tuple[Comparison, ...], build_unique_name_validator("comparison")] = ()
-    """External curves to compare with tests and model."""
 
 
 _TEXT_FIELDS = ("test", "type", "spool", "sample", "operator", "date")
@@ -681,20 +514,18 @@ class NamePair(Block):
     exports: dict[Role, Pattern] = Field(min_length=1)
     """Pattern of the name of each role's export."""
 
-    @field_validator("exports")
-    @classmethod
-    def _check_fields(cls, exports: dict[Role, NamePattern]) -> dict[Role, NamePattern]:
-        """Refuse patterns with different fields, because exports are paired by their fields."""
-        fields = {role: ", ".join(sorted(pattern.units)) for role, pattern in exports.items()}
+    def find_value_faults(self) -> Iterator[Fault]:
+        """Find patterns with different fields, because exports are paired by their fields."""
+        fields = {role: ", ".join(sorted(pattern.units)) for role, pattern in self.exports.items()}
         first, expected = next(iter(fields.items()))
-        faults = [
-            Fault.of("protocol.other_fields", (role,), other=first, expected=expected, found=found)
-            for role, found in fields.items()
-            if found and found != expected
-        ]
-        faults += [Fault.of("protocol.no_fields", (role,)) for role in fields if not fields[role]]
-        raise_faults(faults)
-        return exports
+        for role, found in fields.items():
+            path = ("exports", role)
+            if not found:
+                yield Fault.of("protocol.no_fields", path)
+            elif found != expected:
+                yield Fault.of(
+                    "protocol.other_fields", path, other=first, expected=expected, found=found
+                )
 
 
 def _fill_in_pairing(value: object) -> object:
@@ -729,10 +560,8 @@ class CampaignPlan(Block):
     look_every: Duration = 0.25
     """Shortest interval between checks of a watch."""
 
-    @classmethod
-    def find_contradictions(cls, data: Values) -> Iterable[Fault]:
+    def find_key_faults(self) -> Iterable[Fault]:
         """Find faults of the specimen as in a test sheet; each test has names of its own."""
         names = {"type": "x", "spool": "x", "sample": "x"}
-        specimen = SheetSpecimen.read(names | dict(get_block(data, "specimen")))
-        faults = specimen if isinstance(specimen, list) else []
-        return [replace(fault, path=("specimen", *fault.path)) for fault in faults]
+        _, faults = SheetSpecimen.read(names | (self.specimen or {}))
+        return prefix_paths(("specimen",), faults)

@@ -5,35 +5,36 @@ A source is an export with its channels, their units and their calibrations.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping
-from dataclasses import replace
+from collections.abc import Collection, Iterator, Mapping
 from math import hypot, isclose
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeAlias, get_args
 
 from pydantic import (
     AfterValidator,
-    BaseModel,
     BeforeValidator,
     Field,
     PlainSerializer,
     PrivateAttr,
-    ValidationInfo,
+    WithJsonSchema,
 )
 
-from labpipe.errors import Fault, KeyPath, format_overrides
+from labpipe.errors import Fault, KeyPath, format_overrides, sort_by_likeness
 from labpipe.protocol.grammar import (
     SI_UNITS,
     Block,
     Day,
+    QuantityName,
     Text,
     explain_unit,
     find_si_unit,
+    list_blocks,
+    list_items,
     suggest_quantity,
     try_parse_quantity,
     wrap_in_list,
 )
-from labpipe.protocol.yaml_text import FaultsError, build_choice_fault, list_nearest, raise_faults
+from labpipe.protocol.yaml_text import list_nearest, prefix_paths, raise_faults
 from labpipe.records.declarations import Area, Distance, Length, Quantity, Snake, Uncertainty
 from labpipe.records.recording import EXPORT_FORMATS
 from labpipe.units import get_conversion_factor, parse_quantity
@@ -81,9 +82,12 @@ DIMENSION_KINDS: Final = MappingProxyType(
 """Kind of dimension by its key, or by the last word of its key (``outer_diameter``)."""
 
 if TYPE_CHECKING:
+    RoleKey = Role
     _ReaderName = str
     _Kind = str
 else:
+    # A protocol with a misspelt role is checked further, see `assign_roles`.
+    RoleKey = Annotated[str, WithJsonSchema({"enum": list(ROLES), "type": "string"})]
     _ReaderName = Literal[READER_NAMES]
     _Kind = Literal[tuple(PLAUSIBLE_RANGES)]
 
@@ -174,16 +178,12 @@ def _find_range_faults(ends: PlausibleRange, unit: str) -> Iterator[Fault]:
         yield Fault.of("protocol.range_reversed", low=start, high=stop, unit=unit)
 
 
-def _prefix_paths(path: KeyPath, faults: Iterable[Fault]) -> Iterator[Fault]:
-    return (replace(fault, path=(*path, *fault.path)) for fault in faults)
-
-
 def _check_ranges(ranges: dict[str, PlausibleRange]) -> dict[str, PlausibleRange]:
     raise_faults(
         fault
         for kind, ends in ranges.items()
         if (ends.start, ends.stop) != PLAUSIBLE_RANGES[kind][1:]
-        for fault in _prefix_paths((kind,), _find_range_faults(ends, PLAUSIBLE_RANGES[kind][0]))
+        for fault in prefix_paths((kind,), _find_range_faults(ends, PLAUSIBLE_RANGES[kind][0]))
     )
     return ranges
 
@@ -226,7 +226,14 @@ def find_implausible_sizes(
     ------
     Faults, with their paths in the file.
     """
-    for size_path, size in _list_numbers(data, path):
+    sizes = (
+        ((*block_path, key), value)
+        for block_path, block in list_blocks(data, path)
+        if not {"uncertainty", "labels", "positions"} & {*block_path}
+        for key, value in list_items(block)
+        if isinstance(value, float)
+    )
+    for size_path, size in sizes:
         key = next(str(part) for part in reversed(size_path) if isinstance(part, str))
         kind = DIMENSION_KINDS.get(key) or DIMENSION_KINDS.get(key.rpartition("_")[2])
         kind = kind or ("other" if key in other_lengths else None)
@@ -251,19 +258,6 @@ def find_implausible_sizes(
         )
 
 
-def _list_numbers(node: object, path: KeyPath) -> Iterator[tuple[KeyPath, float]]:
-    """Yield the numbers in a value that may be dimensions, with their paths."""
-    if isinstance(node, float):
-        yield path, node
-    elif isinstance(node, tuple):
-        for index, item in enumerate(node):
-            yield from _list_numbers(item, (*path, index))
-    elif isinstance(node, BaseModel | dict):
-        items = dict(node)
-        for key in items.keys() - {"uncertainty", "labels", "positions"}:
-            yield from _list_numbers(items[key], (*path, key))
-
-
 CoverageFactor = Annotated[float, Quantity("1", "1", "2", minimum=1.0, maximum=10.0)]
 
 
@@ -280,27 +274,10 @@ class Certificate(Block):
     k: CoverageFactor = 2.0
     """Coverage factor; 1 for a standard uncertainty."""
 
-
-def _get_certified_uncertainty(certificate: Certificate | None) -> float | None:
-    """Return the certified relative standard uncertainty of the scale; None if there is none."""
-    if certificate is None or certificate.uncertainty is None:
-        return None
-    return certificate.uncertainty / certificate.k
-
-
-def _check_against_scale(certificate: Certificate | None, info: ValidationInfo) -> Any:
-    """Refuse a certified uncertainty that contradicts those stated for gain and scale."""
-    calibration, scale = info.data.get("calibration"), info.data.get("scale_uncertainty") or 0.0
-    stated = hypot(calibration.gain_uncertainty if calibration else 0.0, scale)
-    certified = _get_certified_uncertainty(certificate)
-    if certified is not None and stated and not isclose(stated, certified, rel_tol=1e-9):
-        raise FaultsError(
-            Fault.of("protocol.not_as_certified", certified=1e2 * certified, stated=1e2 * stated)
-        )
-    return certificate
-
-
-CheckedCertificate = Annotated[Certificate, AfterValidator(_check_against_scale)]
+    @property
+    def scale_uncertainty(self) -> float | None:
+        """Return the relative standard uncertainty of the scale; None if it is not stated."""
+        return None if self.uncertainty is None else self.uncertainty / self.k
 
 
 class Calibration(Block):
@@ -331,8 +308,8 @@ class Calibration(Block):
             yield Fault.of("protocol.no_gain", ("gain",), found=repr(self.gain))
 
 
-class _Channel(Block):
-    """Keys of a channel, in the block of an export or in a block of its own."""
+class ChannelSource(Block):
+    """One channel of an export."""
 
     channel: ChannelNames | None = None
     """Name or full path, as `labpipe inspect` shows it; or a list of names."""
@@ -341,7 +318,7 @@ class _Channel(Block):
     wrong_unit_in_file: Text | None = None
     """Unit that the export states by mistake; 'unit' is the right one."""
     calibration: Calibration | None = None
-    quantity: Snake | None = None
+    quantity: QuantityName | None = None
     """Measured quantity, if it is not the name of the channel."""
     plausible_peak: PlausibleRange | None = None
     """Range of the largest absolute value; results are doubtful outside it."""
@@ -351,47 +328,47 @@ class _Channel(Block):
     zero_drift: Uncertainty | None = None
     """Standard uncertainty of the drift of the zero of a force during the test, as a fraction of
     the largest force; measure it without a specimen."""
-    certificate: CheckedCertificate | None = None
+    certificate: Certificate | None = None
     """Certificate of the calibration; its uncertainty includes those of gain and scale."""
     _name: str = PrivateAttr("")
     _key: str = PrivateAttr("")
 
     @property
-    def gain_uncertainty(self) -> float:
-        """Return the standard uncertainty of gain and scale, certified or stated, as a ratio."""
-        certified = _get_certified_uncertainty(self.certificate)
-        if certified is not None:
-            return certified
-        gain = 0.0 if self.calibration is None else self.calibration.gain_uncertainty
-        return hypot(gain, self.scale_uncertainty or 0.0)
-
-
-class ChannelSource(_Channel):
-    """One channel of an export."""
-
-    channel: ChannelNames
-    """Name or full path, as `labpipe inspect` shows it; or a list of names."""
-
-    @property
     def key(self) -> str:
-        """Return the dotted key of the channel for overrides: ``sources.frame.channels.force``."""
+        """Return the dotted key of the block for overrides: ``sources.frame.channels.force``."""
         return self._key
 
-    def with_name(self, name: str, key: str) -> ChannelSource:
-        """Return a copy with the name of the channel in labpipe, and its dotted key."""
-        channel = self.model_copy()
-        channel._name, channel._key = name, key
-        return channel
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Return the names in the export, of which the first that exists is used."""
+        return self.channel or ()
+
+    @property
+    def gain_uncertainty(self) -> float:
+        """Return the standard uncertainty of gain and scale, certified or stated, as a ratio."""
+        certified, stated = self._list_uncertainties()
+        return stated if certified is None else certified
+
+    def _list_uncertainties(self) -> tuple[float | None, float]:
+        """List the certified uncertainty, if there is one, and that stated for gain and scale."""
+        gain = 0.0 if self.calibration is None else self.calibration.gain_uncertainty
+        certified = None if self.certificate is None else self.certificate.scale_uncertainty
+        return certified, hypot(gain, self.scale_uncertainty or 0.0)
+
+    @property
+    def measured_quantity(self) -> str:
+        """Return the measured quantity, by default the name of the channel in labpipe."""
+        return self.quantity or self._name
 
     @property
     def target_unit(self) -> str:
         """Return the SI unit of the calibrated channel."""
-        return SI_UNITS[self.quantity or self._name]
+        return SI_UNITS[self.measured_quantity]
 
     @property
     def is_extension(self) -> bool:
         """Return whether an extensometer gives the channel, as a length or as strain."""
-        return (self.quantity or self._name) == "extension"
+        return self.measured_quantity == "extension"
 
     @property
     def channel_unit(self) -> str | None:
@@ -422,18 +399,24 @@ class ChannelSource(_Channel):
             return None
         return parse_quantity(ends.start, unit), parse_quantity(ends.stop, unit)
 
-    def find_faults(self) -> Iterator[Fault]:
+    def find_value_faults(self) -> Iterator[Fault]:
+        """Find uncertainties that contradict the certificate, and faults of the channel."""
+        certified, stated = self._list_uncertainties()
+        if certified is not None and stated and not isclose(stated, certified, rel_tol=1e-9):
+            certified, stated, path = 1e2 * certified, 1e2 * stated, ("certificate",)
+            yield Fault.of("protocol.not_as_certified", path, certified=certified, stated=stated)
+        if self.channel is not None:
+            yield from self._find_channel_faults()
+
+    def _find_channel_faults(self) -> Iterator[Fault]:
         """Find an unknown quantity, and values that do not fit it."""
-        quantity = self.quantity or self._name
+        quantity = self.measured_quantity
         if quantity not in SI_UNITS:
-            if self.quantity is None:
-                yield Fault.of("protocol.no_measurand", valid=list_nearest(quantity, SI_UNITS))
-            else:
-                yield build_choice_fault(("quantity",), quantity, SI_UNITS, "one of the quantities")
+            yield Fault.of("protocol.no_measurand", valid=list_nearest(quantity, SI_UNITS))
             return
         if self.plausible_peak is not None:
             faults = _find_range_faults(self.plausible_peak, self.target_unit)
-            yield from _prefix_paths(("plausible_peak",), faults)
+            yield from prefix_paths(("plausible_peak",), faults)
         # The interval of no other quantity would include the drift.
         if quantity != "force" and self.zero_drift is not None:
             path = ("zero_drift",)
@@ -457,7 +440,14 @@ class ChannelSource(_Channel):
             )
         elif self.calibration is not None:
             faults = self.calibration.find_unit_faults(self.target_unit, si_unit)
-            yield from _prefix_paths(("calibration",), faults)
+            yield from prefix_paths(("calibration",), faults)
+
+
+class _ListedChannel(ChannelSource):
+    """One of several channels of an export."""
+
+    channel: ChannelNames
+    """Name or full path, as `labpipe inspect` shows it; or a list of names."""
 
 
 class _Export(Block):
@@ -473,43 +463,29 @@ class _Export(Block):
     """Whether a test may lack the export; steps and results that need it are then left out."""
 
 
-class Source(_Channel, _Export):
+class Source(ChannelSource, _Export):
     """One export of a test, in one or several parts, with its channel or channels."""
 
-    channels: dict[Snake, ChannelSource] | None = None
+    channels: dict[Snake, _ListedChannel] | None = None
     """Channels of the export, if it has several."""
-    _all_channels: dict[str, ChannelSource] = PrivateAttr({})
-
-    @property
-    def key(self) -> str:
-        """Return the dotted key of the source for overrides: ``sources.frame``."""
-        return f"sources.{self._name}"
 
     @property
     def all_channels(self) -> dict[str, ChannelSource]:
         """Return the channels, keyed by name; empty for marker tracks."""
-        return self._all_channels
+        only_channel = {self._name: self} if self._list_channel_keys() else {}
+        return {**only_channel, **(self.channels or {})}
 
-    def with_role(self, role: str) -> Source:
-        """Return a copy with the role of the source."""
-        source = self.model_copy()
-        source._name = role
-        if self.channel is not None:
-            settings = {key: getattr(self, key) for key in ChannelSource.model_fields}
-            channel = ChannelSource.model_construct(**settings)
-            source._all_channels = {role: channel.with_name(role, source.key)}
-        else:
-            source._all_channels = {
-                name: channel.with_name(name, f"{source.key}.channels.{name}")
-                for name, channel in (self.channels or {}).items()
-            }
-        return source
+    def _list_channel_keys(self) -> list[str]:
+        """List the stated keys of a single channel; cameras have a scale and a certificate, too."""
+        camera_keys = {"scale_uncertainty", "certificate"} if self._name == "markers" else set()
+        stated_keys = self.model_fields_set - camera_keys
+        return [key for key in ChannelSource.model_fields if key in stated_keys]
 
-    def find_faults(self) -> Iterator[Fault]:
+    def find_value_faults(self) -> Iterator[Fault]:
         """Find readers and keys that do not fit the role, and missing or faulty channels."""
+        yield from super().find_value_faults()
         stated_keys, has_markers = self.model_fields_set, self._name == "markers"
-        camera_keys = {"scale_uncertainty", "certificate"} if has_markers else set()
-        channel_keys = [k for k in ChannelSource.model_fields if k in stated_keys - camera_keys]
+        channel_keys = self._list_channel_keys()
         if "load-frame" not in self.reader:
             for key in {"dialect", "part"} & stated_keys:
                 yield Fault.of("protocol.load_frame_key", (key,), at="key", key=key)
@@ -527,31 +503,22 @@ class Source(_Channel, _Export):
             yield Fault.of("protocol.channels_twice", (channel_keys[0],), key=channel_keys[0])
         elif not (has_markers or self.channels or "channel" in stated_keys):
             yield Fault.of("protocol.no_channels")
-        for channel in self.all_channels.values():
-            path = tuple(channel.key.removeprefix(self.key).split(".")[1:])
-            yield from _prefix_paths(path, channel.find_faults())
 
 
 def assign_roles(sources: dict[Role, Source]) -> dict[Role, Source]:
-    """Give each source its role, and refuse contents that do not fit it.
+    """Give each source its role, and each channel its name in labpipe and its dotted key.
 
     Parameters
     ----------
-    sources : source of each role, as validated
+    sources : source of each role; a misspelt role is read as the most similar one
 
     Returns
     -------
-    The source of each role, with its role and its channels.
-
-    Raises
-    ------
-    FaultsError
-        If the reader or a channel of a source does not fit its role.
+    The same sources.
     """
-    sources = {role: source.with_role(role) for role, source in sources.items()}
-    raise_faults(
-        fault
-        for role, source in sources.items()
-        for fault in _prefix_paths((role,), source.find_faults())
-    )
+    for role, source in sources.items():
+        source._name = role if role in ROLES else sort_by_likeness(role, [*ROLES], limit=1)[0]
+        source._key = f"sources.{role}"
+        for name, channel in (source.channels or {}).items():
+            channel._name, channel._key = name, f"{source.key}.channels.{name}"
     return sources

@@ -11,20 +11,14 @@ import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from itertools import pairwise
-from typing import Annotated, Any, Final, Literal, Self
+from typing import Annotated, Any, Final, Literal
 
 from pydantic import BeforeValidator, model_validator
 from pydantic_core import CoreSchema, core_schema
 
 from labpipe.errors import Fault
 from labpipe.protocol.grammar import NUMBER_PATTERN, WINDOWS_DEVICE_NAME, Block, suggest_number
-from labpipe.protocol.yaml_text import (
-    FaultsError,
-    Values,
-    build_choice_fault,
-    build_refusal,
-    raise_faults,
-)
+from labpipe.protocol.yaml_text import FaultsError, build_choice_fault, build_refusal
 from labpipe.records.wire import WireSpec
 
 Numbers = tuple[float, ...]
@@ -174,26 +168,23 @@ class WireRow(Block):
     insulation_table: str = ""
     remark: str = ""
 
-    @classmethod
-    def find_contradictions(cls, data: Values) -> Iterator[Fault]:
+    def find_key_faults(self) -> Iterator[Fault]:
         """Find stress tables together with the numbers that they replace."""
         for table, numbers in _REPLACED_COLUMNS.items():
-            filled = [name for name in numbers if data.get(name)]
-            if data.get(table) and filled:
+            filled = [name for name in numbers if name in self.model_fields_set]
+            if getattr(self, table) and filled:
                 yield Fault.of("protocol.table_and_numbers", (table,), found=", ".join(filled))
+
+    def find_value_faults(self) -> list[Fault]:
+        """Find contradictions between cells; a later check needs valid layers and bore."""
+        checks = (_find_layer_faults, _find_bore_faults, _find_mass_faults)
+        return next((faults for check in checks if (faults := [*check(self)])), [])
 
     @model_validator(mode="before")
     @classmethod
     def _remove_blanks(cls, data: Mapping[str, str]) -> dict[str, str]:
         """Remove blank cells, so that defaults apply; blank cells of required columns remain."""
         return {name: text for name, text in data.items() if text or name in REQUIRED_CELLS}
-
-    @model_validator(mode="after")
-    def _check_consistency(self) -> Self:
-        """Refuse contradictions between cells; a later check needs valid layers and bore."""
-        for find_faults in (_find_layer_faults, _find_bore_faults, _find_mass_faults):
-            raise_faults(find_faults(self))
-        return self
 
     @property
     def bore(self) -> float:

@@ -51,12 +51,6 @@ def get_block(data: object, *path: str) -> Values:
     return data if isinstance(data, dict) else {}
 
 
-def get_list(data: object, *path: str) -> Sequence[Any]:
-    """Return the list at a path; an empty one if there is none."""
-    items = get_block(data, *path[:-1]).get(path[-1])
-    return items if isinstance(items, list) else ()
-
-
 def describe_value(value: object) -> str:
     """Describe a value of a YAML file for a message; a long text is shortened."""
     if value is None:
@@ -155,24 +149,19 @@ def convert_errors(error: ValidationError, data: object, keys: Iterable[str] = (
     """
     faults: list[Fault] = []
     for details in error.errors(include_url=False):
-        path = _follow_path(data, details["loc"], skip_absent=True)
+        # Pydantic's paths also have tags of unions, and keys that are missing.
+        path = _find_existing_path(data, details["loc"])
         validator_error = details.get("ctx", {}).get("error")
         if isinstance(validator_error, FaultsError):
-            faults += [_prefix_path(fault, path, data) for fault in validator_error.faults]
+            faults += prefix_paths(path, validator_error.faults)
         else:
             faults.append(_convert_error(details, path, keys))
     return faults
 
 
-def _prefix_path(fault: Fault, path: KeyPath, data: Any) -> Fault:
-    """Prefix the path of a fault with a path in the data.
-
-    A short form of a block, such as a number or a text, has no keys: the path then ends at it.
-    """
-    full_path = (*path, *fault.path)
-    existing_path = _follow_path(data, full_path)
-    is_short_form = not isinstance(reduce(getitem, existing_path, data), Mapping | list)
-    return replace(fault, path=existing_path if is_short_form else full_path)
+def prefix_paths(path: KeyPath, faults: Iterable[Fault]) -> list[Fault]:
+    """Prefix the paths of faults with that of the block in which they are."""
+    return [replace(fault, path=(*path, *fault.path)) for fault in faults]
 
 
 def _convert_error(details: ErrorDetails, path: KeyPath, keys: Iterable[str]) -> Fault:
@@ -203,27 +192,14 @@ def _convert_error(details: ErrorDetails, path: KeyPath, keys: Iterable[str]) ->
             return Fault(path, expected, describe_value(value), remedy)
 
 
-def _follow_path(data: Any, path: Iterable[int | str], *, skip_absent: bool = False) -> KeyPath:
-    """Follow a path in the data up to the first absent key.
-
-    Parameters
-    ----------
-    data : plain values
-    path : path of pydantic, or of a fault
-    skip_absent : whether to skip absent keys instead, as pydantic's paths contain tags of unions
-
-    Returns
-    -------
-    The keys that exist.
-    """
+def _find_existing_path(data: Any, path: Iterable[int | str]) -> KeyPath:
+    """Find the keys and indices of a path that exist in plain values, without the others."""
     existing_path: list[int | str] = []
     for key in path:
         is_item = isinstance(data, list) and isinstance(key, int) and key < len(data)
         if is_item or (isinstance(data, Mapping) and key in data):
             data = data[key]
             existing_path.append(key)
-        elif not skip_absent:
-            break
     return tuple(existing_path)
 
 
@@ -286,12 +262,13 @@ class Document:
         Returns
         -------
         The location, and the path with keys and indices as written: an override that removes an
-        item of a list changes the indices in `data`.
+        item of a list changes the indices in `data`, and a text in place of a block has no keys.
         """
         data, location, written_path = self.data, self.location, list[str | int]()
         for depth, key in enumerate(path):
-            if not _follow_path(data, [key]):
-                return location, (*written_path, *path[depth:])
+            if not _find_existing_path(data, [key]):
+                absent_path = path[depth:] if isinstance(data, Mapping | list) else ()
+                return location, (*written_path, *absent_path)
             data, location = data[key], data.locations[key]
             written_path.append(location.name)
         return location, tuple(written_path)

@@ -231,18 +231,16 @@ class BendingStiffness(DerivedKind):
         """Key of the length in the formula."""
         return SUPPORTS[self.support][0]
 
-    @staticmethod
-    def find_contradictions(entry: Mapping[str, object]) -> Iterator[Fault]:
+    def find_value_faults(self) -> Iterator[Fault]:
         """Find corrections of a cantilever, and those without an input or 'large-deflection'."""
-        corrections, roller = entry.get("corrections"), entry.get("roller")
-        names = corrections if isinstance(corrections, list | tuple) else []
-        if names and entry.get("support") == "cantilever":
+        names = self.corrections
+        if names and self.support == "cantilever":
             yield Fault.of("results.corrected_cantilever", ("corrections",))
             return
         for name, key in (("roller-radius", "diameter"), ("roller-friction", "friction")):
             if name in names and "large-deflection" not in names:
                 yield Fault.of("results.no_large_deflection", ("corrections",), name=name)
-            if name in names and (not isinstance(roller, Mapping) or roller.get(key) is None):
+            if name in names and getattr(self.roller, key, None) is None:
                 yield Fault.of("results.no_roller", ("corrections",), name=name, key=key)
 
     def list_methods(self, test: ReducedTest) -> tuple[str]:

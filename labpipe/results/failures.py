@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import re
 from bisect import bisect
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from math import inf, isclose
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
 
@@ -456,13 +456,12 @@ class ForceLimit(Kind):
     at_least: Annotated[Force | None, "Limit of the lab, in place of a card"] = None
     conductor: Annotated[str, "Section that `at_least` applies to, such as AWG 20"] = ""
 
-    @staticmethod
-    def find_contradictions(data: Mapping[str, Any]) -> Iterator[Fault]:
+    def find_value_faults(self) -> Iterator[Fault]:
         """Find a limit that is missing or stated twice, and a card without a column."""
-        if (data.get("card") is None) == (data.get("at_least") is None):
-            found = "neither" if data.get("card") is None else "both"
+        if (self.card is None) == (self.at_least is None):
+            found = "neither" if self.card is None else "both"
             yield Fault.of("protocol.one_limit", found=found)
-        elif data.get("card") is not None and not data.get("column"):
+        elif self.card is not None and not self.column:
             yield Fault.of("protocol.no_card_column", ("card",))
 
     def list_methods(self, test: ReducedTest) -> tuple[str, str]:

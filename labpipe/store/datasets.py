@@ -183,7 +183,7 @@ def fletcher32(data: bytes) -> int:
 
 
 @dataclass(frozen=True, slots=True)
-class Target:
+class GroupWriter:
     """Group that is being written, with threads for compression and the data written so far.
 
     Parameters
@@ -201,9 +201,9 @@ class Target:
     cache: ChunkCache = field(default_factory=dict)
     datasets: dict[str, tuple[Any, DatasetSpec]] = field(default_factory=dict)
 
-    def open_group(self, name: str) -> Target:
+    def open_group(self, name: str) -> GroupWriter:
         """Open a subgroup, or create it if it does not exist."""
-        return Target(self.group.require_group(name), self.pool, self.arrays, self.cache)
+        return GroupWriter(self.group.require_group(name), self.pool, self.arrays, self.cache)
 
     def write_array(
         self, name: str, values: NDArray[Any] | tuple[str, ...], spec: DatasetSpec, unit: str = ""
@@ -375,7 +375,7 @@ _CODES, _MESSAGES = "reason_codes", "reason_messages"
 """Names of the attributes that contain the codes and the messages of reasons."""
 
 
-def write_record(target: Target, record: object) -> None:
+def write_record(target: GroupWriter, record: object) -> None:
     """Write the arrays and attributes of a record.
 
     Parameters
@@ -399,7 +399,7 @@ def read_record(group: Any, kind: type[_R], **extra: object) -> _R:
     return kind(**read_arrays(group, kind), **read_attributes(group, kind, skip=extra), **extra)
 
 
-def write_arrays(target: Target, record: Any) -> None:
+def write_arrays(target: GroupWriter, record: Any) -> None:
     """Write the arrays of a record as datasets with dimension scales.
 
     Parameters
@@ -437,7 +437,7 @@ def read_arrays(group: Any, kind: Any, names: Iterable[str] = ()) -> dict[str, A
     return arrays
 
 
-def write_attributes(target: Target, record: Any, *, skip: Container[str] = ()) -> None:
+def write_attributes(target: GroupWriter, record: Any, *, skip: Container[str] = ()) -> None:
     """Write the numbers, texts, intervals and reasons of a record.
 
     A number or interval that is None is not written. A text or reason that is None is written
@@ -454,11 +454,11 @@ def write_attributes(target: Target, record: Any, *, skip: Container[str] = ()) 
             _write_attribute(target, name, attribute, getattr(record, name))
 
 
-def _write_attribute(target: Target, name: str, attribute: AttributeSpec, value: Any) -> None:
+def _write_attribute(target: GroupWriter, name: str, attribute: AttributeSpec, value: Any) -> None:
     """Write the value of one field of a record as attributes of a group."""
-    kind, unit, _ = attribute
+    field_type, unit, _ = attribute
     attributes = target.group.attrs
-    if kind in _REASONS:
+    if field_type in _REASONS:
         reasons = value if isinstance(value, tuple) else (value,) if value else ()
         target.write_texts(_CODES, [reason.code for reason in reasons])
         target.write_texts(_MESSAGES, [reason.message for reason in reasons])
@@ -467,10 +467,10 @@ def _write_attribute(target: Target, name: str, attribute: AttributeSpec, value:
             attributes[make_bound_prefix(name) + bound] = float(getattr(value, bound))
     elif isinstance(value, tuple):
         target.write_texts(name, value)
-    elif kind not in (int, float, Interval):
+    elif field_type not in (int, float, Interval):
         attributes[name] = _format_cell(value)
     elif value is not None:
-        attributes[name] = kind(value)
+        attributes[name] = field_type(value)
         if unit is not None:
             attributes[f"{name}_unit"] = unit.symbol
 
@@ -494,25 +494,25 @@ def read_attributes(group: Any, kind: Any, *, skip: Container[str] = ()) -> dict
 
 def _read_attribute(group: Any, name: str, attribute: AttributeSpec) -> Any:
     """Read the value of one field of a record from attributes of a group."""
-    kind, _, is_optional = attribute
-    if kind in _REASONS:
+    field_type, _, is_optional = attribute
+    if field_type in _REASONS:
         pairs = zip(read_texts(group, _CODES), read_texts(group, _MESSAGES), strict=True)
         reasons = tuple(Reason(*pair) for pair in pairs)
-        return next(iter(reasons), None) if kind is Reason else reasons
-    if kind == tuple[str, ...]:
+        return next(iter(reasons), None) if field_type is Reason else reasons
+    if field_type == tuple[str, ...]:
         return read_texts(group, name)
-    if kind not in (int, float, Interval):
+    if field_type not in (int, float, Interval):
         return _parse_cell({name: read_text(group, name)}, name, attribute)
     names = [name]
-    if kind is Interval:
+    if field_type is Interval:
         names = [make_bound_prefix(name) + bound for bound in _INTERVAL_FIELDS]
     if is_optional and names[0] not in group.attrs:
         return None
-    return kind(*(read_number(group, name) for name in names))
+    return field_type(*(read_number(group, name) for name in names))
 
 
 def write_table(
-    target: Target, name: str, kind: type[_R], rows: Sequence[_R], unit: str = ""
+    target: GroupWriter, name: str, kind: type[_R], rows: Sequence[_R], unit: str = ""
 ) -> None:
     """Write records as a table, which is a group of columns.
 
@@ -591,11 +591,12 @@ def read_columns(
 
 def _parse_cell(row: Mapping[str, Any], name: str, attribute: AttributeSpec) -> Any:
     """Parse one field of a record from the cells of a row."""
-    if attribute.kind is Interval:
+    field_type, _, is_optional = attribute
+    if field_type is Interval:
         return Interval(*(row[make_bound_prefix(name) + bound] for bound in ("lower", "upper")))
     cell = row[name]
-    if attribute.is_optional and (cell == "" or (attribute.kind is float and isnan(cell))):
+    if is_optional and (cell == "" or (field_type is float and isnan(cell))):
         return None
-    if attribute.kind is date:
+    if field_type is date:
         return date.fromisoformat(cell)
-    return tuple(cell.split(", ")) if attribute.kind == tuple[str, ...] else attribute.kind(cell)
+    return tuple(cell.split(", ")) if field_type == tuple[str, ...] else field_type(cell)

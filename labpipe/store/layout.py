@@ -63,17 +63,21 @@ class DatasetSpec:
     unit_field: str = ""
 
 
+_ATTRIBUTE_TYPES: Final = (int, float, str, date, Interval, Reason)
+"""Types of the values, or of the items of tuples, that are stored as attributes."""
+
+
 class AttributeSpec(NamedTuple):
     """Definition of a field that is stored as an attribute or as a cell of a table.
 
     Parameters
     ----------
-    kind : type of the field, without None
+    field_type : type of the field, without None
     unit : unit of a number; None if the type hint states no unit
     is_optional : whether the field may be None
     """
 
-    kind: Any
+    field_type: Any
     unit: Unit | None
     is_optional: bool
 
@@ -93,12 +97,12 @@ class ColumnSpec(NamedTuple):
     dataset: DatasetSpec
 
 
-def _cached(function: Callable[[Any], _R]) -> Callable[[Any], _R]:
+def _cache_by_type(function: Callable[[Any], _R]) -> Callable[[Any], _R]:
     """Cache a function whose argument is a type, for which mypy rejects `functools.cache`."""
     return cache(function)
 
 
-@_cached
+@_cache_by_type
 def list_datasets(record_type: Any) -> Mapping[str, DatasetSpec]:
     """List the definitions of the datasets of a type of record, keyed by name."""
     datasets: dict[str, DatasetSpec] = {}
@@ -128,31 +132,29 @@ def choose_scales(datasets: Mapping[str, DatasetSpec]) -> dict[str, str]:
     return {spec.axes[0]: name for name, spec in reversed(one_axis_datasets)}
 
 
-@_cached
+@_cache_by_type
 def list_attributes(record_type: Any) -> Mapping[str, AttributeSpec]:
     """List the fields of a type of record that are stored as attributes, keyed by name.
 
     They are the numbers, strings, dates, intervals and reasons, and the tuples of strings or
-    reasons without an axis. Fields with ``compare=False`` and fields with a unit are excluded.
+    reasons without an axis. Fields with ``compare=False``, and fields that contain the unit of an
+    array, are excluded.
     """
     stored_names = {field.name for field in fields(record_type) if field.compare}
     stored_names -= {spec.unit_field for spec in list_datasets(record_type).values()}
     attributes: dict[str, AttributeSpec] = {}
     for name, (field_type, axes, unit) in _list_annotations(record_type):
-        kinds = get_args(field_type) if isinstance(field_type, UnionType) else (field_type,)
-        kind = next(kind for kind in kinds if kind is not NoneType)
-        is_simple = isinstance(kind, type) and issubclass(
-            kind, (int, float, str, date, Interval, Reason)
-        )
-        is_simple_tuple = (
-            get_origin(kind) is tuple and get_args(kind)[0] in (str, Reason) and not axes
-        )
-        if name in stored_names and (is_simple or is_simple_tuple):
-            attributes[name] = AttributeSpec(kind, unit, NoneType in kinds)
+        members = get_args(field_type) if isinstance(field_type, UnionType) else (field_type,)
+        stored_type = next(member for member in members if member is not NoneType)
+        is_tuple = get_origin(stored_type) is tuple and not axes
+        item_type = get_args(stored_type)[0] if is_tuple else stored_type
+        is_attribute = isinstance(item_type, type) and issubclass(item_type, _ATTRIBUTE_TYPES)
+        if is_attribute and name in stored_names:
+            attributes[name] = AttributeSpec(stored_type, unit, NoneType in members)
     return attributes
 
 
-@_cached
+@_cache_by_type
 def list_columns(row_type: Any) -> Mapping[str, ColumnSpec]:
     """List the columns of a table, keyed by name.
 
@@ -162,11 +164,11 @@ def list_columns(row_type: Any) -> Mapping[str, ColumnSpec]:
     """
     number_dtypes = {int: "int64", float: "float64", bool: "uint8", Interval: "float64"}
     columns: dict[str, ColumnSpec] = {}
-    for name, (kind, unit, _) in list_attributes(row_type).items():
-        dtype = number_dtypes.get(kind, TEXT)
+    for name, (field_type, unit, _) in list_attributes(row_type).items():
+        dtype = number_dtypes.get(field_type, TEXT)
         symbol = TEXT if dtype == TEXT else (unit.symbol or None) if unit else "1"
         dataset = DatasetSpec((ROW_AXES[row_type],), symbol, dtype)
-        if kind is Interval:
+        if field_type is Interval:
             columns |= {
                 make_bound_prefix(name) + bound: ColumnSpec(name, bound, dataset)
                 for bound in ("lower", "upper")

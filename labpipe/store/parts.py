@@ -44,7 +44,7 @@ from labpipe.records.result import (
     TestResult,
 )
 from labpipe.store.datasets import (
-    Target,
+    GroupWriter,
     read_array,
     read_array_rows,
     read_arrays,
@@ -76,9 +76,12 @@ from labpipe.store.layout import (
 _R = TypeVar("_R")
 _SPECIMEN_TEXTS: Final = {"type": "specimen_type", "spool": "spool", "sample": "sample"}
 """Names of the attributes of the root for fields of the specimen, keyed by field."""
-_WIRE_TYPE: Final = DatasetSpec(("type",), TEXT, TEXT)
-_WIRE_NUMBER: Final = DatasetSpec(("type",), "1", "int64")
-_WIRE_DIAMETER: Final = DatasetSpec(("type",), "m")
+_WIRE_COLUMNS: Final = {
+    "wire_types": DatasetSpec(("type",), TEXT, TEXT),
+    "wire_numbers": DatasetSpec(("type",), "1", "int64"),
+    "wire_diameters": DatasetSpec(("type",), "m"),
+}
+"""Definitions of the datasets with the type, number and diameter of the wires of each type."""
 _WIRE_POSITION: Final = DatasetSpec(("wire", "xy"), "m")
 _SAMPLE_NUMBER: Final = DatasetSpec(("sample",), "1", "int64")
 """Definition of the datasets with the branch and the cycle of each sample.
@@ -101,7 +104,7 @@ _SPECIMEN_MAPS = {"labels": ("labels", "label_words"), "observed": ("observed", 
 """Names of the attributes for the keys and texts of each mapping of a specimen."""
 
 
-def write_specimen(target: Target, specimen: Specimen) -> None:
+def write_specimen(target: GroupWriter, specimen: Specimen) -> None:
     """Write a specimen, with type, spool and sample in the root, and other fields in a group.
 
     Parameters
@@ -123,16 +126,18 @@ def write_specimen(target: Target, specimen: Specimen) -> None:
         _write_bundle(target.open_group("bundle"), specimen.bundle)
 
 
-def _write_bundle(target: Target, bundle: Bundle) -> None:
+def _write_bundle(target: GroupWriter, bundle: Bundle) -> None:
     """Write a bundle of wires, with NaN for sizes that are not stated."""
     write_attributes(target, bundle, skip=("conduit_bore",))
     target.group.attrs["conduit_bore"] = _none_to_nan(bundle.conduit_bore)
     target.group.attrs["conduit_bore_unit"] = "m"
-    numbers = np.array([wire.number for wire in bundle.wires], dtype=np.int64)
-    diameters = np.array([_none_to_nan(wire.diameter) for wire in bundle.wires])
-    target.write_array("wire_types", tuple(wire.type for wire in bundle.wires), _WIRE_TYPE)
-    target.write_array("wire_numbers", numbers, _WIRE_NUMBER)
-    target.write_array("wire_diameters", diameters, _WIRE_DIAMETER)
+    columns: Sequence[Any] = (
+        tuple(wire.type for wire in bundle.wires),
+        np.array([wire.number for wire in bundle.wires], dtype=np.int64),
+        np.array([_none_to_nan(wire.diameter) for wire in bundle.wires]),
+    )
+    for values, (name, spec) in zip(columns, _WIRE_COLUMNS.items(), strict=True):
+        target.write_array(name, values, spec)
     if bundle.positions:
         target.write_array("positions", np.array(bundle.positions), _WIRE_POSITION)
     target.attach_scales()
@@ -162,17 +167,12 @@ def read_specimen(root: Any) -> Specimen:
 
 def _read_bundle(group: Any) -> Bundle:
     """Read a bundle of wires; raise ValueError if its arrangement or taping is unknown."""
-    wires = zip(
-        read_array(group, "wire_types", _WIRE_TYPE),
-        read_array(group, "wire_numbers", _WIRE_NUMBER),
-        read_array(group, "wire_diameters", _WIRE_DIAMETER),
-        strict=True,
-    )
+    columns = (read_array(group, *column) for column in _WIRE_COLUMNS.items())
     positions = read_array(group, "positions", _WIRE_POSITION) if "positions" in group else ()
     bundle = Bundle(
         wires=tuple(
             BundleWire(wire_type, int(number), _nan_to_none(diameter))
-            for wire_type, number, diameter in wires
+            for wire_type, number, diameter in zip(*columns, strict=True)
         ),
         positions=tuple((float(x), float(y)) for x, y in positions),
         conduit_bore=_nan_to_none(group.attrs["conduit_bore"]),
@@ -194,7 +194,7 @@ def _nan_to_none(value: float) -> float | None:
     return None if isnan(value) else float(value)
 
 
-def write_recording(target: Target, recording: Recording) -> None:
+def write_recording(target: GroupWriter, recording: Recording) -> None:
     """Write a recording.
 
     Parameters
@@ -221,7 +221,7 @@ def write_recording(target: Target, recording: Recording) -> None:
 
 
 def _write_series(
-    target: Target,
+    target: GroupWriter,
     list_name: str,
     series: Iterable[tuple[str, Clock | Channel | Series]],
     reserved: Sequence[str] = (),
@@ -258,7 +258,7 @@ def _read_series(group: Any, name: str, kind: Any) -> Any:
     return kind(**{field: read_array(group, name, spec)}, **texts, unit=unit)
 
 
-def _write_markers(target: Target, tracks: MarkerTracks) -> None:
+def _write_markers(target: GroupWriter, tracks: MarkerTracks) -> None:
     """Write marker tracks, and a group for each rigid body with the same times."""
     markers, bodies = target.open_group("markers"), target.open_group("rigid_bodies")
     write_record(markers, tracks)
@@ -324,7 +324,7 @@ def _read_markers(group: Any) -> MarkerTracks:
     return read_record(group["markers"], MarkerTracks, bodies=all_bodies)
 
 
-def write_raw(target: Target, result: TestResult) -> None:
+def write_raw(target: GroupWriter, result: TestResult) -> None:
     """Write the recording of each role, with the names, SHA-256 and order of the exports.
 
     Parameters
@@ -367,7 +367,7 @@ def read_inputs(raw: Any) -> tuple[InputFile, ...]:
     return tuple(inputs[i] for i in sorted(inputs))
 
 
-def write_aligned(target: Target, aligned: Aligned) -> None:
+def write_aligned(target: GroupWriter, aligned: Aligned) -> None:
     """Write aligned signals, with the events of their clocks.
 
     Parameters
@@ -406,7 +406,7 @@ def read_aligned(root: Any) -> Aligned | None:
     return read_record(group, Aligned, series=series, clock_fit=fit)
 
 
-def write_curve(target: Target, result: TestResult, curve: Curve) -> None:
+def write_curve(target: GroupWriter, result: TestResult, curve: Curve) -> None:
     """Write the curve of a test, with its branches, slips and fitted lines.
 
     Parameters
@@ -448,7 +448,7 @@ def read_curve(root: Any) -> dict[str, Any]:
     }
 
 
-def write_optional_table(target: Target, name: str, kind: type[_R], rows: Sequence[_R]) -> None:
+def write_optional_table(target: GroupWriter, name: str, kind: Any, rows: Sequence[Any]) -> None:
     """Write a table as `write_table` does, unless it is empty."""
     if rows:
         write_table(target, name, kind, rows)
@@ -459,7 +459,7 @@ def read_optional_table(parent: Any, name: str, kind: type[_R]) -> tuple[_R, ...
     return read_table(parent, name, kind) if name in parent else ()
 
 
-def write_bending(target: Target, bending: Bending) -> None:
+def write_bending(target: GroupWriter, bending: Bending) -> None:
     """Write the measured moments and curvatures, with their law.
 
     Parameters
@@ -487,7 +487,7 @@ def read_bending(root: Any) -> Bending | None:
     return read_record(group, Bending, cloud=read_record(group, BendingCloud), law=law)
 
 
-def write_results(target: Target, results: Sequence[Result]) -> None:
+def write_results(target: GroupWriter, results: Sequence[Result]) -> None:
     """Write the results, a table of them, and a table of their budgets.
 
     Parameters
@@ -546,7 +546,7 @@ def read_results(root: Any) -> tuple[Result, ...]:
     return tuple(results)
 
 
-def write_test(target: Target, result: TestResult) -> None:
+def write_test(target: GroupWriter, result: TestResult) -> None:
     """Write all parts of a test.
 
     Parameters

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from labpipe.errors import LabpipeError, StoreError
 from labpipe.records.curve import DrawnLaw, DrawnShapes
 from labpipe.records.result import TestResult
-from labpipe.store.datasets import Target, has_same_content, locate_array, read_text
+from labpipe.store.datasets import GroupWriter, has_same_content, locate_array, read_text
 from labpipe.store.layout import SCHEMA_ATTRIBUTE, SCHEMA_VERSION
 from labpipe.store.parts import (
     FrameChoice,
@@ -60,7 +60,7 @@ def _build_image(result: TestResult) -> tuple[bytes, dict[str, NDArray[Any]]]:
         ThreadPoolExecutor(max(os.cpu_count() or 1, 2)) as pool,
         h5py.File("result", "w", driver="core", backing_store=False, block_size=1 << 20) as root,
     ):
-        target = Target(root, pool)
+        target = GroupWriter(root, pool)
         write_test(target, result)
         root.flush()
         return root.id.get_file_image(), target.arrays

@@ -10,8 +10,8 @@ from typing import NamedTuple
 from labpipe.mechanics.rod.path import RodPath
 from labpipe.mechanics.rod.statics import follow
 from labpipe.mechanics.studies.harness_line import Material, prepare_line, read_material
-from labpipe.protocol.harness_file import HarnessFile
 from labpipe.protocol.load import load_harness
+from labpipe.protocol.model_files import HarnessFile
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 SHEET = EXAMPLES / "wires.xlsx"

@@ -62,7 +62,7 @@ def test_put_skips_tests_written_by_another_process(catalog: Catalog) -> None:
     catalog.write_entries([ENTRY])
     assert catalog.read_rows() == catalog.read_rows("T1") == {"T1": ENTRY.row}
     assert (catalog.read_rows("T2"), catalog.read_file_states("T2")) == ({}, {})
-    assert catalog.read_results("T1") == (RESULT,)
+    assert catalog._fetch_all("select name, value from results") == [("peak", 1.5)]
     states = catalog.read_file_states()
     assert states == {"T1": ENTRY.file_state}
     newer = Entry(ENTRY.row._replace(run="newer"), FileState("{}", "newer"))
@@ -212,12 +212,12 @@ def test_claim_ends_with_its_process(catalog: Catalog) -> None:
     own_claim = catalog.read_claims()["T1"]
     ended = subprocess.Popen([sys.executable, "-c", ""])
     os.waitid(os.P_PID, ended.pid, os.WEXITED | os.WNOWAIT)  # it is a zombie from here on
-    claim = own_claim._replace(pid=ended.pid, process="")
+    claim = own_claim._replace(pid=ended.pid, start_time="")
     assert not is_alive(claim)
     ended.wait()
     assert not is_alive(claim)
     assert is_alive(own_claim)
-    assert not is_alive(own_claim._replace(process="another boot 1"))
+    assert not is_alive(own_claim._replace(start_time="another boot 1"))
 
 
 def test_old_claims_of_other_hosts_are_ignored() -> None:

@@ -155,7 +155,7 @@ def test_workers_must_see_the_files(alone: Cluster, hidden_labs: list[TensileLab
         client.wait_for_workers(2, timeout=60)
     with pytest.raises(UsageError, match="the files of this machine") as raised:
         list(process_on_cluster(tasks, alone.address))
-    assert raised.value.code == "no_cluster"
+    assert raised.value.code == "worker_without_data"
 
 
 def test_missing_scheduler_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

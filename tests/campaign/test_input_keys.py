@@ -11,7 +11,7 @@ import pytest
 from labpipe.campaign.campaign_files import (
     HashedInputs,
     InputReader,
-    MadeOf,
+    SourceHashes,
     describe_changes,
     parse_inputs,
     take_stamp,
@@ -61,10 +61,11 @@ def test_key_of_inputs_equals_result_key(tmp_path: Path, ends: str) -> None:
     result = process(Task(lab.sheet, figures=False)).result
     inputs = InputReader().read_inputs(lab.sheet)
     assert inputs.key == result.run
-    assert inputs.made_of.files == tuple((i.role, i.file, i.sha256) for i in result.inputs)
-    assert {"sheet": inputs.made_of.sheet, "protocol": inputs.made_of.protocol} == lab.summary[
-        "made_of"
-    ]
+    assert inputs.source_hashes.files == tuple((i.role, i.file, i.sha256) for i in result.inputs)
+    assert {
+        "sheet": inputs.source_hashes.sheet,
+        "protocol": inputs.source_hashes.protocol,
+    } == lab.summary["made_of"]
     assert inputs.facts["test"] == "P-1"
 
 
@@ -81,7 +82,7 @@ def test_key_depends_on_cards_and_protocols_of_the_lab(
     lab_file.write_text(texts[lab_file.suffix], "utf-8")
     current = InputReader().read_inputs(folder / "test.yaml", previous)
     assert current.key != previous.key
-    assert ("dialect" in [role for role, _, _ in current.made_of.files]) == (
+    assert ("dialect" in [role for role, _, _ in current.source_hashes.files]) == (
         lab_file.suffix == ".toml"
     )
 
@@ -121,7 +122,7 @@ def test_faulty_sheet_has_its_own_key(folder: Path, text: str) -> None:
     sheet.write_text(text, "utf-8")
     first, repeated = (InputReader().read_inputs(sheet) for _ in range(2))
     assert first.key == repeated.key != good.key
-    assert first.made_of.files == ()
+    assert first.source_hashes.files == ()
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no pipes here")
@@ -136,11 +137,11 @@ def test_pipe_has_an_empty_stamp(folder: Path) -> None:
 def test_inputs_round_trip(folder: Path) -> None:
     inputs = InputReader().read_inputs(folder / "test.yaml")
     assert parse_inputs(inputs.to_json()) == inputs
-    for text in ("", "{}", "[]", "null", '{"made_of": 1}'):
+    for text in ("", "{}", "[]", "null", '{"source_hashes": 1}'):
         assert parse_inputs(text) is None
 
 
-NOW = MadeOf((("force", "a.mat", "1"), ("markers", "b.csv", "2")), "s", "p")
+NOW = SourceHashes((("force", "a.mat", "1"), ("markers", "b.csv", "2")), "s", "p")
 EXTRA = (*NOW.files, ("frame", "c.csv", "3"))
 
 
@@ -159,4 +160,4 @@ EXTRA = (*NOW.files, ("frame", "c.csv", "3"))
 def test_describe_changes(
     files: tuple[tuple[str, str, str], ...], texts: str, message: str
 ) -> None:
-    assert describe_changes(MadeOf(files, texts[:1], texts[1:]), NOW) == message
+    assert describe_changes(SourceHashes(files, texts[:1], texts[1:]), NOW) == message

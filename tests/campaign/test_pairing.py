@@ -50,7 +50,7 @@ def test_pairing_by_name_writes_sheet_and_copies(campaign: Path) -> None:
     exports = state(campaign / "incoming")
     written = pair_test(only(campaign), read_plan(campaign))
     assert written.sheet == campaign / "A2-085-3" / "test.yaml"
-    assert (written.is_new, written.open_keys, written.missing) == (True, (), ())
+    assert (written.is_new, written.open_keys, written.missing_files) == (True, (), ())
     sheet = load_test_sheet(written.sheet)
     names = (sheet.test, sheet.protocol, sheet.operator, str(sheet.date))
     assert names == ("A2-085-3", "wire-cantilever", "bench 2", "2026-03-04")
@@ -84,13 +84,13 @@ def test_missing_or_unreadable_exports_are_awaited(campaign: Path) -> None:
     take = campaign / "incoming" / "A2-085-3.csv"
     moved = take.rename(campaign.parent / "take.csv")
     written = pair_test(only(campaign), read_plan(campaign))
-    assert (written.sheet, written.missing) == (None, ("markers",))
+    assert (written.sheet, written.missing_files) == (None, ("markers",))
     assert not (campaign / "A2-085-3").exists()
     moved.rename(take)
     content = take.read_bytes()
     take.write_bytes(b"")
     written = pair_test(only(campaign), read_plan(campaign))
-    assert (written.sheet, list(written.unreadable)) == (None, ["A2-085-3.csv"])
+    assert (written.sheet, list(written.read_errors)) == (None, ["A2-085-3.csv"])
     assert not (campaign / "A2-085-3").exists()
     take.write_bytes(content)
     assert pair_test(only(campaign), read_plan(campaign)).sheet is not None
@@ -115,7 +115,7 @@ def test_unmatched_files_have_a_reason(campaign: Path) -> None:
     listing = list_candidates(campaign, read_plan(campaign))
 
     assert [candidate.name for candidate in listing.candidates] == ["A2-085-3", "A2-085-4"]
-    assert {path.name: why for path, why in listing.unmatched.items()} == {
+    assert {path.name: why for path, why in listing.unused_files.items()} == {
         "notes.docx": "its name fits no pattern in campaign.yaml",
         "a\nb.csv": "its name has control characters; rename it",
         "A2-085-3_Force.mat": "A2-085-3_FORCE.mat is already the force of the same test",
@@ -130,7 +130,7 @@ def test_one_folder_per_test(lab: Lab) -> None:
     plan = read_plan(folder)
     listing = list_candidates(folder, plan)
     assert [candidate.name for candidate in listing.candidates] == ["T1"]
-    assert listing.unmatched == {folder / "loose.csv": "it is not in the folder of a test"}
+    assert listing.unused_files == {folder / "loose.csv": "it is not in the folder of a test"}
     written = pair_test(listing.candidates[0], plan)
     assert written.open_keys == ("protocol", "type", "spool", "sample")
     with pytest.raises(ProtocolError, match=r"specimen\.spool"):
@@ -171,13 +171,13 @@ def test_roles_awaited_by_the_protocols_of_other_tests(
     candidates = list_candidates(lab.raw.parent, plan).candidates
     candidate_of_test = next(candidate for candidate in candidates if candidate.folder == lab.raw)
     written = pair_test(candidate_of_test, plan, stable_time=stable_time)
-    assert (written.missing, written.sheet is None) == (missing, bool(missing))
+    assert (written.missing_files, written.sheet is None) == (missing, bool(missing))
 
 
 def test_written_sheet_awaits_its_exports(lab: Lab) -> None:
     (lab.raw / "take.csv").unlink()
     written = pair_test(only(lab.raw.parent), read_plan(lab.raw.parent))
-    assert (written.sheet, written.missing) == (None, ("take.csv",))
+    assert (written.sheet, written.missing_files) == (None, ("take.csv",))
 
 
 def test_faulty_plan_is_refused(campaign: Path) -> None:

@@ -21,8 +21,8 @@ from labpipe.campaign.catalog import (
 )
 from labpipe.campaign.queries import (
     QueryResult,
+    format_query_result,
     query_results,
-    write_query_result,
     write_workbook,
 )
 from labpipe.errors import UsageError
@@ -116,9 +116,7 @@ def test_invalid_conditions_are_refused(
 
 
 def written(catalog: Catalog, form: str, where: str = "") -> str:
-    out = io.StringIO()
-    write_query_result(query_results(catalog, where), form, out)
-    return out.getvalue()
+    return format_query_result(query_results(catalog, where), form)
 
 
 def test_csv_and_json_keep_every_character(catalog: Catalog) -> None:
@@ -138,9 +136,9 @@ def test_csv_and_json_keep_every_character(catalog: Catalog) -> None:
 )
 def test_formulas_in_csv_are_quoted(cell: str) -> None:
     """A quote stands before what a spreadsheet would take for a formula."""
-    out, text = io.StringIO(), cell.removeprefix("'")
-    write_query_result(QueryResult((text, "value"), [(text, -1.5)]), "csv", out)
-    rows = list(csv.reader(io.StringIO(out.getvalue(), newline="")))
+    text = cell.removeprefix("'")
+    content = format_query_result(QueryResult((text, "value"), [(text, -1.5)]), "csv")
+    rows = list(csv.reader(io.StringIO(content, newline="")))
     assert rows == [[cell, "value"], [cell, "-1.5"]]
 
 

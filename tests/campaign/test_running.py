@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from labpipe.campaign.campaign_files import MadeOf, find_outcome
+from labpipe.campaign.campaign_files import SourceHashes, find_outcome
 from labpipe.campaign.catalog import DOUBTFUL, FAILED, OK, PENDING, STALE, Entry, read_outcome
 from labpipe.campaign.decisions import Decision
 from labpipe.campaign.running import (
@@ -122,7 +122,7 @@ def test_newer_results_are_kept_until_cleared(campaign: LabCampaign) -> None:
     assert "found one of a newer labpipe, schema 99. Update labpipe." in row.reason
     campaign.run()
     assert campaign.stand_in.processed == []
-    campaign.run(forced=clear_failures(campaign.folders, "newer_result"))
+    campaign.run(forced_folders=clear_failures(campaign.folders, "newer_result"))
     assert campaign.stand_in.processed == ["T1"]
 
 
@@ -405,7 +405,7 @@ def test_a_failure_beside_earlier_results(one_test: LabCampaign) -> None:
     row = failed.row
     assert (row.state, row.code, row.reason) == (FAILED, "process_died", "it was ended")
     assert (row.run, row.failed_run, row.attempt_key) == (entry.row.run, "f" * 64, "f" * 64)
-    assert failed.made_of == MadeOf(sheet="5e")
+    assert failed.source_hashes == SourceHashes(sheet="5e")
     assert failed.results == entry.results
     for text in ("", "[]", '{"made_of": 1, "inputs": [1]}', '{"inputs": {}}'):
         (folder / "failure.json").write_text(text, "utf-8")

@@ -204,12 +204,6 @@ def test_ten_thousand_decisions_in_one_request(
     answer = client.post("report/decisions", {"schema": 1, "decisions": strangers})
     assert answer.json["message"].startswith("0 decisions saved. X-0: not saved: there is no such")
     assert answer.json["message"].endswith("test. 9990 more not saved.")
-    content = (client.site.results_folder / "decisions.json").read_bytes()
-    monkeypatch.setattr("labpipe.campaign.decisions._MAX_FILE_BYTES", len(content))
-    answer = client.post("report/decisions", {"schema": 1, "decisions": [entry]})
-    assert answer.status == 409
-    assert f"expected at most {len(content)} bytes of decisions" in answer.json["error"]
-    assert (client.site.results_folder / "decisions.json").read_bytes() == content
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -17,7 +18,7 @@ import pytest
 
 from docs.site.reference_pages import list_note_kinds
 from labpipe.campaign.campaign_files import find_campaign
-from labpipe.campaign.catalog import TestRow
+from labpipe.campaign.catalog import Entry, TestRow, open_catalog
 from labpipe.campaign.decisions import Decision
 from labpipe.campaign.executors import Outcome
 from labpipe.campaign.pairing import pair_test
@@ -26,13 +27,13 @@ from labpipe.campaign.watching import (
     WatchedCampaign,
     Watcher,
     describe_test,
-    make_group_key,
     read_actions,
 )
 from labpipe.errors import CODES
 from labpipe.process.run import ProcessedTest, RefusedTest
 from labpipe.records.quality import Severity
 from labpipe.records.result import Result, Specimen, TestResult
+from labpipe.store.layout import ResultRow
 from tests.builders.lab_campaigns import LabCampaign
 from tests.builders.small_tests import Lab
 
@@ -64,11 +65,10 @@ class Campaign(WatchedCampaign):
     fails: dict[str, str] = field(default_factory=dict)
     trouble: list[Exception] = field(default_factory=list)
 
-    @property
-    def raw(self) -> Path:
-        return self.home / "raw" / "c"
+    def __post_init__(self) -> None:
+        self.raw = self.home / "raw" / "c"
 
-    def is_processed(self, sheet: Path) -> bool:
+    def was_processed(self, sheet: Path) -> bool:
         return sheet.parent.name in self.done
 
     def process(self, sheet: Path, *, is_forced: bool = False) -> Outcome | None:
@@ -105,7 +105,7 @@ class Bench:
             self.campaign,
             pair=pair_test,
             draw=lambda folder: self.drawn.append(folder.name),
-            say=self.said.append,
+            show_message=self.said.append,
             clock=lambda: self.now,
         )
 
@@ -355,10 +355,17 @@ def test_group_values_exclude_the_test_itself(tmp_path: Path) -> None:
     record_decision(campaign.folders, "T3", Decision("", "", "reject", "slipped", "AT"))
     watched = WatchedCampaign(campaign.folders, campaign.stand_in)
     assert watched.read_group_values(campaign.raw / "T1" / "test.yaml") == {"peak_force.1": [2.0]}
-    row = TestRow("T", protocol="p", specimen='{"type": "A", "length": 1}')
-    same_group = row._replace(specimen='{"length": 1, "sample": "2", "type": "A"}')
-    longer = row._replace(specimen='{"type": "A", "length": 2}')
-    assert make_group_key(row) == make_group_key(same_group) != make_group_key(longer)
+
+
+def test_group_has_one_protocol_and_specimen(tmp_path: Path) -> None:
+    specimens = ('{"length": 1.0}', '{"length": 1.0, "sample": "2"}', '{"length": 2.0}')
+    with closing(open_catalog(tmp_path, [])) as catalog:
+        for value, specimen in enumerate(specimens):
+            result = ResultRow("a", value, value, None, None, "N", None, "ok", "", "")
+            row = TestRow(str(value), run="r", protocol="p", specimen=specimen)
+            other_row = row._replace(folder=f"q{value}", protocol="q")
+            catalog.write_entries(Entry(test, results=(result,)) for test in (row, other_row))
+        assert [catalog.read_group_values(folder) for folder in "02"] == [{"a": [1.0]}, {}]
 
 
 def test_every_code_that_doubts_or_fails_has_an_action(repository: Path) -> None:

@@ -16,7 +16,7 @@ import openpyxl
 import pytest
 
 from labpipe.campaign.reporting import WrittenReport
-from labpipe.cli import BAD_INPUT, DONE, SOME_FAILED
+from labpipe.cli import EXIT_ERROR, EXIT_OK, EXIT_SOME_FAILED
 from labpipe.cli.demo import CAMPAIGNS, DEMO_TESTS, WIRE_SECTION
 from labpipe.cli.report import print_left_out
 from labpipe.records.group import Campaign
@@ -50,12 +50,12 @@ def test_real_tests_from_run_to_query(run: Run, tmp_path: Path) -> None:
     raw = labs[0].raw.parent
     command = ("campaign", "run", raw, "--no-figures", "--jobs", "1")
     ran = run(*command)
-    assert ran.status == BAD_INPUT
+    assert ran.status == EXIT_ERROR
     assert "processed 2 of 2" in ran.out
     assert "failed  S-0001  missing_export: " in ran.out
     missing.write_bytes(export)
     ran = run(*command)
-    assert ran.status in {DONE, SOME_FAILED}
+    assert ran.status in {EXIT_OK, EXIT_SOME_FAILED}
     assert "1/1 S-0001: " in ran.err
     assert "processed 1 of 2" in ran.out
     assert "processed 0 of 2" in run("campaign", "run", raw).out
@@ -68,7 +68,7 @@ def test_real_tests_from_run_to_query(run: Run, tmp_path: Path) -> None:
 def test_decide_and_status(run: Run, campaign: LabCampaign) -> None:
     decide = ("campaign", "decide", campaign.raw)
     rejected = ("reject", "--by", "A. Tester", "--because")
-    assert run(*decide, "T1", *rejected, " ").status == BAD_INPUT
+    assert run(*decide, "T1", *rejected, " ").status == EXIT_ERROR
     assert run(*decide, "T1", *rejected, "slipped").out == "T1: rejected\n"
     (campaign.raw / "T1" / "frame.csv").write_text("63", "utf-8")
     campaign.run()
@@ -77,7 +77,7 @@ def test_decide_and_status(run: Run, campaign: LabCampaign) -> None:
     (campaign.raw / "T1" / "frame.csv").write_text("64", "utf-8")
     campaign.add("T4")
     ran = run("campaign", "status", campaign.raw)
-    assert ran.status == BAD_INPUT  # one failed
+    assert ran.status == EXIT_ERROR  # one failed
     lines = ran.out.splitlines()
     assert lines[0].startswith("C: 1 pending, 1 failed, 1 stale, 1 rejected  ->  ")
     assert "  T3  unreadable_export: a unreadable_export of an export" in lines
@@ -89,18 +89,18 @@ def test_decide_and_status(run: Run, campaign: LabCampaign) -> None:
 
 
 def test_query_into_files(run: Run, campaign: LabCampaign, tmp_path: Path) -> None:
-    ran = run("campaign", "query", campaign.raw, "--out", "xlsx")
-    assert ran.status == BAD_INPUT
+    query = ("campaign", "query", campaign.raw, "--out")
+    ran = run(*query, "xlsx")
+    assert ran.status == EXIT_ERROR
     assert "--out xlsx: expected a file to write, found none. Add --file results.xlsx." in ran.err
     for form in ("csv", "xlsx", "json", "table"):
-        file = tmp_path / f"out.{form}"
-        assert run("campaign", "query", campaign.raw, "--out", form, "--file", file).status == DONE
+        assert run(*query, form, "--file", tmp_path / f"out.{form}").status == EXIT_OK
     with (tmp_path / "out.csv").open(encoding="utf-8", newline="") as stream:
         rows = list(csv.DictReader(stream))
     assert [row["test"] for row in rows] == ["T1", "T2", "T3"]
     assert openpyxl.load_workbook(tmp_path / "out.xlsx")["results"].max_row == 4
     assert len(json.loads((tmp_path / "out.json").read_text("utf-8"))) == 3
-    shown = run("campaign", "query", campaign.raw, "--out", "csv").out
+    shown = run(*query, "csv").out
     assert list(csv.DictReader(io.StringIO(shown))) == rows
 
 
@@ -121,7 +121,7 @@ def pulls(home: Path) -> Path:
 @pytest.fixture
 def processed(tmp_path: Path, run: Run) -> Path:
     command = ("process", pulls(tmp_path), "--out", tmp_path / "out", "--no-figures")
-    assert run(*command).status == DONE
+    assert run(*command).status == EXIT_OK
     return tmp_path / "out"
 
 
@@ -196,7 +196,7 @@ def test_demo_calibrates_the_wire_of_an_example() -> None:
 def test_harness_prints_results_and_folder(run: Run, tmp_path: Path) -> None:
     file, out = written(tmp_path, pushed()), tmp_path / "out"
     ran = run("harness", file, "--out", out, "--no-figures")
-    assert ran.status == DONE, ran
+    assert ran.status == EXIT_OK, ran
     lines = ran.out.splitlines()
     assert lines[0] == "line: 3 ok, 6 doubtful; 100 mm of A2, 12 elements, 10 steps"
     assert lines[1].startswith("? smallest_bend_radius ")
@@ -249,7 +249,7 @@ def test_bad_input(
     errors = []
     for command in commands:
         ran = run(*command)
-        assert (ran.status, ran.out) == (BAD_INPUT, ""), command
+        assert (ran.status, ran.out) == (EXIT_ERROR, ""), command
         assert "Traceback" not in ran.err
         errors.append(ran.err)
     approved(errors)

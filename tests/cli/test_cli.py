@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from labpipe.campaign.serving import ReportServer
-from labpipe.cli import BAD_INPUT, DONE
+from labpipe.cli import EXIT_ERROR, EXIT_OK
 from labpipe.errors import LabpipeError
 from labpipe.virtual_lab.cantilever_scenarios import CantileverScenario
 from tests.builders.pulled_campaigns import make_pulls
@@ -35,7 +35,7 @@ def test_message_names_the_command(
     monkeypatch.setattr("labpipe.process.inspection.inspect_export", refused)
     ran = run("inspect", tmp_path)
     assert ran.err.startswith(f"labpipe inspect: {message}")
-    assert (ran.status, ran.out) == (BAD_INPUT, "")
+    assert (ran.status, ran.out) == (EXIT_ERROR, "")
 
 
 def test_new_then_check(run: Run, lab: Lab) -> None:
@@ -43,18 +43,18 @@ def test_new_then_check(run: Run, lab: Lab) -> None:
     facts = ["--type", "A2", "--spool", "A2-s1", "--sample", "1", "--length", "85 mm"]
     options = [*facts, "--force", "force.mat", "--markers", "take.csv"]
     ran = run("new", lab.raw, *options, "--set", "rig.stroke=12 mm", "--because", "a short stroke")
-    assert ran.status == DONE
+    assert ran.status == EXIT_OK
     assert ran.out.splitlines()[0] == f"wrote {lab.sheet}"
     assert "  not used: truth.json (JSON)" in ran.out.splitlines()
     ran = run("check", lab.raw)
-    assert (ran.status, ran.out) == (DONE, "0 protocols, 1 tests: no faults found\n")
+    assert (ran.status, ran.out) == (EXIT_OK, "0 protocols, 1 tests: no faults found\n")
     content = lab.sheet.read_bytes()
-    assert run("new", lab.raw, *options).status == BAD_INPUT
+    assert run("new", lab.raw, *options).status == EXIT_ERROR
     assert lab.sheet.read_bytes() == content
-    assert run("new", lab.raw, *options, "--overwrite").status == DONE
+    assert run("new", lab.raw, *options, "--overwrite").status == EXIT_OK
     lab.edit("test.yaml", "take.csv", "tale.csv")
     ran = run("check", lab.raw)
-    assert (ran.status, ran.out) == (BAD_INPUT, "0 protocols, 1 tests: 1 fault\n")
+    assert (ran.status, ran.out) == (EXIT_ERROR, "0 protocols, 1 tests: 1 fault\n")
     assert "tale.csv" in ran.err
 
 
@@ -64,7 +64,7 @@ def test_new_from_a_sheet(run: Run, tmp_path: Path) -> None:
     rows = [f"A2-{n},wire-cantilever,A2,s1,{n},85 mm,force.mat,take.csv\n" for n in (1, 2)]
     sheet.write_text(head + "".join(rows), encoding="utf-8")
     ran = run("new", tmp_path / "raw", "--from", sheet)
-    assert ran.status == DONE
+    assert ran.status == EXIT_OK
     assert ran.out.count("wrote ") == 2
     assert ran.out.count("  missing exports: force.mat, take.csv\n") == 2
     assert run("new", tmp_path / "raw", "--from", sheet).out.count("kept ") == 2
@@ -81,7 +81,7 @@ def test_impossible_file_name(
         ran = run(command, name)
         shown = f"'{name}'" if name == "loop" else f"'{'a' * 60}...'"
         message = f"expected the name of a file or a folder, found {shown} ({reason})"
-        assert (ran.status, message in ran.err) == (BAD_INPUT, True), name
+        assert (ran.status, message in ran.err) == (EXIT_ERROR, True), name
 
 
 @pytest.mark.skipif(os.name == "nt", reason="names of files are Unicode there")
@@ -131,13 +131,13 @@ def contents(folder: Path) -> dict[str, bytes]:
 def test_examples_are_copied(run: Run, repository: Path, tmp_path: Path) -> None:
     folder = tmp_path / "new" / "lab"
     ran = run("examples", folder)
-    assert (ran.status, ran.err) == (DONE, "")
+    assert (ran.status, ran.err) == (EXIT_OK, "")
     expected = contents(repository / "examples") | {
         f"protocols/{name}": text for name, text in contents(repository / "protocols").items()
     }
     assert contents(folder) == expected
     assert ran.out.count("wrote ") == len(expected)
-    assert run("examples", folder).status == DONE, "the same again does no harm"
+    assert run("examples", folder).status == EXIT_OK, "the same again does no harm"
 
 
 def test_examples_never_replace_a_file(run: Run, tmp_path: Path) -> None:
@@ -145,7 +145,7 @@ def test_examples_never_replace_a_file(run: Run, tmp_path: Path) -> None:
     file.parent.mkdir()
     file.write_text("mine", encoding="utf-8")
     ran = run("examples", tmp_path)
-    assert ran.status == BAD_INPUT
+    assert ran.status == EXIT_ERROR
     assert f"{file}: expected the example unchanged, or no such file" in ran.err
     assert contents(tmp_path) == {"protocols/tensile.yaml": b"mine"}
 
@@ -186,7 +186,7 @@ def test_simulate_refuses_options_of_other_kinds(
     run: Run, tmp_path: Path, options: str, rejected: str
 ) -> None:
     ran = run("simulate", "--out", tmp_path, *options.split())
-    assert ran.status == BAD_INPUT
+    assert ran.status == EXIT_ERROR
     assert ran.err.startswith("labpipe simulate: options: expected --rate and --fps such as ")
     assert f"cycles that fit the kind, found {rejected}. See `labpipe simulate --help`." in ran.err
 
@@ -214,7 +214,7 @@ def test_serve_makes_and_opens_the_report(
 ) -> None:
     page = processed / "report" / "report.html"
     ran = run("serve", processed, "--port", "0", "--title", "Tubes")
-    assert ran.status == DONE
+    assert ran.status == EXIT_OK
     assert "Tubes" in page.read_text("utf-8")
     (address,) = opened
     assert re.fullmatch(r"http://127\.0\.0\.1:\d+/[\w-]{32}/", address)
@@ -225,7 +225,7 @@ def test_serve_makes_and_opens_the_report(
     run("serve", processed, "--port", "0", "--no-browser")
     assert page.read_text("utf-8") == "as it was"
     ran = run("serve", tmp_path)
-    assert ran.status == BAD_INPUT
+    assert ran.status == EXIT_ERROR
     assert "expected a result.h5, or a folder with processed tests" in ran.err
     assert "expected a whole number, found 'x'" in run("serve", tmp_path, "--port", "x").err
     assert opened == [address]

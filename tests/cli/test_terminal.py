@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from labpipe.campaign.reporting import WrittenReport
-from labpipe.cli import BAD_INPUT, DONE
+from labpipe.cli import EXIT_ERROR, EXIT_OK
 from labpipe.cli.bundle import format_bundle
 from labpipe.cli.calibrate import format_calibration
 from labpipe.cli.model import format_wire_models
@@ -127,7 +127,7 @@ def test_means_in_the_display_unit(approved: Approve) -> None:
 @pytest.mark.parametrize("bore", ["10.7", "0 mm", "2 N"])
 def test_invalid_bore_is_refused(run: Run, tmp_path: Path, bore: str) -> None:
     ran = run("bundle", "7 B1", "--wire", EXAMPLES, f"--bore={bore}", "--out", tmp_path / "x")
-    assert ran.status == BAD_INPUT
+    assert ran.status == EXIT_ERROR
     message = f'expected a length above zero with its unit, such as "10.7 mm", found {bore!r}'
     assert ran.err.startswith(f"labpipe bundle: --bore: {message}")
     assert not (tmp_path / "x").exists()
@@ -167,7 +167,7 @@ def test_calibrate_leaves_out_rejected_tests(
             "labpipe.cli.calibrate.exclude_rejected_tests", lambda _, r=rejected: ([second_file], r)
         )
         ran = run("calibrate", folder)
-        assert (ran.status, calls[-1]) == (DONE, targets)
+        assert (ran.status, calls[-1]) == (EXIT_OK, targets)
     assert ran.err == f"labpipe calibrate: rejected: {first_file.parent}: slipped (A. Tester)\n"
 
 

@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 import labpipe
-from labpipe.cli import BAD_INPUT, DONE, main
+from labpipe.cli import EXIT_ERROR, EXIT_OK, main
 from labpipe.errors import StoreError, UsageError
 from tests.builders.small_tests import Lab, Run, make_lab, small_scenario, state
 
@@ -28,7 +28,7 @@ COMMANDS = (
 
 def test_help_lists_every_command(run: Run) -> None:
     ran = run("--help")
-    assert ran.status == DONE
+    assert ran.status == EXIT_OK
     listed = re.findall(r"^    (\w+) ", ran.out, flags=re.MULTILINE)
     assert listed == list(COMMANDS)
     assert "exit status: 0 done; 1 some results failed (they are listed); 2 bad input" in ran.out
@@ -39,7 +39,7 @@ def test_every_command_has_a_module_and_help(run: Run, command: str) -> None:
     """In quotes of every shell: the prompt of Windows takes a single quote for a letter."""
     assert callable(import_module(f"labpipe.cli.{command}").run)
     ran = run(command, "--help")
-    assert ran.status == DONE
+    assert ran.status == EXIT_OK
     assert ran.out.startswith(f"usage: labpipe {command} ")
     options = re.findall(r"^  (--[\w-]+|[A-Z]+)(.*)$", ran.out, flags=re.MULTILINE)
     assert options
@@ -65,7 +65,7 @@ def test_bad_input_is_status_2_and_one_message(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     ran = run(*arguments.split())
-    assert ran.status == BAD_INPUT, ran
+    assert ran.status == EXIT_ERROR, ran
     is_said = ": expected " in ran.err and ", found " in ran.err
     assert is_said or ran.err.startswith("usage: labpipe")
     assert "Traceback" not in ran.err
@@ -86,7 +86,7 @@ def test_a_file_where_a_folder_is_to_be_made(
     monkeypatch.chdir(tmp_path)
     Path("mine").write_text("mine")
     ran = run(*arguments.replace("LAB", str(pristine.raw)).split())
-    assert ran.status == BAD_INPUT, ran
+    assert ran.status == EXIT_ERROR, ran
     message = r"mine[^\n]*: expected a folder to write in, found a file in its place\. Choose"
     assert re.search(message, ran.err), ran
     assert ran.err.count(": expected ") == 1
@@ -126,7 +126,7 @@ def processed_and_printed(
 ) -> tuple[Lab, str]:
     lab, printed = pristine.copy(tmp_path_factory.mktemp("api")), io.StringIO()
     with redirect_stdout(printed):
-        assert main(["process", str(lab.raw), "--no-figures", "--json"]) == DONE
+        assert main(["process", str(lab.raw), "--no-figures", "--json"]) == EXIT_OK
     return lab, printed.getvalue()
 
 

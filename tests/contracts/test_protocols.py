@@ -101,5 +101,5 @@ def test_it_knows_what_programs_call_force_and_displacement(path: Path) -> None:
         for channel, name in zip(("force", "displacement"), names, strict=True):
             # Beside an extensometer, names like Extension are not those of the crosshead.
             if channel in channels and not ("extension" in channels and channel != "force"):
-                place = find_channel(channels[channel].channel, known, path)
+                place = find_channel(channels[channel].names, known, path)
                 assert known[place][0] == name

@@ -12,7 +12,7 @@ import pytest
 
 from labpipe.mechanics.law.sliders import SliderLaw
 from labpipe.mechanics.wire.calibration.law_components import make_loading_table, split_law
-from labpipe.mechanics.wire.first_loading import load_to
+from labpipe.mechanics.wire.first_loading import find_equilibria
 from tests.builders.three_point import ElasticModel
 from tests.coverage import lab_bending, line_judgement, study
 from tests.coverage.drawn_lines import KINDS as LINES
@@ -251,7 +251,7 @@ def test_the_truth_is_solved_where_it_is_asked() -> None:
     values = np.array([TRUTH.friction, TRUTH.modulus, TRUTH.copper])
     table = make_loading_table(parts, values, 40.0)
     asked = np.array(at[1:])
-    exact = load_to(table, 0.12, rig, wire.self_weight, asked, n_stations=48)
+    exact = find_equilibria(table, 0.12, rig, wire.self_weight, asked, n_stations=48)
     curve = true_curve("own", "C5", 120, at)
     assert curve(asked) == pytest.approx(exact.force[1:], abs=1e-6)
 

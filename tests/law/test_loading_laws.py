@@ -157,7 +157,7 @@ def test_the_law_of_a_wire_is_held_within_one_percent_where_it_is_bent(name: str
 
 
 def test_a_smaller_elastic_share_follows_the_law_further_down() -> None:
-    coarse, fine = fit_bar("A2")[0], fit_bar("A2", elastic_share=1e-4, n_knots=40)[0]
+    coarse, fine = fit_bar("A2")[0], fit_bar("A2", elastic_fraction=1e-4, n_knots=40)[0]
     assert largest(fine.error) < 0.05 < 0.5 < largest(coarse.error)
     assert find_valid_start(fine, 0.01) < 0.1 * find_valid_start(coarse, 0.01)
 

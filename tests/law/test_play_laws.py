@@ -18,7 +18,7 @@ from labpipe.mechanics.law.plays import (
     require_within,
 )
 from labpipe.mechanics.law.sliders import SliderLaw, fit_directions, fit_sliders, make_linear_law
-from labpipe.mechanics.law.thinning import make_concave_law, thin
+from labpipe.mechanics.law.thinning import make_concave_law, thin_law
 from labpipe.records.arrays import Floats
 from tests.approved import Approve
 from tests.builders.bilinear_laws import bilinear_law
@@ -165,13 +165,13 @@ CASES: dict[str, list[Callable[[], object]]] = {
         lambda: fit_directions(make_linear_law(1.0, 10.0), 2, max_sliders=0),
     ],
     "points": [
-        lambda: thin(row(0, 1), row(0, 1), max_points=1),
-        lambda: thin(row(0), row(0), max_points=2),
-        lambda: thin(row(0, 1), row(0), max_points=2),
-        lambda: thin(row(0, np.nan), row(0, 1), max_points=2),
-        lambda: thin(row(1, 2), row(1, 2), max_points=2),
-        lambda: thin(row(0, 2, 1), row(0, 1, 2), max_points=2),
-        lambda: thin(row(0, 1, 2.5), row(0, 1, 0.9), max_points=2),
+        lambda: thin_law(row(0, 1), row(0, 1), max_points=1),
+        lambda: thin_law(row(0), row(0), max_points=2),
+        lambda: thin_law(row(0, 1), row(0), max_points=2),
+        lambda: thin_law(row(0, np.nan), row(0, 1), max_points=2),
+        lambda: thin_law(row(1, 2), row(1, 2), max_points=2),
+        lambda: thin_law(row(0, 2, 1), row(0, 1, 2), max_points=2),
+        lambda: thin_law(row(0, 1, 2.5), row(0, 1, 0.9), max_points=2),
     ],
 }
 

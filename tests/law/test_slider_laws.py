@@ -24,7 +24,7 @@ from labpipe.mechanics.law.sliders import (
     slide_vector,
     turn_directions,
 )
-from labpipe.mechanics.law.thinning import thin
+from labpipe.mechanics.law.thinning import thin_law
 from labpipe.records.arrays import Floats
 from tests.builders.wire_tables import wire_table
 
@@ -234,7 +234,7 @@ def concave(count: int, seed: int) -> tuple[Floats, Floats]:
 @pytest.mark.parametrize("most", [2, 3, 6])
 def test_no_other_choice_has_a_smaller_error(seed: int, most: int) -> None:
     curvature, moment = concave(9, seed)
-    thinned = thin(curvature, moment, max_points=most)
+    thinned = thin_law(curvature, moment, max_points=most)
     assert len(thinned.curvature) <= most
     # the search stops at a millionth of the error
     assert thinned.error == pytest.approx(by_trying_all(curvature, moment, most), rel=2e-6)
@@ -248,7 +248,7 @@ def test_few_points() -> None:
         (straight, [0.0, 1.0], 0.0),
         ((np.arange(3.0), np.array([0.0, 1.0, 3.0])), [0.0, 2.0], 0.5),
     ):
-        thinned = thin(*points, max_points=6)
+        thinned = thin_law(*points, max_points=6)
         assert thinned.curvature.tolist() == kept
         assert thinned.error == pytest.approx(error, abs=1e-14)
 
@@ -261,7 +261,7 @@ def test_the_stated_error_is_true_and_slopes_fall(
     steps: list[tuple[float, float]], most: int
 ) -> None:
     curvature, moment = np.concatenate([[[0.0, 0.0]], np.cumsum(steps, axis=0)]).T
-    thinned = thin(curvature, moment, max_points=most)
+    thinned = thin_law(curvature, moment, max_points=most)
     x, y = thinned.curvature, thinned.moment
     assert 2 <= len(x) <= most
     assert (x[0], y[0], x[-1], y[-1]) == (0.0, 0.0, curvature[-1], moment[-1])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
@@ -43,12 +42,6 @@ class Line:
     name: Snake = "line"
     grip: Grip | None = None
     number: int = field(default=0, compare=False)
-
-    @staticmethod
-    def find_contradictions(entry: Mapping[str, object]) -> Iterator[Fault]:
-        """Refuse a line of the name of another kind."""
-        if entry.get("name") == "span":
-            yield Fault(("name",), "another name", "'span'", "Rename it.")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -8,7 +8,8 @@ import pytest
 import yaml
 
 from labpipe.errors import ProtocolError
-from labpipe.protocol.harness_file import (
+from labpipe.protocol.load import load_harness
+from labpipe.protocol.model_files import (
     END,
     START,
     Clip,
@@ -17,7 +18,6 @@ from labpipe.protocol.harness_file import (
     Plane,
     find_line_start,
 )
-from labpipe.protocol.load import load_harness
 
 WHOLE = """\
 version: 1

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from labpipe.store.datasets import (
-    Target,
+    GroupWriter,
     fletcher32,
     has_same_content,
     read_number,
@@ -49,7 +49,7 @@ def test_any_array_comes_back(
     path = tmp_path_factory.getbasetemp() / "array.h5"
     axes = tuple("abc"[: array.ndim])
     with h5py.File(path, "w") as root, ThreadPoolExecutor(2) as pool:
-        Target(root, pool).write_array("x", array, DatasetSpec(axes, "m"))
+        GroupWriter(root, pool).write_array("x", array, DatasetSpec(axes, "m"))
     with h5py.File(path) as root:
         assert root["x"][()].tobytes() == array.tobytes()
         assert root["x"].attrs["axes"] == ", ".join(axes)
@@ -59,7 +59,7 @@ def test_any_array_comes_back(
 def test_many_chunks_and_a_part_of_one(tmp_path: Path) -> None:
     array = np.random.default_rng(0).normal(size=(30_011, 8, 3))
     with h5py.File(tmp_path / "a.h5", "w") as root, ThreadPoolExecutor(2) as pool:
-        dataset = Target(root, pool).write_array("x", array, DatasetSpec(("a", "b", "c"), "m"))
+        dataset = GroupWriter(root, pool).write_array("x", array, DatasetSpec(("a", "b", "c"), "m"))
         assert dataset.id.get_num_chunks() > 20
         np.testing.assert_array_equal(dataset[()], array)
         changed = array.copy()

@@ -35,7 +35,7 @@ from labpipe.mechanics.wire.calibration.calibrate_wire import Settings, calibrat
 from labpipe.mechanics.wire.calibration.calibrate_wire import find_tested_curvature as reached
 from labpipe.mechanics.wire.wire_table import find_insulation_limit
 from labpipe.protocol.load import load_calibration_plan
-from labpipe.protocol.sheet_grammar import CalibrationPlan
+from labpipe.protocol.model_files import CalibrationPlan
 from labpipe.records.wire import (
     Calibration,
     ExternalCurve,

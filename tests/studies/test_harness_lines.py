@@ -36,8 +36,8 @@ from labpipe.mechanics.studies.harness_numbers import (
 )
 from labpipe.mechanics.studies.wire_sheets import read_wire_sheet
 from labpipe.mechanics.wire.wire_table import set_parameters, tabulate_wire
-from labpipe.protocol.harness_file import HarnessFile
 from labpipe.protocol.load import load_harness
+from labpipe.protocol.model_files import HarnessFile
 from labpipe.records.arrays import Floats
 from labpipe.records.wire import PARAMETERS
 from tests.approved import Approve

@@ -18,9 +18,9 @@ from labpipe.mechanics.wire.cantilever import (
 )
 from labpipe.mechanics.wire.first_loading import (
     LoadingCurve,
+    find_equilibria,
     interpolate_force,
     load_cantilever,
-    load_to,
 )
 from labpipe.records.arrays import Floats
 from tests.builders.bilinear_laws import bilinear_law
@@ -89,7 +89,7 @@ def test_with_weight_a_separate_solver_finds_the_same(rig: StringRig | None) -> 
         assert interpolate_force(curve, np.array([deflection]))[0][0] == pytest.approx(
             wanted, rel=2e-4
         )
-        at = load_to(TABLE, HEAVY_LENGTH, rig, WEIGHT, np.array([deflection]))
+        at = find_equilibria(TABLE, HEAVY_LENGTH, rig, WEIGHT, np.array([deflection]))
         assert at.clamp_moment[1] == pytest.approx(shape.moment[0], rel=1e-4, abs=2e-8)
 
 
@@ -124,7 +124,7 @@ def test_first_loading_ends_where_the_tip_unloads(weight: float) -> None:
 
 def test_stiffnesses_are_the_slopes_of_the_forces() -> None:
     for table, rig, weight in ((TABLE, RIG, WEIGHT), (LoadingTable.of_plays(A2), RIG, 0.0)):
-        at = load_to(table, HEAVY_LENGTH, rig, weight, np.array([0.0099, 0.01, 0.0101]))
+        at = find_equilibria(table, HEAVY_LENGTH, rig, weight, np.array([0.0099, 0.01, 0.0101]))
         slope = (at.tension[3] - at.tension[1]) / 2e-4
         assert at.stiffness[2] == pytest.approx(slope, rel=1e-3)
 
@@ -143,7 +143,7 @@ def test_first_loading_is_that_of_the_path_by_stations(law: PlayLaw, rig: String
             shape = bend_to_travel(law, state, LENGTH, rig, goal)
             load = shape.tension - rig.weight
         state = shape.state
-        at = load_to(LoadingTable.of_plays(law), LENGTH, rig, 0.0, shape.y[-1:])
+        at = find_equilibria(LoadingTable.of_plays(law), LENGTH, rig, 0.0, shape.y[-1:])
         assert at.force[1] == pytest.approx(load, rel=3e-4)
         found = at.tip_angle[1], at.clamp_moment[1]
         assert found == pytest.approx((shape.angle[-1], shape.moment[0]), rel=7e-4)
@@ -157,7 +157,7 @@ def test_the_elastica_of_the_textbooks() -> None:
         (10.0, (0.810609, 1.430286)),
     ):
         table = LoadingTable.of_plays(make_elastic_law(3.0))
-        at = load_to(table, 2.0, None, 0.0, np.array([2.0 * printed[0]]))
+        at = find_equilibria(table, 2.0, None, 0.0, np.array([2.0 * printed[0]]))
         assert at.tension[1] * 2.0**2 / 3.0 == pytest.approx(alpha, rel=1e-5)
         assert at.tip_angle[1] == pytest.approx(printed[1], abs=2e-6)
 
@@ -165,5 +165,5 @@ def test_the_elastica_of_the_textbooks() -> None:
 def test_a_string_that_leans_far_pulls_a_soft_wire_straight() -> None:
     """Parts near its tip unload."""
     table, length = LoadingTable.of_plays(bilinear_law(1.2e-4, 4e-5, 1e-4)), 0.45
-    at = load_to(table, length, rig_of(length), 0.0, length * np.array([0.3, 0.5, 0.67]))
+    at = find_equilibria(table, length, rig_of(length), 0.0, length * np.array([0.3, 0.5, 0.67]))
     assert at.count_loading_points() < 4

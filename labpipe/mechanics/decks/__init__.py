@@ -49,7 +49,7 @@ def make_deck_texts(table: WireTable) -> tuple[str, ...]:
     Raises
     ------
     ValueError
-        If a deck cannot be made from the law (as for `thin`) or the mass; the message names the
+        If a deck cannot be made from the law (as for `thin_law`) or the mass; the message names the
         deck.
     """
     texts = []

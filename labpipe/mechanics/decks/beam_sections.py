@@ -29,14 +29,14 @@ from labpipe.mechanics.decks.deck_law import (
     describe_deck_losses,
     describe_loading_error,
     fill_template,
-    find_mass,
+    get_mass_per_length,
     list_facts,
     make_abaqus_label,
     make_ansys_name,
 )
 from labpipe.mechanics.decks.unloading import compute_elastic_release
 from labpipe.mechanics.law.plays import require
-from labpipe.mechanics.law.thinning import ThinnedLaw, thin
+from labpipe.mechanics.law.thinning import ThinnedLaw, thin_law
 from labpipe.records.wire import WireTable
 
 MAX_POINTS = 20
@@ -57,14 +57,14 @@ def write_abaqus_deck(table: WireTable) -> str:
     Raises
     ------
     ValueError
-        As `thin` and `find_mass`.
+        As `thin_law` and `get_mass_per_length`.
 
     Notes
     -----
     Area and second moments are those of a full circle. A nonlinear general section uses them only
     for mass and rotary inertia. The density is mass per length over area.
     """
-    law = thin(table.curvature, table.moment, max_points=len(table.curvature))
+    law = thin_law(table.curvature, table.moment, max_points=len(table.curvature))
     return fill_template(
         "abaqus.inp",
         table=table,
@@ -74,7 +74,7 @@ def write_abaqus_deck(table: WireTable) -> str:
         losses=_describe_losses(table, law),
         skew=compute_skew_bending_error(table),
         label=make_abaqus_label(table.name),
-        mass=find_mass(table),
+        mass=get_mass_per_length(table),
         area=np.pi * table.layout.wire_radius**2,
         second=np.pi / 4.0 * table.layout.wire_radius**4,  # I11 and I22; half of J
     )
@@ -104,7 +104,7 @@ def write_ansys_deck(table: WireTable, *, section: int = 1) -> str:
     Raises
     ------
     ValueError
-        As `thin` and `find_mass`. If the number of the section is below 1.
+        As `thin_law` and `get_mass_per_length`. If the number of the section is below 1.
 
     Notes
     -----
@@ -113,7 +113,7 @@ def write_ansys_deck(table: WireTable, *, section: int = 1) -> str:
     d increases by a thousandth, and that of a longer wire by less.
     """
     require("section", section, "a whole number >= 1", holds=section >= 1)
-    law = thin(table.curvature, table.moment, max_points=MAX_POINTS + 1)
+    law = thin_law(table.curvature, table.moment, max_points=MAX_POINTS + 1)
     comment_width = 76  # lines have at most 80 characters, of which two are the "! " of a comment
     return fill_template(
         "ansys.inp",
@@ -127,7 +127,7 @@ def write_ansys_deck(table: WireTable, *, section: int = 1) -> str:
         section=section,
         name=make_ansys_name(table.name),
         shear=compute_shear_stiffness(table),
-        mass=find_mass(table),
+        mass=get_mass_per_length(table),
     )
 
 

@@ -25,8 +25,8 @@ import numpy as np
 from labpipe.mechanics.decks.deck_law import (
     describe_deck_losses,
     fill_template,
-    find_mass,
     format_percent,
+    get_mass_per_length,
     list_facts,
     shorten_name,
 )
@@ -232,7 +232,7 @@ def write_calculix_deck(
         },
         # True stress over plastic strain; CalculiX keeps the last stress beyond the last strain.
         plastic=np.column_stack([material.stress, material.plastic_strain]),
-        density=find_mass(table) / (np.pi / 4.0 * diameter**2),
+        density=get_mass_per_length(table) / (np.pi / 4.0 * diameter**2),
         n_steps=n_steps,
         **facts,
     )

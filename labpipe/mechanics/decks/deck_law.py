@@ -104,7 +104,7 @@ def list_facts(table: WireTable, max_length: int = 100) -> tuple[str, ...]:
     )
 
 
-def find_mass(table: WireTable) -> float:
+def get_mass_per_length(table: WireTable) -> float:
     """Return the mass per length of a wire, kg/m, for a deck that requires one.
 
     Parameters

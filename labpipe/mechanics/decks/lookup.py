@@ -18,12 +18,13 @@ from labpipe.mechanics.decks.deck_law import (
     describe_loading_error,
     describe_masing_losses,
     fill_template,
-    find_mass,
+    get_mass_per_length,
     list_facts,
 )
 from labpipe.mechanics.decks.unloading import collect_growing_numbers, make_zero_release
 from labpipe.mechanics.law.loss_card import N_DIRECTIONS, fit_wire_sliders, make_table_card
 from labpipe.mechanics.law.sliders import compute_slip_moments, fit_directions
+from labpipe.messages import format_sentence
 from labpipe.records.wire import WireTable
 
 SCHEMA = 2
@@ -53,7 +54,7 @@ def write_lookup_csv(table: WireTable) -> str:
         "lookup.csv",
         table=table,
         head=list_facts(table),
-        mass=find_mass(table),
+        mass=get_mass_per_length(table),
         losses=describe_deck_losses(table, deck_loss, "a curve", deck_release, line_width=1000),
         heading=heading,
         rows=np.column_stack([getattr(table, name) for name in LOOKUP_COLUMNS]),
@@ -77,7 +78,7 @@ def write_lookup_json(table: WireTable) -> str:
         "moment": table.moment.tolist(),
         "diameter": 2.0 * table.layout.wire_radius,
         "length": table.spec.length,
-        "mass_per_length": find_mass(table),
+        "mass_per_length": get_mass_per_length(table),
     }
     numbers = {name: derived.get(name) or getattr(table, name) for name in _UNITS["lookup"]}
     document = {
@@ -87,11 +88,7 @@ def write_lookup_json(table: WireTable) -> str:
         "range": {"curvature": [0.0, float(table.curvature[-1])], "beyond": "not valid"},
         "doubtful_beyond": table.doubtful_curvature if table.is_doubtful.any() else None,
         "law": FIRST_LOADING_TEXT,
-        "torsion": (
-            "tension and torque are [EA, C; C, GJ] times strain and twist: axial_stiffness EA is "
-            "at constant twist, torsional_stiffness GJ at constant length, "
-            "free_torsional_stiffness GJ - C^2 / EA at zero tension"
-        ),
+        "torsion": format_sentence("mechanics.decks.torsion"),
         **numbers,
         "loss_card": collect_card_numbers(table),
         "units": _UNITS["lookup"],
@@ -101,13 +98,6 @@ def write_lookup_json(table: WireTable) -> str:
 
 SLIDERS_SCHEMA = 1
 """Version of the JSON file of sliders."""
-
-_MEANING = (
-    "moment = stiffness * curvature + sum of stiffnesses[j] * stop[j], |stop[j]| <= "
-    "slip_curvatures[j]; stop[j] changes with the curvature and stays at its limit; in space "
-    "stop[j] is a vector"
-)
-_DAHL = "M = stiffness * curvature + moment * (1 - exp(-curvature / decay)) on first loading"
 
 
 def _write_json(document: Mapping[str, object]) -> str:
@@ -146,7 +136,7 @@ def write_sliders_csv(table: WireTable) -> str:
         table=table,
         head=head,
         reason="",
-        mass=find_mass(table),
+        mass=get_mass_per_length(table),
         law=law,
         losses=describe_masing_losses(table),
         rows=[
@@ -174,7 +164,7 @@ def write_sliders_json(table: WireTable) -> str:
         **identity,
         "range": {"curvature": [law.first, law.last], "beyond": "not valid"},
         "doubtful_beyond": table.doubtful_curvature if table.is_doubtful.any() else None,
-        "meaning": _MEANING,
+        "meaning": format_sentence("mechanics.decks.slider_law"),
         "stiffness": law.stiffness,
         "stiffnesses": law.stiffnesses.tolist(),
         "slip_curvatures": law.slip_curvatures.tolist(),
@@ -190,9 +180,9 @@ def write_sliders_json(table: WireTable) -> str:
             "error": scalar_law.error,
             "sideways": scalar_law.sideways,
         },
-        "dahl": {"meaning": _DAHL, **asdict(card.dahl)},
+        "dahl": {"meaning": format_sentence("mechanics.decks.dahl_law"), **asdict(card.dahl)},
         "loss_card": collect_card_numbers(table),
-        "mass_per_length": find_mass(table),
+        "mass_per_length": get_mass_per_length(table),
         "torsional_stiffness": table.torsional_stiffness,
         "units": _UNITS["sliders"],
     }

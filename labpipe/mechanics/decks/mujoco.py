@@ -28,8 +28,8 @@ from labpipe.mechanics.decks.deck_law import (
     describe_deck_losses,
     fill_template,
     find_linear_range,
-    find_mass,
     format_percent,
+    get_mass_per_length,
     list_facts,
 )
 from labpipe.mechanics.decks.unloading import make_zero_release
@@ -86,7 +86,7 @@ def write_mujoco_deck(
     require_positive("stiffness", stiffness)
     require_positive("length", length)
     require("edges", edges, f">= {min_edges}", holds=edges >= min_edges)
-    mass = find_mass(table)
+    mass = get_mass_per_length(table)
     first_frequency = compute_first_frequency(stiffness, mass, length)
     # With more than 40 edges, shorter steps keep the constraint on their lengths as stiff.
     step = 0.05 / first_frequency * min(1.0, 40 / edges)
@@ -119,6 +119,6 @@ def write_mujoco_deck(
         spacing=spacing,
         points="  ".join(f"{x:.9g} 0 0" for x in vertex_x),
         elements="  ".join(f"{edge} {edge + 1}" for edge in range(edges)),
-        circle=np.pi / 4.0 * table.layout.wire_radius**4,
+        second_moment=np.pi / 4.0 * table.layout.wire_radius**4,
         first_frequency=first_frequency,
     )

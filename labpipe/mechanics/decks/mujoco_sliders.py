@@ -30,8 +30,8 @@ from labpipe.mechanics.decks.deck_law import (
     compute_first_frequency,
     describe_masing_losses,
     fill_template,
-    find_mass,
     format_percent,
+    get_mass_per_length,
     list_facts,
 )
 from labpipe.mechanics.decks.lookup import describe_missing_sliders
@@ -230,7 +230,7 @@ def _write_chain(
     length = table.spec.length if length is None else length
     require_positive("length", length)
     radius, torsional_stiffness = table.layout.wire_radius, table.torsional_stiffness
-    chain = Chain(law, length, radius, find_mass(table), torsional_stiffness)
+    chain = Chain(law, length, radius, get_mass_per_length(table), torsional_stiffness)
     return fill_template(
         "wire_chain.xml",
         name=table.name,
@@ -251,14 +251,13 @@ def _write_chain(
 def _compute_check(law: SliderLaw, length: float) -> dict[str, float] | None:
     """Return a load and its tip deflections, to detect a program that ignores springyield.
 
-    The deflection is 0.3 of the length. It is halved up to five times until it is within the range
-    of the law. The result is None if this fails.
+    The deflection is the largest within the range of the law of 0.3 of the length and its halves.
+    The result is None if the smallest of six is beyond the range.
     """
-    plays = convert_to_plays(law)
-    for deflection in (0.3 * 0.5 ** np.arange(6) * length).tolist():
-        path = compute_end_load_path(plays, length, np.array([deflection]))
-        if len(path.load):
-            load = float(path.load[0])
-            elastic = load * length**3 / (3.0 * law.first_stiffness)
-            return {"load": load, "deflection": deflection, "elastic_deflection": elastic}
-    return None
+    deflections = 0.3 * length * 0.5 ** np.arange(5.0, -1.0, -1.0)
+    path = compute_end_load_path(convert_to_plays(law), length, deflections)
+    if not len(path.load):
+        return None
+    load, deflection = float(path.load[-1]), float(path.deflection[-1])
+    elastic = load * length**3 / (3.0 * law.first_stiffness)
+    return {"load": load, "deflection": deflection, "elastic_deflection": elastic}

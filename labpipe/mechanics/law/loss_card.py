@@ -121,20 +121,20 @@ def fit_dahl(curvature: Floats, moment: Floats) -> DahlLaw:
     """
     n_values, n_grids = 15, 24
     narrowing = 0.6  # ratio of the widths of successive grids
+    compliance = curvature / moment
     ends = np.log([[1e-4, 1e4], [0.3 * curvature[0], 3.0 * curvature[-1]]])
     for _ in range(n_grids):
         grid = np.linspace(ends[:, 0], ends[:, 1], n_values)
         ratio, decay = np.exp(grid).T
-        slider = -decay[:, None] * np.expm1(-curvature / decay[:, None])
-        moment_ratio = (curvature + ratio[:, None, None] * slider) / moment
+        slider = -decay[:, None] * np.expm1(-curvature / decay[:, None]) / moment
+        moment_ratio = compliance + ratio[:, None, None] * slider
         lowest, highest = moment_ratio.min(axis=2), moment_ratio.max(axis=2)
         errors = (highest - lowest) / (highest + lowest)
         row, column = np.unravel_index(np.argmin(errors), errors.shape)
         best_point = np.array([[grid[row, 0]], [grid[column, 1]]])
         ends = best_point + narrowing * (ends - ends.mean(axis=1, keepdims=True))
-    stiffness = 2.0 / (lowest + highest)[row, column]
-    slider_moment = stiffness * ratio[row] * decay[column]
-    best = stiffness, slider_moment, decay[column], errors[row, column]
+    stiffness, tau = 2.0 / (lowest + highest)[row, column], decay[column]
+    best = stiffness, stiffness * ratio[row] * tau, tau, errors[row, column]
     return DahlLaw(*map(float, best))
 
 
@@ -215,7 +215,7 @@ def fit_equivalent_material(
     moment: Floats,
     diameter: float,
     *,
-    elastic_share: float = 0.002,
+    elastic_fraction: float = 0.002,
     n_knots: int = 24,
 ) -> EquivalentMaterial:
     """Fit the material of a round bar to the moment-curvature law of a wire.
@@ -225,8 +225,8 @@ def fit_equivalent_material(
     curvature : shape (m,), 1/m, positive and increasing, m >= 2, up to the end of the range
     moment : shape (m,), N m, moment of the wire on first loading, positive
     diameter : m, diameter of the bar
-    elastic_share : curvature up to which the bar is elastic, relative to the largest curvature; its
-        stiffness is the secant stiffness of the wire there
+    elastic_fraction : curvature up to which the bar is elastic, relative to the largest curvature;
+        its stiffness is the secant stiffness of the wire there
     n_knots : number of points of the stress-strain curve, logarithmically spaced, at least 2
 
     Returns
@@ -247,7 +247,7 @@ def fit_equivalent_material(
     cancels to first order.
     """
     radius = 0.5 * diameter
-    limit = elastic_share * float(curvature[-1])
+    limit = elastic_fraction * float(curvature[-1])
     strain = np.geomspace(limit, float(curvature[-1]), n_knots) * radius
     secant = float(np.interp(limit, np.append(0.0, curvature), np.append(0.0, moment))) / limit
     modulus = secant / (0.25 * np.pi * radius**4)

@@ -54,7 +54,7 @@ from labpipe.mechanics.law.plays import (
     require_positive,
     require_rising,
 )
-from labpipe.mechanics.law.thinning import find_hull, require_concave, thin
+from labpipe.mechanics.law.thinning import find_hull, require_concave, thin_law
 from labpipe.records.arrays import ArrayRecord, Floats, Vector
 
 MAX_SLIDERS = 64
@@ -296,8 +296,8 @@ def find_current_sliders(law: SliderLaw, rests: Floats) -> CurrentSliders:
     count = len(law.stiffnesses)
     slips = [np.broadcast_to(law.slip_curvatures, (*rests.shape[:-2], count))]
     rest_indices = [*range(count), *range(count, rests.shape[-2], 2)]
-    for number, slider in enumerate(law.growing):
-        limit = slider.compute_limit(rests[..., count + 2 * number + 1, 0])
+    for index, slider in enumerate(law.growing):
+        limit = slider.compute_limit(rests[..., count + 2 * index + 1, 0])
         slips.append((limit / slider.stiffness)[..., None])
     stiffnesses = np.append(law.stiffnesses, [slider.stiffness for slider in law.growing])
     return CurrentSliders(stiffnesses, np.concatenate(slips, axis=-1), rests[..., rest_indices, :])
@@ -459,18 +459,19 @@ def fit_sliders(curvature: Floats, moment: Floats, n_sliders: int) -> SliderLaw:
     Raises
     ------
     ValueError
-        As `thin` and `require_concave`. If `n_sliders` is out of its range.
+        As `thin_law` and `require_concave`. If `n_sliders` is out of its range.
 
     Notes
     -----
-    Chords between the best points of the law (`thin`) lie below it by at most a fraction e. If they
-    are multiplied by 1 + e / (2 - e), they are within e / (2 - e) of the law, on both sides. Their
-    slopes decrease, so that the differences of the slopes are the K_j > 0 with the smallest error.
+    Chords between the best points of the law (`thin_law`) lie below it by at most a fraction e. If
+    they are multiplied by 1 + e / (2 - e), they are within e / (2 - e) of the law, on both sides.
+    Their slopes decrease, so that the differences of the slopes are the K_j > 0 with the smallest
+    error.
     Non-negative least squares on a grid of kappa_j, thinned afterwards, have a larger error.
     """
     is_allowed = 1 <= n_sliders <= MAX_SLIDERS
     require("n_sliders", n_sliders, f"from 1 to {MAX_SLIDERS}", holds=is_allowed)
-    chords = thin(curvature, moment, max_points=n_sliders + 2)
+    chords = thin_law(curvature, moment, max_points=n_sliders + 2)
     require_concave(curvature, moment, find_hull(curvature, moment))
     ratios = np.interp(curvature[1:], chords.curvature, chords.moment) / moment[1:]
     scale = 2.0 / (float(ratios.max()) + float(ratios.min()))

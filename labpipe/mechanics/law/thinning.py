@@ -27,7 +27,7 @@ class ThinnedLaw(ArrayRecord):
     error: float
 
 
-def thin(curvature: Floats, moment: Floats, *, max_points: int) -> ThinnedLaw:
+def thin_law(curvature: Floats, moment: Floats, *, max_points: int) -> ThinnedLaw:
     """Choose points of a law, including zero and the end.
 
     Parameters
@@ -94,7 +94,7 @@ def find_hull(curvature: Floats, moment: Floats, *, min_slope_drop: float = 1e-6
 
     Parameters
     ----------
-    curvature, moment : as for `thin`
+    curvature, moment : as for `thin_law`
     min_slope_drop : smallest relative decrease of the slope at a corner
     """
     slopes = np.diff(moment) / np.diff(curvature)
@@ -119,7 +119,7 @@ def require_concave(curvature: Floats, moment: Floats, hull: Ints) -> None:
 
     Parameters
     ----------
-    curvature, moment : as for `thin`
+    curvature, moment : as for `thin_law`
     hull : corners of the hull, from `find_hull`
 
     Raises

@@ -48,7 +48,7 @@ from labpipe.mechanics.wire.wire_table import (
 from labpipe.messages import format_sentence
 from labpipe.process.output_paths import find_results, find_shared_folder, refuse_duplicates
 from labpipe.protocol.load import load_calibration_plan
-from labpipe.protocol.sheet_grammar import CalibrationPlan
+from labpipe.protocol.model_files import CalibrationPlan
 from labpipe.records.quality import QualityNote
 from labpipe.records.wire import (
     PARAMETERS,

@@ -271,7 +271,7 @@ def extract_first_loading(
         noise=_estimate_point_noise(deflection[is_finite], force[is_finite])[is_used[is_finite]],
         rig=rig,
         zero_error=estimate_force_zero_error(protocol, curve, branch),
-        place_error=estimate_shift_error(result, protocol, curve, branch),
+        offset_error=estimate_shift_error(result, protocol, curve, branch),
         scale_error=common_scale_error,
         own_scale_error=test_scale_error,
         self_weight=_read_self_weight(protocol),

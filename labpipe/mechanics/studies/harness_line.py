@@ -58,7 +58,7 @@ from labpipe.mechanics.wire.wire_table import (
     tabulate_wire,
 )
 from labpipe.messages import format_sentence
-from labpipe.protocol.harness_file import (
+from labpipe.protocol.model_files import (
     Clip,
     Grip,
     HarnessFile,

@@ -31,7 +31,7 @@ from labpipe.mechanics.rod.rotations import conjugate, multiply, to_rotation_vec
 from labpipe.mechanics.rod.statics import follow
 from labpipe.mechanics.studies.harness_line import Material, PreparedLine
 from labpipe.messages import format_sentence
-from labpipe.protocol.harness_file import HarnessFile
+from labpipe.protocol.model_files import HarnessFile
 from labpipe.records.arrays import Floats, Ints
 from labpipe.records.curve import Interval
 from labpipe.records.quality import Reason

@@ -44,7 +44,7 @@ from labpipe.mechanics.studies.harness_numbers import (
     list_unloading_numbers,
 )
 from labpipe.messages import format_sentence
-from labpipe.protocol.harness_file import HarnessFile
+from labpipe.protocol.model_files import HarnessFile
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Interval
 from labpipe.records.quality import Reason

@@ -26,7 +26,7 @@ from labpipe.mechanics.wire.calibration.measured_curves import (
 )
 from labpipe.mechanics.wire.cantilever import StringRig, compute_shape, deflect, make_straight
 from labpipe.messages import format_sentence
-from labpipe.protocol.sheet_grammar import CalibrationPlan, Comparison
+from labpipe.protocol.model_files import CalibrationPlan, Comparison
 from labpipe.readers.curve_files import CurveColumn, read_curve
 from labpipe.records.arrays import Floats, average_blocks
 from labpipe.records.curve import PointFlag
@@ -156,7 +156,7 @@ def _compare_group(
 ) -> ValidationGroup:
     """Compare a calibration with tests of one wire and length."""
     max_deflection = max(float(np.nanmax(curve.deflection)) for curve in curves)
-    noise = float(np.mean([curve.read_error for curve in curves]))
+    noise = float(np.mean([curve.point_error for curve in curves]))
     first_curve = curves[0]
     prediction, errors, reason, doubtful_deflection = None, None, None, np.inf
     try:

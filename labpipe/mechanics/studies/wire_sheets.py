@@ -23,7 +23,7 @@ from labpipe.errors import (
     format_error,
     sort_by_likeness,
 )
-from labpipe.mechanics.law.thinning import thin
+from labpipe.mechanics.law.thinning import thin_law
 from labpipe.mechanics.wire.materials import RambergOsgood, StressTable
 from labpipe.protocol.grammar import Block
 from labpipe.protocol.wire_rows import (
@@ -173,7 +173,7 @@ def compute_ramberg_osgood(parameters: FormulaRow) -> Curve:
     stress = np.concatenate([[0.0], np.geomspace(first_stress, end_stress, n_dense_points)])
     strain = law.strain(stress)
     strain[-1] = largest_strain
-    points = thin(strain, stress, max_points=max_points + 1)
+    points = thin_law(strain, stress, max_points=max_points + 1)
     return tuple(points.curvature[1:].tolist()), tuple(points.moment[1:].tolist())
 
 
@@ -287,10 +287,9 @@ def _parse_rows(block_type: type[_B], rows: Sequence[Mapping[str, Cell]], file: 
     faults: list[PlacedFault] = []
     for row in rows:
         cells = {key: cell for key, cell in row.items() if key in block_type.model_fields}
-        block = block_type.read({key: cell.text for key, cell in cells.items()})
-        if isinstance(block, list):
-            faults += place_faults(block, cells)
-        else:
+        block, row_faults = block_type.read({key: cell.text for key, cell in cells.items()})
+        faults += place_faults(row_faults, cells)
+        if block is not None:
             blocks.append(block)
     raise_faults(file, faults)
     return blocks
@@ -428,10 +427,9 @@ def read_wire_sheet(path: Path) -> WireSheet:
     tables: dict[tuple[str, str], StatedCurve] = {}
     wire_rows: list[WireRow] = []
     for row in rows:
-        wire_row = WireRow.read({name: cell.text for name, cell in row.items()})
-        if isinstance(wire_row, list):
-            messages += format_faults(path, place_faults(wire_row, row))
-        else:
+        wire_row, faults = WireRow.read({name: cell.text for name, cell in row.items()})
+        messages += format_faults(path, place_faults(faults, row))
+        if wire_row is not None:
             wire_rows.append(wire_row)
         for column, cell in _list_table_names(row):
             try:

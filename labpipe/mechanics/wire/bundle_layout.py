@@ -47,10 +47,12 @@ _MAX_SEARCHED_WIRES = 100
 More equal wires form a lattice, and more unequal wires are drawn together from fewer starting
 positions.
 """
+_SEED = 0
+"""Seed of random starts and assignments, so that the same wires have the same layout."""
 
 
 def arrange_wires(
-    bundle: Bundle, diameters: Sequence[float], stiffness: Sequence[float], *, seed: int = 0
+    bundle: Bundle, diameters: Sequence[float], stiffness: Sequence[float]
 ) -> BundleLayout:
     """Arrange the wires of a bundle in its cross-section.
 
@@ -60,7 +62,6 @@ def arrange_wires(
     diameters : m, diameter over the insulation of each wire type
     stiffness : N, axial stiffness of each wire type; the stiffest lies on top in an asymmetric
         bundle
-    seed : seed of the random choices; the same seed gives the same layout
 
     Returns
     -------
@@ -85,7 +86,7 @@ def arrange_wires(
         arrangement, centres = STATED, _read_stated_centres(bundle, wire_diameters)
     else:
         arrangement = bundle.arrangement
-        centres = _find_centres(bundle, type_diameters, stiffness, seed)
+        centres = _find_centres(bundle, type_diameters, stiffness)
     x, y = (centres - np.average(centres, axis=0, weights=wire_diameters**2)).T
     radius = float(np.max(np.hypot(x, y) + wire_diameters / 2.0))
     return BundleLayout(arrangement, x, y, wire_types, wire_diameters, radius)
@@ -111,14 +112,12 @@ def _read_stated_centres(bundle: Bundle, diameters: Floats) -> Floats:
     return centres
 
 
-def _find_centres(
-    bundle: Bundle, diameters: Floats, stiffness: Sequence[float], seed: int
-) -> Floats:
+def _find_centres(bundle: Bundle, diameters: Floats, stiffness: Sequence[float]) -> Floats:
     """Find the centres of the wires, type by type, m."""
     diameter_tolerance = 1e-9  # relative difference of diameters that count as equal
-    sites = find_sites(bundle.number, seed=seed)
+    sites = find_sites(bundle.number)
     counts = [wire.number for wire in bundle.wires]
-    assignments = _assign_types(bundle.arrangement, sites, counts, stiffness, seed)
+    assignments = _assign_types(bundle.arrangement, sites, counts, stiffness)
     # The sites of each assignment are sorted by the type of their wire.
     sorted_sites = [sites[np.argsort(wire_types, kind="stable")] for wire_types in assignments]
     if np.ptp(diameters) <= diameter_tolerance * diameters.max():
@@ -130,7 +129,7 @@ def _find_centres(
 
 
 def _assign_types(
-    arrangement: str, sites: Floats, counts: Sequence[int], stiffness: Sequence[float], seed: int
+    arrangement: str, sites: Floats, counts: Sequence[int], stiffness: Sequence[float]
 ) -> list[Ints]:
     """Assign types to the sites.
 
@@ -140,15 +139,13 @@ def _assign_types(
     several assignments of a packed bundle.
     """
     n_shuffles = 8  # random assignments of up to 100 wires; half as many of more wires
-    match arrangement:
-        case "asymmetric":
-            return [stack_types(sites, counts, stiffness)]
-        case "symmetric":
-            return [spread_types(sites, counts, seed=seed)]
-        case _:
-            rng = np.random.default_rng(seed)
-            shuffles = n_shuffles if len(sites) <= _MAX_SEARCHED_WIRES else n_shuffles // 2
-            return [_shuffle_types(counts, rng) for _ in range(shuffles)]
+    if arrangement == "asymmetric":
+        return [stack_types(sites, counts, stiffness)]
+    if arrangement == "symmetric":
+        return [spread_types(sites, counts)]
+    rng = np.random.default_rng(_SEED)
+    shuffles = n_shuffles if len(sites) <= _MAX_SEARCHED_WIRES else n_shuffles // 2
+    return [_shuffle_types(counts, rng) for _ in range(shuffles)]
 
 
 def _choose_start_pitches(wire_diameters: Floats, n_assignments: int) -> list[float]:
@@ -215,14 +212,13 @@ def _choose_topmost(sites: Floats, free_sites: Ints, count: int) -> Ints:
     return np.concatenate([upper_sites, balanced])
 
 
-def spread_types(sites: Floats, counts: Sequence[int], *, seed: int = 0) -> Ints:
+def spread_types(sites: Floats, counts: Sequence[int]) -> Ints:
     """Assign types to the sites so that each is spread evenly over the bundle.
 
     Parameters
     ----------
     sites : shape (wires, 2), wire diameters, positions of the sites
     counts : number of wires of each type
-    seed : seed of the random starts; the same seed gives the same assignment
 
     Returns
     -------
@@ -241,7 +237,7 @@ def spread_types(sites: Floats, counts: Sequence[int], *, seed: int = 0) -> Ints
     """
     n_starts = 12
     features, neighbours = _compute_features(sites), _find_neighbours(sites)
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(_SEED)
     starts = (_shuffle_types(counts, rng) for _ in range(n_starts))
     assignments = [_exchange_wires(start, features, neighbours) for start in starts]
     return min(assignments, key=lambda types: _rate_unevenness(types, features, neighbours))
@@ -319,14 +315,12 @@ _WIDTH_TOLERANCE = 1e-9
 """Difference below which widths of heaps count as equal, wire diameters."""
 
 
-def find_sites(number: int, *, seed: int = 0) -> Floats:
+def find_sites(number: int) -> Floats:
     """Find positions of equal wires that touch.
 
     Parameters
     ----------
     number : number of wires, at least 1
-    seed : seed of the random starts; the same seed gives the same positions. Hexagons of up to 37
-        wires and heaps of more than 100 wires do not depend on it
 
     Returns
     -------
@@ -343,7 +337,7 @@ def find_sites(number: int, *, seed: int = 0) -> Floats:
     require("number", number, "a whole number >= 1", holds=number >= 1)
     core = _find_hexagon_centre(number) if number <= max_hexagon_wires else None
     if core is None:
-        sites = _search_densest_heap(number, seed)
+        sites = _search_densest_heap(number)
     else:
         sites = _make_lattice_heap(number, core, is_hexagonal=True)
     sites = sites - sites.mean(axis=0)
@@ -375,12 +369,12 @@ def _make_lattice_heap(number: int, core: Floats, *, is_hexagonal: bool = False)
     return np.asarray(points[np.argsort(np.round(distance, 9), kind="stable")[:number]])
 
 
-def _search_densest_heap(number: int, seed: int) -> Floats:
+def _search_densest_heap(number: int) -> Floats:
     """Search the narrowest of several pieces of a lattice and, up to 100 wires, of a heap."""
     n_random_starts = 8  # starts in addition to pieces of a triangular lattice
     n_edge_steps = 8  # steps along an edge of the triangle of `_HEAP_CENTRES`
     start_radius = 0.55  # radius of random starts, per square root of the number of wires
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(_SEED)
     diameters = np.ones(number)
     # By symmetry, centres outside the triangle of `_HEAP_CENTRES` give the same heaps.
     steps = np.linspace(0.0, 1.0, n_edge_steps + 1)

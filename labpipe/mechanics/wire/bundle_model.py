@@ -47,7 +47,7 @@ from labpipe.mechanics.wire.bundle_layout import (
     fits_bore,
 )
 from labpipe.mechanics.wire.first_loading import compute_end_load_path
-from labpipe.mechanics.wire.wire_table import build_wire
+from labpipe.mechanics.wire.wire_table import make_insulation, make_layers
 from labpipe.records.arrays import Flags, Floats, Ints
 from labpipe.records.harness_bundle import (
     Bundle,
@@ -400,10 +400,8 @@ def compute_axial_force(table: WireTable, strain: Floats) -> Floats:
     and its force contributes with cos(alpha) (Costello, *Theory of Wire Rope*, 1997). The
     derivative at zero strain is the axial stiffness of the table.
     """
-    section = build_wire(table.spec).section
-    insulation_stiffness = section.insulation.axial_stiffness if section.insulation else 0.0
-    force = insulation_stiffness * strain
-    for layer in section.layers:
+    force = make_insulation(table.spec).axial_stiffness * strain
+    for layer in make_layers(table.spec):
         cosine = np.cos(layer.lay_angle)
         stress = layer.material.stress(strain * cosine**2)
         force = force + layer.count * layer.area * cosine * stress
@@ -412,7 +410,7 @@ def compute_axial_force(table: WireTable, strain: Floats) -> Floats:
 
 def find_largest_strain(table: WireTable) -> float:
     """Find the axial strain up to which the stress of all strands is known; may be infinite."""
-    layers = build_wire(table.spec).section.layers
+    layers = make_layers(table.spec)
     strains = [layer.material.largest_strain / np.cos(layer.lay_angle) ** 2 for layer in layers]
     return float(min(strains))
 

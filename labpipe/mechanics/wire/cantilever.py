@@ -488,7 +488,7 @@ class CantileverShape:
         return self.state.load
 
 
-Step: TypeAlias = Callable[[WireState, float], WireState | None]
+StepFunction: TypeAlias = Callable[[WireState, float], WireState | None]
 """Function of a state and of the next travel that returns the next state, or None."""
 
 
@@ -698,7 +698,7 @@ def _solve_next(
     return WireState(*result, bent.load.item(), travel, state.self_weight, last)
 
 
-def _follow_path(step: Step, state: WireState, target: float, context: str) -> WireState:
+def _follow_path(step: StepFunction, state: WireState, target: float, context: str) -> WireState:
     """Advance the state to the target travel in steps that are halved if they fail.
 
     Raises

@@ -351,11 +351,17 @@ def place_rings(layers: tuple[Layer, ...], insulation: Insulation | None = None)
     return place_strands("concentric", layers, _spread_rings(layers, radii), insulation)
 
 
-def _spread_rings(layers: tuple[Layer, ...], radii: Sequence[float]) -> Floats:
-    """Space the strands of each ring evenly from angle 0; return centres, shape (strands, 2)."""
-    fractions = np.concatenate([np.arange(layer.count) / layer.count for layer in layers])
-    radius = np.repeat(radii, [layer.count for layer in layers])
-    angle = 2.0 * np.pi * fractions
+def _spread_rings(
+    layers: tuple[Layer, ...], radii: Sequence[float], turns: Floats | float = 0.0
+) -> Floats:
+    """Space the strands of each ring evenly from an angle in turns, by default 0.
+
+    Return the centres, shape (strands, 2).
+    """
+    counts = [layer.count for layer in layers]
+    fractions = np.concatenate([np.arange(count) / count for count in counts])
+    fractions += np.repeat(np.broadcast_to(turns, len(counts)), counts)
+    radius, angle = np.repeat(radii, counts), 2.0 * np.pi * fractions
     return np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])
 
 
@@ -485,9 +491,11 @@ def compute_overlap_energy(
 
 
 def pack_strands(
-    layers: tuple[Layer, ...], insulation: Insulation, *, seed: int = 0, n_starts: int = 12
+    layers: tuple[Layer, ...], insulation: Insulation, *, seed: int = 0
 ) -> CrossSection:
     """Pack equal strands by minimising their overlap energy from several seeded starts.
+
+    The starts are alternately random and on perturbed rings.
 
     Parameters
     ----------
@@ -495,8 +503,6 @@ def pack_strands(
         their distance from the axis. A first layer of one strand stays on the axis
     insulation : tube around the strands
     seed : seed of the starts; the same seed gives the same packing
-    n_starts : largest number of starts, at least 1, alternately random and on perturbed rings; the
-        search ends with the first packing without overlap
 
     Returns
     -------
@@ -509,7 +515,9 @@ def pack_strands(
         If the diameters differ, or if the strands of the best packing overlap each other or the
         bore too much; the message states the overlap.
     """
+    n_starts = 12  # at most; the search ends with the first packing without overlap
     energy_tolerance = 1e-16  # squared strand radii, which allows overlaps of 1e-8 strand radii
+    offset_deviation = 0.1  # standard deviation of strands from perturbed rings, strand radii
     _require_equal_strands(layers)
     n_strands, strand_radius = sum(layer.count for layer in layers), layers[0].diameter / 2.0
     # Lengths are in strand radii, because the tolerances of the optimiser are absolute.
@@ -524,7 +532,10 @@ def pack_strands(
 
     for start_number in range(n_starts if n_strands > 1 else 0):
         if start_number % 2:
-            start = _perturb_rings(layers, rng) / strand_radius
+            turns, offsets = rng.uniform(size=len(layers)), rng.normal(size=best_centres.shape)
+            ring_numbers = np.arange(len(layers)) + int(layers[0].count > 1)
+            rings = _spread_rings(layers, (2.0 * ring_numbers).tolist(), turns)
+            start = rings + offset_deviation * offsets
         else:
             radius = (bore_radius - 1.0) * np.sqrt(rng.uniform(size=n_strands))
             angle = rng.uniform(0.0, 2.0 * np.pi, n_strands)
@@ -542,17 +553,6 @@ def pack_strands(
         if lowest_energy < energy_tolerance:
             break
     return place_strands("packed", layers, _sort_strands(best_centres, layers), insulation)
-
-
-def _perturb_rings(layers: tuple[Layer, ...], rng: np.random.Generator) -> Floats:
-    """Place strands on concentric rings at random angles, and move each by a random offset."""
-    rings = []
-    first_ring_number = 0 if layers[0].count == 1 else 1
-    for ring_number, layer in enumerate(layers, start=first_ring_number):
-        angle = 2.0 * np.pi * (np.arange(layer.count) / layer.count + rng.uniform())
-        rings.append(ring_number * np.column_stack([np.cos(angle), np.sin(angle)]))
-    centres = np.concatenate(rings) * layers[0].diameter
-    return centres + rng.normal(scale=0.05 * layers[0].diameter, size=centres.shape)
 
 
 def _sort_strands(centres: Floats, layers: tuple[Layer, ...]) -> Floats:

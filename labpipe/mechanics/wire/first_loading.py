@@ -155,14 +155,14 @@ def load_cantilever(
     farthest = min(deflection, END_OF_FIRST_LOADING * length)
     deflections = farthest * (np.arange(1, n_points + 1) / n_points) ** spacing_power
     guess = None if guess is None else guess.full_curve
-    curve = load_to(table, length, rig, self_weight, deflections, guess=guess)
+    curve = find_equilibria(table, length, rig, self_weight, deflections, guess=guess)
     n = curve.count_loading_points()
     names = [item.name for item in fields(curve) if item.name not in {"moment", "full_curve"}]
     first_points = {name: getattr(curve, name)[..., :n] for name in names}
     return replace(curve, **first_points, moment=curve.moment[:n], full_curve=curve)
 
 
-def load_to(
+def find_equilibria(
     table: LoadingTable,
     length: float,
     rig: StringRig | None,
@@ -405,10 +405,10 @@ def compute_end_load_path(
     unloading_grid = length * np.arange(0.5, 1.0, 0.0125)
     table = LoadingTable.of_plays(law)
     is_rising = np.append(np.diff(deflections, prepend=0.0) > 0.0, False)
-    first_rise = deflections[: int(np.argmin(is_rising))]
-    is_below = unloading_grid < np.max(first_rise, initial=0.0)
-    grid = np.union1d(first_rise, unloading_grid[is_below])
-    curve = load_to(table, length, None, self_weight, grid, n_stations=n_stations)
+    rising_deflections = deflections[: int(np.argmin(is_rising))]
+    is_below = unloading_grid < np.max(rising_deflections, initial=0.0)
+    grid = np.union1d(rising_deflections, unloading_grid[is_below])
+    curve = find_equilibria(table, length, None, self_weight, grid, n_stations=n_stations)
 
     def make_state(row: int, history: Floats) -> WireState:
         """Make the state at a point of the curve from the history at the largest moments."""
@@ -419,9 +419,9 @@ def compute_end_load_path(
 
     rest_state = make_state(0, law.make_unbent_history(n_stations))
     state = make_state(-1, law.respond(curve.moment.max(axis=0), rest_state.plays).plays)
-    rows = np.append(0, 1 + np.searchsorted(grid, first_rise))
+    rows = np.append(0, 1 + np.searchsorted(grid, rising_deflections))
     load, clamp_moment = curve.tension[rows], curve.clamp_moment[rows]
-    for deflection in deflections[len(first_rise) :].tolist():
+    for deflection in deflections[len(rising_deflections) :].tolist():
         state = deflect(law, state, length, deflection)
         load, clamp_moment = np.append(load, state.load), np.append(clamp_moment, state.moment[0])
     n = int(np.argmin(np.append(is_within(law, clamp_moment[1:]), False)))
@@ -446,7 +446,7 @@ END_DEFLECTION = 0.8
 """Tip deflection at the end of a wire's path, relative to the length."""
 
 
-def compute_cantilever(spec: WireSpec, curve: MomentCurve, self_weight: float) -> EndLoadPath:
+def bend_cantilever(spec: WireSpec, curve: MomentCurve, self_weight: float) -> EndLoadPath:
     """Bend the cantilever of a wire to 0.8 of its length, or to the end of its law.
 
     Parameters

@@ -37,7 +37,7 @@ from labpipe.mechanics.wire.cross_section import (
     place_hexagon,
     place_sectors,
 )
-from labpipe.mechanics.wire.first_loading import compute_cantilever
+from labpipe.mechanics.wire.first_loading import bend_cantilever
 from labpipe.mechanics.wire.materials import Material, RambergOsgood, StressTable
 from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats
@@ -91,11 +91,9 @@ def tabulate_wire(spec: WireSpec) -> WireTable:
     curvature = make_curvature_grid(largest_curvature, onsets[onsets > 0.0])
     curve = _compute_rising_curve(wire, curvature)
     insulation_limit = find_insulation_limit(spec)
-    min_moment, max_moment = find_orientation_range(
-        wire.section, wire.contacts, curve, tension=spec.tension
-    )
+    moment_range = find_orientation_range(wire.section, wire.contacts, curve, tension=spec.tension)
     stretch_torsion = compute_stretch_torsion(wire.section)
-    cantilever = compute_cantilever(spec, curve, GRAVITY * wire.mass_per_length)
+    cantilever = bend_cantilever(spec, curve, GRAVITY * wire.mass_per_length)
     law_notes = _find_law_notes(spec, onsets, curve, insulation_limit)
     return WireTable(
         name=spec.name,
@@ -108,8 +106,8 @@ def tabulate_wire(spec: WireSpec) -> WireTable:
         free_torsional_stiffness=stretch_torsion.torsional_free,
         stretch_twist_coupling=stretch_torsion.coupling,
         slip_onsets=onsets,
-        lowest_moment=np.minimum(min_moment, curve.moment),
-        highest_moment=np.maximum(max_moment, curve.moment),
+        lowest_moment=np.minimum(moment_range[0], curve.moment),
+        highest_moment=np.maximum(moment_range[1], curve.moment),
         tip_deflection=cantilever.deflection,
         tip_force=cantilever.load,
         mass_per_length=wire.mass_per_length,
@@ -306,15 +304,23 @@ def make_layers(spec: WireSpec) -> tuple[Layer, ...]:
     )
 
 
+def make_insulation(spec: WireSpec) -> Insulation:
+    """Make the insulation of a wire, with the stress table of the sheet if it has one.
+
+    Raises
+    ------
+    ValueError
+        If the stress table is not concave, or a number is out of range.
+    """
+    curve = None if spec.insulation_table is None else StressTable(*spec.insulation_table)
+    modulus = spec.insulation_modulus if curve is None else curve.modulus
+    wall, poisson = spec.insulation_thickness, spec.insulation_poisson
+    return Insulation(spec.wire_diameter / 2.0 - wall, wall, modulus, poisson, curve)
+
+
 def _place_strands(spec: WireSpec) -> tuple[CrossSection, list[QualityNote]]:
     """Return the cross-section, and a note if the default layout, a hexagon, does not fit."""
-    wall, modulus = spec.insulation_thickness, spec.insulation_modulus
-    bore_radius, curve = spec.wire_diameter / 2.0 - wall, None
-    if spec.insulation_table is not None:
-        curve = StressTable(*spec.insulation_table)
-        modulus = curve.modulus
-    tube = Insulation(bore_radius, wall, modulus, spec.insulation_poisson, curve)
-    layers = make_layers(spec)
+    tube, layers = make_insulation(spec), make_layers(spec)
     if spec.layout == "compressed":
         return place_sectors(layers, tube, radii=spec.layer_radii), []
     if spec.layout != AUTO:

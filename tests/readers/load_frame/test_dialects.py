@@ -14,7 +14,7 @@ import pytest
 
 from labpipe.errors import ReadError
 from labpipe.process.reading import read_role
-from labpipe.protocol.source import Source
+from labpipe.protocol.source import Source, assign_roles
 from labpipe.readers import load_frame, read_export, recognise_export
 from tests.approved import Approve
 from tests.builders import load_frames as frames
@@ -276,8 +276,8 @@ def test_units_that_a_protocol_and_a_card_say(
                 "displacement": {"channel": "Position", "unit": "in"},
             },
         }
-    ).with_role("frame")
-    recording = read_role(file, source)
+    )
+    recording = read_role(file, assign_roles({"frame": source})["frame"])
     np.testing.assert_allclose(time(recording), TIME)
     force, travel = recording.channels
     assert (force.name, force.unit, travel.unit) == ("force", "N", "m")

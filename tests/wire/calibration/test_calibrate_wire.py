@@ -149,17 +149,17 @@ def test_starts_and_priors() -> None:
         posed = set_up_problem(parts, CURVES, Settings(gain=0.01))
         assert not isinstance(posed, CalibrationFailure)
         problem, logs = posed
-        assert problem.free.tolist() == free
+        assert problem.is_free.tolist() == free
         assert np.exp(logs)[free] == pytest.approx(np.array(starts)[free])
         assert not problem.precision.any()
         assert np.exp(problem.upper[2]) == pytest.approx(SEARCH_RANGES[COPPER_SCALE][2])
-        assert problem.sample.tolist() == [0, 1, 2]
+        assert problem.sample_index.tolist() == [0, 1, 2]
     friction, copper = ParameterChoice(0.08, is_fixed=True), ParameterChoice(1.2, factor=1.5)
     choices = {RADIAL_FRICTION: friction, COPPER_SCALE: copper}
     posed = set_up_problem(PARTS, CURVES, Settings(choices, 0.01))
     assert not isinstance(posed, CalibrationFailure)
     problem, logs = posed
-    assert problem.free.tolist() == [False, True, True]
+    assert problem.is_free.tolist() == [False, True, True]
     assert np.exp(logs) == pytest.approx([0.08, 1e9, 1.2])
     assert problem.lower[0] == problem.upper[0] == logs[0]
     assert problem.centre[2] == logs[2]

@@ -13,8 +13,8 @@ from labpipe.mechanics.wire.calibration.calibrate_wire import calibrate
 from labpipe.mechanics.wire.calibration.identification import compute_quantile
 from labpipe.mechanics.wire.calibration.law_components import split_law
 from labpipe.mechanics.wire.calibration.local_minima import (
+    LocalProfile,
     Minima,
-    Trace,
     _find_end,
     _ProfileWalk,
     _yield_starts,
@@ -65,7 +65,7 @@ PROBLEM = Problem(
     np.ones(3, dtype=np.bool_),
 )
 
-HELD = replace(PROBLEM, free=np.zeros(3, dtype=np.bool_))
+HELD = replace(PROBLEM, is_free=np.zeros(3, dtype=np.bool_))
 
 
 def start(*factors: float) -> Floats:
@@ -102,7 +102,7 @@ def test_how_far_fits_are_apart_in_standard_deviations() -> None:
     )
 
     def weighed(fit: Fit) -> Floats:
-        curves = zip(problem.sample, fit.models, CURVES, strict=True)
+        curves = zip(problem.sample_index, fit.models, CURVES, strict=True)
         gain, offsets = fit.unknowns[3], fit.unknowns[4:]
         factors = np.exp(gain + offsets)
         forces = [factors[at] * model.force / curve.noise for at, model, curve in curves]
@@ -252,7 +252,7 @@ def test_a_profile_ends_where_its_deviance_jumps(
 def test_intervals_that_touch_or_overlap_are_one() -> None:
     none = np.zeros(0)
     ends = [(4.0, 5.0), (0.0, 2.0), (2.0, 3.0), (0.5, 1.0)]
-    parts = (Trace(none, none, *pair, False, False, 3.84, 3.84) for pair in ends)
+    parts = (LocalProfile(none, none, *pair, False, False, 3.84, 3.84) for pair in ends)
     assert unite_intervals(tuple(parts)) == ((0.0, 3.0), (4.0, 5.0))
 
 

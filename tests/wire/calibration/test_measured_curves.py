@@ -17,7 +17,7 @@ from labpipe.mechanics.wire.calibration.measured_curves import (
     compute_lag_one_correlation,
     compute_runs_p,
     compute_shared_errors,
-    select_usable,
+    select_usable_curves,
     whiten,
 )
 from labpipe.records.arrays import Floats
@@ -38,12 +38,13 @@ CURVE = MeasuredCurve("A2", "t", "s", 0.085, np.linspace(0, 0.05, 5), np.arange(
 def test_a_curve_is_frozen_and_its_noise_spread() -> None:
     assert CURVE.noise == pytest.approx(np.full(5, 0.002))
     assert CURVE.peak == 4.0
-    assert CURVE.read_error == pytest.approx(0.002)
-    assert replace(CURVE, zero_error=0.1).read_error == pytest.approx(np.hypot(0.1, 0.002))
-    read_error = replace(CURVE, place_error=1e-3).read_error
-    assert read_error == pytest.approx(np.hypot(1e-3 * 4.0 / 0.05, 0.002))
+    assert CURVE.point_error == pytest.approx(0.002)
+    assert replace(CURVE, zero_error=0.1).point_error == pytest.approx(np.hypot(0.1, 0.002))
+    point_error = replace(CURVE, offset_error=1e-3).point_error
+    assert point_error == pytest.approx(np.hypot(1e-3 * 4.0 / 0.05, 0.002))
     force = np.array([0.0, 1.0, np.nan, 3.0, 4.0])
-    usable = select_usable((replace(CURVE, force=force), replace(CURVE, force=np.full(5, np.nan))))
+    empty = replace(CURVE, force=np.full(5, np.nan))
+    usable = select_usable_curves((replace(CURVE, force=force), empty))
     assert isinstance(usable, tuple)
     assert [len(curve.force) for curve in usable] == [4]
     with pytest.raises(ValueError, match="read-only"):
@@ -116,7 +117,7 @@ def test_what_is_refused(approved: Approve) -> None:
     ]
     lines = []
     for curves in refused:
-        failure = select_usable(curves)
+        failure = select_usable_curves(curves)
         assert isinstance(failure, CalibrationFailure)
         lines.append(f"{failure.code}: {failure.message}")
     with pytest.raises(ValueError, match="no point has both a measured and a modelled force"):
@@ -226,14 +227,14 @@ def external(deflection: Floats, force: Floats) -> ExternalCurve:
 
 def test_errors_that_points_or_curves_share() -> None:
     """Four curves alike count a shared scale twice each, what is their own once."""
-    curve = replace(CURVE, zero_error=0.1, place_error=2e-3, scale_error=0.01)
+    curve = replace(CURVE, zero_error=0.1, offset_error=2e-3, scale_error=0.01)
     slope = np.array([1.0, 2.0, 3.0, 4.0, 5.0])
     zero, place, scale = compute_shared_errors(curve, slope)
     assert zero == pytest.approx(np.full(5, 0.1))
     assert place == pytest.approx(2e-3 * slope)
     assert scale == pytest.approx(0.01 * curve.deflection * slope)
     assert not compute_shared_errors(CURVE, slope).any()
-    alike = select_usable((replace(CURVE, scale_error=0.01, own_scale_error=0.015),) * 4)
+    alike = select_usable_curves((replace(CURVE, scale_error=0.01, own_scale_error=0.015),) * 4)
     assert not isinstance(alike, CalibrationFailure)
     scale = compute_shared_errors(alike[0], slope)[2]
     np.testing.assert_allclose(scale, 0.025 * alike[0].deflection * slope)

@@ -121,7 +121,7 @@ def test_correlation_of_neighbours(correlation: float) -> None:
 
     def estimate(curve: MeasuredCurve, model: ModelForce, factor: float) -> float:
         fit, _ = layout(1)
-        problem = replace(fit.problem, curves=(curve,), sample=np.zeros(1, np.int64))
+        problem = replace(fit.problem, curves=(curve,), sample_index=np.zeros(1, np.int64))
         unknowns = np.append(fit.unknowns[:4], np.log(factor))
         fit = replace(fit, problem=problem, unknowns=unknowns, models=[model])
         return estimate_correlation(fit)
@@ -140,7 +140,8 @@ def test_correlation_of_neighbours(correlation: float) -> None:
 
 def test_one_sample_has_no_scatter() -> None:
     fit, _ = layout(5)
-    problem = replace(fit.problem, curves=fit.problem.curves[:1], sample=np.zeros(1, np.int64))
+    curves, index = fit.problem.curves[:1], np.zeros(1, np.int64)
+    problem = replace(fit.problem, curves=curves, sample_index=index)
     one_sample = replace(fit, problem=problem, unknowns=fit.unknowns[:5], grams=fit.grams[:1])
     levels = estimate_levels(one_sample, 0.0)
     assert levels.scatter == 0.0

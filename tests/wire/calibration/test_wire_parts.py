@@ -128,7 +128,7 @@ def test_errors_that_points_share_make_a_covariance(correlation: float) -> None:
     """Against the inverse of the whole matrix."""
     curve = measured(samples=1, n=30)[0]
     if correlation:
-        curve = replace(curve, zero_error=2e-3, place_error=1e-3, scale_error=0.02)
+        curve = replace(curve, zero_error=2e-3, offset_error=1e-3, scale_error=0.02)
     model = compute_model_forces(PARTS, TRUTH, (curve,))[0]
     shared = compute_shared_errors(curve, model.slope)
     lags = np.abs(np.subtract.outer(np.arange(30), np.arange(30)))
@@ -225,7 +225,7 @@ def test_what_a_wire_has(
 def test_copper_and_first_loading_end() -> None:
     """Within them the curve reaches its deflection for any law."""
     # up to strains of 100
-    assert PARTS.components[-1].last == pytest.approx(100.0 / (0.5 * CORE.diameter))
+    assert PARTS.components[-1].last_curvature == pytest.approx(100.0 / (0.5 * CORE.diameter))
     for factors in ([20.0, 0.05, 3.0], [0.01, 5.0, 0.06]):
         values = TRUTH * factors
         reached = compute_loading_curve(

@@ -25,7 +25,7 @@ from labpipe.mechanics.wire.calibration.local_minima import LocalMinimum, Minima
 from labpipe.mechanics.wire.calibration.measured_curves import (
     MeasuredCurve,
     compare_with_model,
-    select_usable,
+    select_usable_curves,
     whiten,
 )
 from labpipe.mechanics.wire.calibration.objective import (
@@ -38,6 +38,7 @@ from labpipe.mechanics.wire.calibration.objective import (
 from labpipe.mechanics.wire.calibration.variances import compute_quantiles, estimate_uncertainty
 from labpipe.mechanics.wire.cantilever import StringRig
 from labpipe.mechanics.wire.first_loading import LoadingCurve, interpolate_force
+from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import NORMAL_95, Interval
 from labpipe.records.quality import QualityNote
@@ -74,11 +75,11 @@ def calibrate(
 
     Returns
     -------
-    The calibration; or a failure ``model_cannot_follow``, or one of `select_usable` and
+    The calibration; or a failure ``model_cannot_follow``, or one of `select_usable_curves` and
     `set_up_problem`.
     """
     settings = settings or Settings()
-    usable = select_usable(tuple(curves))
+    usable = select_usable_curves(tuple(curves))
     if isinstance(usable, CalibrationFailure):
         return usable
     setup = set_up_problem(wire.law, usable, settings)
@@ -91,11 +92,6 @@ def calibrate(
     return make_calibration(minima, settings)
 
 
-METHOD = (
-    "generalised least squares on the force over logarithms of the parameters; levels of noise, "
-    "samples and load cell; scatter of samples by restricted likelihood; profile likelihood from "
-    "every local minimum of the objective, with quantiles of t averaged over the possible scatter"
-)
 _FACTOR_99 = 1.727
 """Rise of the objective at the ends of a 99 % interval relative to that at 95 %. Other solutions
 are reported up to this rise."""
@@ -139,7 +135,7 @@ def make_calibration(minima: Minima, settings: Settings) -> Calibration:
         sse=sse,
         rmse=rmse,
         rmse_share=rmse / max(curve.peak for curve in problem.curves),
-        method=METHOD,
+        method=format_sentence("mechanics.wire.method"),
         notes=tuple(_find_notes(minima, parameters, solutions, compared)),
     )
 
@@ -168,7 +164,7 @@ def _make_parameter(
     if not problem.law.is_active[index]:
         text = f"{identification.NAMES[name]} does not act on this wire"
         return CalibratedParameter(name, UNITS[name], np.nan, explanation=text)
-    if not problem.free[index]:
+    if not problem.is_free[index]:
         fixed = CalibratedParameter(name, UNITS[name], value, source=choice.source)
         return replace(fixed, explanation=identification.describe_parameter(fixed))
     traces = local_minima.follow_profiles(minima, index)
@@ -192,14 +188,15 @@ def _make_parameter(
         ),
         conflict=_fit_without_prior(minima, index, choice) if choice.factor is not None else None,
     )
-    others = tuple(
+    alternatives = tuple(
         (float(solution.values[index]), solution.likelihood)
         for solution in solutions
         if not solution.is_allowed
     )
     ends = _find_interval_at_99(minima, index, parameter)
-    parameter = replace(parameter, verdict=identification.find_verdict(parameter, others, ends))
-    text = identification.describe_parameter(parameter, others, ends)
+    verdict = identification.find_verdict(parameter, alternatives, ends)
+    parameter = replace(parameter, verdict=verdict)
+    text = identification.describe_parameter(parameter, alternatives, ends)
     return replace(parameter, explanation=text)
 
 
@@ -256,8 +253,8 @@ def _fit_without_prior(minima: Minima, index: int, choice: ParameterChoice) -> P
 
 
 def _compute_correlations(minima: Minima) -> Floats:
-    """Compute the correlations of the free parameters, shape (3, 3); NaN for others."""
-    covariance, free = minima.lowest.uncertainty.covariance[:P, :P], minima.fit.problem.free
+    """Compute the correlations of the free parameters, shape (3, 3); NaN for alternatives."""
+    covariance, free = minima.lowest.uncertainty.covariance[:P, :P], minima.fit.problem.is_free
     errors = np.sqrt(np.diag(covariance))
     correlations = np.full((P, P), np.nan)
     free_pairs = np.ix_(free, free)
@@ -432,10 +429,13 @@ def find_tested_curvature(wire: Wire, values: Floats, curves: Sequence[MeasuredC
     if not curves:
         message = "curves: expected at least one"
         raise ValueError(message)
-    curvatures = []
+    ends: dict[tuple[float, StringRig | None], float] = {}
     for curve in curves:
         end = float(np.nanmax(np.abs(curve.deflection)))
-        loading = compute_calibrated_curve(wire, values, curve.length, curve.rig, end)
+        ends[curve.length, curve.rig] = max(end, ends.get((curve.length, curve.rig), 0.0))
+    curvatures = []
+    for (length, rig), end in ends.items():
+        loading = compute_calibrated_curve(wire, values, length, rig, end)
         curvatures.append(float(np.interp(end, loading.deflection, loading.clamp_curvature)))
     return max(curvatures)
 

@@ -246,7 +246,7 @@ def _compute_test(
     The shapes are (shares, numbers) and (parameters, numbers). The derivatives are for an
     intermediate share.
     """
-    log_step, share_of_derivatives = 0.1, 0.5
+    log_step, derivative_share = 0.1, 0.5
 
     def compute(share: float, changes: Mapping[str, float]) -> list[float]:
         law, weight = make_law(changes, share), test.self_weight
@@ -254,8 +254,8 @@ def _compute_test(
         return [cycles[name] for name in HARDENING_NUMBERS]
 
     by_share = np.array([compute(share, {}) for share in SHARES])
-    reference = compute(share_of_derivatives, {})
-    changed = np.array([compute(share_of_derivatives, {name: log_step}) for name in names])
+    reference = compute(derivative_share, {})
+    changed = np.array([compute(derivative_share, {name: log_step}) for name in names])
     return by_share, (changed.reshape(-1, len(HARDENING_NUMBERS)) - reference) / log_step
 
 

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import TypeAlias
 
 import numpy as np
 from scipy.special import stdtrit
 
+from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import NORMAL_95
 from labpipe.records.wire import (
@@ -29,26 +31,29 @@ NAMES: Mapping[str, str] = {
     COPPER_SCALE: "the strength of the copper",
 }
 
+Alternatives: TypeAlias = Sequence[tuple[float, float]]
+"""Value of a parameter, and relative likelihood, of each solution outside of the 95 % set."""
+
 MAX_WELL_SPAN = 2.0
 """Ratio of the ends of an interval below which a parameter is well identified."""
 
 
 def find_verdict(
     parameter: CalibratedParameter,
-    others: Sequence[tuple[float, float]] = (),
+    alternatives: Alternatives = (),
     ends: tuple[float, float] | None = None,
 ) -> Identifiability:
     """Find the verdict on a fitted parameter.
 
     Parameters
     ----------
-    parameter, others, ends : fitted parameter, its values in other solutions, and ends of its
-        interval at 99 %, as for `describe_parameter`
+    parameter, alternatives, ends : fitted parameter, its values in other solutions, and ends of
+        its interval at 99 %, as for `describe_parameter`
     """
     max_span = 100.0  # ratio of the ends of an interval above which nothing is identified
     min_error_ratio = 0.9  # error relative to that of the prior, above which the prior decides
     low, high = parameter.intervals[0].lower, parameter.intervals[-1].upper
-    possible_values = [low, high, *(ends or ()), *(value for value, _ in others)]
+    possible_values = [low, high, *(ends or ()), *(value for value, _ in alternatives)]
     conflict = parameter.conflict
     if parameter.at_bound:
         return Identifiability.AT_BOUND
@@ -62,7 +67,7 @@ def find_verdict(
         return Identifiability.NOT
     if max(possible_values) < MAX_WELL_SPAN * min(possible_values):
         return Identifiability.WELL
-    is_split = len(parameter.intervals) > 1 or _has_other_value(parameter, others)
+    is_split = len(parameter.intervals) > 1 or _has_other_value(parameter, alternatives)
     return Identifiability.TWO if is_split else Identifiability.WEAKLY
 
 
@@ -85,17 +90,17 @@ def format_value(name: str, *values: float) -> str:
     return f"{numbers} {unit}".rstrip()
 
 
-def _has_other_value(parameter: CalibratedParameter, others: Sequence[tuple[float, float]]) -> bool:
+def _has_other_value(parameter: CalibratedParameter, alternatives: Alternatives) -> bool:
     """Return whether another solution lies outside of all intervals."""
     return any(
         not any(interval.lower <= value <= interval.upper for interval in parameter.intervals)
-        for value, _ in others
+        for value, _ in alternatives
     )
 
 
 def describe_parameter(
     parameter: CalibratedParameter,
-    others: Sequence[tuple[float, float]] = (),
+    alternatives: Alternatives = (),
     ends: tuple[float, float] | None = None,
 ) -> str:
     """Describe the result for a parameter in a sentence.
@@ -103,31 +108,29 @@ def describe_parameter(
     Parameters
     ----------
     parameter : parameter without an explanation
-    others : value of the parameter and relative likelihood of each solution outside of the 95 % set
+    alternatives : values of the parameter in other solutions
     ends : ends of the interval at 99 %; None without such an interval
     """
     key, interval, verdict = parameter.name, parameter.interval, parameter.verdict
     name, value = NAMES[key], format_value(key, parameter.value)
     if interval is None:
-        return f"{name} was held at {value}{_format_source(parameter.source)}"
+        source = _format_source(parameter.source)
+        return format_sentence("mechanics.wire.held", name=name, value=value, source=source)
     low, high = (format_value(key, value) for value in (interval.lower, interval.upper))
     if parameter.at_bound:
-        is_lower = parameter.at_bound == "lower"
-        return (
-            f"{name} is doubtful: it ended at the {parameter.at_bound} bound of its search, "
-            f"{value}; the tests suggest a value {'below' if is_lower else 'above'} it, or do not "
-            f"determine it; inside the bounds it extends to {high if is_lower else low} (95 %)"
-        )
+        side, end = ("below", high) if parameter.at_bound == "lower" else ("above", low)
+        facts = {"name": name, "bound": parameter.at_bound, "value": value}
+        return format_sentence("mechanics.wire.ends_at_bound", side=side, end=end, **facts)
     text = f"it {_describe_range(parameter)} (95 %)"
     if verdict is Identifiability.AGAINST_PRIOR:
         return f"{name} is doubtful because prior and tests contradict each other: {text}"
     statement, ending = f"is {verdict.value}", ""
     if verdict is Identifiability.TWO:
         statement = "has two solutions"
-        if _has_other_value(parameter, others):
+        if _has_other_value(parameter, alternatives):
             ending = "".join(
                 f", or near {format_value(key, value)}, by a solution {chance:.2g} times as likely"
-                for value, chance in others
+                for value, chance in alternatives
             )
     is_short = interval.upper < MAX_WELL_SPAN * interval.lower
     if ends is not None and verdict is Identifiability.WEAKLY and is_short:
@@ -173,11 +176,7 @@ def describe_solutions(solutions: Sequence[Solution]) -> str:
         rmse = f"{1e3 * solution.rmse:.3g} mN"
         texts.append(f"({index + 1}) {', '.join(values)}: RMSE {rmse}{likelihood}{limit}")
     count = "two" if len(solutions) == 2 else str(len(solutions))
-    return (
-        f"{count} solutions fit the tests: {'; '.join(texts)}. Values are of (1), "
-        "intervals and bands of all in the 95 % set. A prior on the strength of the copper, or "
-        "tests of another length, can distinguish them"
-    )
+    return format_sentence("mechanics.wire.solutions", count=count, solutions="; ".join(texts))
 
 
 def find_separability(names: tuple[str, ...], jacobian: Floats, subject: str) -> Separability:
@@ -201,18 +200,19 @@ def find_separability(names: tuple[str, ...], jacobian: Floats, subject: str) ->
     numbers = [f"{value:.0f}" if value >= 100.0 else f"{value:.2g}" for value in values]
     unknown_names = [NAMES.get(name, name) for name in names if not is_known[name]]
     n_known = len(names) - int(is_unknown.sum())
-    reason = (
-        f"{n_known} of {len(names)} combinations {'is' if n_known == 1 else 'are'} known "
-        f"(singular values of {subject}: {', '.join(numbers)}; below 1, a combination is unknown "
-        "by a factor of e)"
-    )
-    if not unknown_names:
-        text = f"{subject} can be distinguished: {reason}"
-    elif len(unknown_names) == 1:
-        text = f"{unknown_names[0]} is not identified: {reason}"
-    else:
+    verdict = f"{subject} can be distinguished"
+    if len(unknown_names) == 1:
+        verdict = f"{unknown_names[0]} is not identified"
+    elif unknown_names:
         group = f"{', '.join(unknown_names[:-1])} and {unknown_names[-1]}"
-        text = f"{group} are not identified, they cannot be distinguished: {reason}"
+        verdict = f"{group} are not identified, they cannot be distinguished"
+    text = format_sentence(
+        "mechanics.wire.combinations",
+        verdict=verdict,
+        known=f"{n_known} of {len(names)} combinations {'is' if n_known == 1 else 'are'} known",
+        subject=subject,
+        values=", ".join(numbers),
+    )
     return Separability(names, values, rows, is_known, text)
 
 
@@ -232,13 +232,15 @@ def weigh_prior(name: str, conflict: PriorConflict) -> PriorConflict:
     """
     limit = compute_quantile(conflict.freedom)
     contradicts = conflict.size > limit
-    relation = "contradicts" if contradicts else "agrees with"
-    side = "above" if conflict.estimate > conflict.centre else "below"
-    effect = " (the other values are affected, too)" if contradicts else ""
-    message = (
-        f"the prior of {NAMES[name]}, {format_value(name, conflict.centre)} within a factor of "
-        f"{conflict.factor:.4g}{_format_source(conflict.source)}, {relation} the "
-        f"tests, which alone give {format_value(name, conflict.estimate)}: {conflict.size:.2f} "
-        f"combined standard errors {side} the prior; the limit at 95 % is {limit:.2f}{effect}"
+    message = format_sentence(
+        "mechanics.wire.prior_contradicts" if contradicts else "mechanics.wire.prior_agrees",
+        name=NAMES[name],
+        centre=format_value(name, conflict.centre),
+        factor=conflict.factor,
+        source=_format_source(conflict.source),
+        estimate=format_value(name, conflict.estimate),
+        size=conflict.size,
+        side="above" if conflict.estimate > conflict.centre else "below",
+        limit=limit,
     )
     return replace(conflict, contradicts=contradicts, message=message)

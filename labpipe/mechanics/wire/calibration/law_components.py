@@ -52,32 +52,32 @@ shape (n,)."""
 class LawComponent:
     """A component of the moment of a wire that scales with the value v of one parameter.
 
-    The moment is v m(kappa), or a m(kappa / a) with a = (v / unit)^power.
+    The moment is v m(kappa), or a m(kappa / a) with a = (v / reference)^power.
 
     Parameters
     ----------
     parameter : index of the parameter in `PARAMETERS`
     compute_unit_moment : function m, with its derivative
-    last : 1/m, last curvature for which m is known
-    name : name of the material or part that limits the curvature
-    power : exponent of v / unit in a; 0 if a does not depend on v
-    unit : value of the parameter for which a = 1
+    last_curvature : 1/m, last curvature for which m is known
+    limit_name : name of the material or part that limits the curvature
+    power : exponent of v / reference in a; 0 if a does not depend on v
+    reference : value of the parameter for which a = 1
     is_proportional : whether the moment is v m(kappa)
     corners : shape (corners,), 1/m, curvatures at which m has corners
     """
 
     parameter: int
     compute_unit_moment: MomentFunction
-    last: float = np.inf
-    name: str = ""
+    last_curvature: float = np.inf
+    limit_name: str = ""
     power: float = 0.0
-    unit: float = 1.0
+    reference: float = 1.0
     is_proportional: bool = False
     corners: Floats = field(default_factory=lambda: np.zeros(0))
 
     def compute_scale(self, values: Floats) -> float:
         """Compute the factor a on curvatures."""
-        return float((values[self.parameter] / self.unit) ** self.power)
+        return float((values[self.parameter] / self.reference) ** self.power)
 
     def compute_moment(self, values: Floats, curvature: Floats) -> tuple[Floats, Floats, Floats]:
         """Compute moment, tangent stiffness, and derivative with respect to the log parameter, N m.
@@ -118,11 +118,12 @@ class WireLaw:
         values : shape (3,), values of `PARAMETERS`
         """
         end, statement = np.inf, ""
-        for item in self.components:
-            last = item.last * item.compute_scale(values) if np.isfinite(item.last) else np.inf
+        for component in self.components:
+            last = component.last_curvature * component.compute_scale(values)
             if last < end:
-                scale = f" at a copper scale of {values[_COPPER]:.4g}" if item.power else ""
-                end, statement = last, f"the {item.name} is known up to {last:.6g} 1/m{scale}"
+                scale = f" at a copper scale of {values[_COPPER]:.4g}" if component.power else ""
+                end, name = last, component.limit_name
+                statement = f"the {name} is known up to {last:.6g} 1/m{scale}"
         return end, statement
 
     def compute_moment(self, values: Floats, curvature: Floats) -> tuple[Floats, Floats, Floats]:
@@ -132,10 +133,10 @@ class WireLaw:
         """
         moment, slope = np.zeros((2, len(curvature)))
         changes = np.zeros((len(PARAMETERS), len(curvature)))
-        for item in self.components:
-            item_moment, item_slope, change = item.compute_moment(values, curvature)
-            moment, slope = moment + item_moment, slope + item_slope
-            changes[item.parameter] += change
+        for component in self.components:
+            addend, addend_slope, change = component.compute_moment(values, curvature)
+            moment, slope = moment + addend, slope + addend_slope
+            changes[component.parameter] += change
         return moment, slope, changes
 
 
@@ -194,8 +195,8 @@ def _split_friction(section: CrossSection, contacts: Contacts, orientation: floa
         slope = slopes[panel]
         return moment[panel] + slope * (x - curvature[panel]), slope
 
-    unit = contacts.friction_sum
-    return LawComponent(_FRICTION, interpolate, power=1.0, unit=unit, corners=curvature[1:])
+    component = LawComponent(_FRICTION, interpolate, power=1.0, corners=curvature[1:])
+    return replace(component, reference=contacts.friction_sum)
 
 
 def _find_exponent(material: object) -> float:
@@ -280,7 +281,7 @@ def _find_edges(law: WireLaw, values: Floats, largest: float) -> Floats:
     log_range = 8.0  # logarithm of the ratio of the last and the first curvature
     spacing_power = 1.5  # the points are denser towards the last
     grid = largest * np.exp(-log_range * np.linspace(1.0, 0.0, n_points) ** spacing_power)
-    corners = np.concatenate([item.compute_scale(values) * item.corners for item in law.components])
+    corners = np.concatenate([part.compute_scale(values) * part.corners for part in law.components])
     corners = corners[corners < largest]
     above = grid[np.minimum(np.searchsorted(grid, corners), len(grid) - 1)]
     below = grid[np.maximum(np.searchsorted(grid, corners) - 1, 0)]

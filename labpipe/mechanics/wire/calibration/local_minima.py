@@ -125,11 +125,11 @@ def find_minima(problem: Problem, logs: Floats) -> Minima:
     """
     first_scatter = 0.05  # relative, of the first search
     levels = Levels(1.0, 0.0, first_scatter if problem.scatter is None else problem.scatter)
-    fit = refine(_search_first_fit(problem, levels, _yield_starts(problem, logs)))
+    fit = refine_levels(_search_first_fit(problem, levels, _yield_starts(problem, logs)))
     line = follow_line(fit)
     found_minima = find_local_minima(line, fit)
     lowest = min(found_minima, key=lambda minimum: minimum.objective)
-    fit = lowest if lowest is fit else refine(lowest)
+    fit = lowest if lowest is fit else refine_levels(lowest)
     fits = [fit]
     for other in found_minima:
         if other is not lowest and other.objective - lowest.objective <= _MAX_RISE:
@@ -140,14 +140,13 @@ def find_minima(problem: Problem, logs: Floats) -> Minima:
         [best, *(point for point in line if _is_separate(point, best))], key=_get_strength
     )
     rises = [0.0 if fit is best else max(fit.objective - lowest.objective, 0.0) for fit in line]
-    local_minima = []
-    for fit in fits:
-        rise = max(fit.objective - best.objective, 0.0)
-        if rise <= _MAX_RISE:
-            uncertainty, mixture = variances.estimate_uncertainty(fit), variances.make_mixture(fit)
-            local_minima.append(LocalMinimum(fit, rise, uncertainty, mixture))
+    local_minima = tuple(
+        LocalMinimum(fit, rise, variances.estimate_uncertainty(fit), variances.make_mixture(fit))
+        for fit in fits
+        if (rise := max(fit.objective - best.objective, 0.0)) <= _MAX_RISE
+    )
     unknowns = np.array([fit.unknowns[: P + 1] for fit in line])
-    return Minima(tuple(local_minima), unknowns, np.array(rises), compute_widening(line, best))
+    return Minima(local_minima, unknowns, np.array(rises), compute_widening(line, best))
 
 
 def _is_separate(first: Fit, second: Fit) -> bool:
@@ -173,7 +172,7 @@ def _search_from(fit: Fit, start: Fit) -> list[Fit]:
         return []
 
 
-def refine(fit: Fit) -> Fit:
+def refine_levels(fit: Fit) -> Fit:
     """Estimate noise and scatter of a fit, and search again until they converge."""
     max_rounds = 6
     level_tolerance = 0.01
@@ -213,7 +212,7 @@ def _drop_offsets(unknowns: Floats, levels: Levels) -> Floats:
 
 def _has_trade_off(problem: Problem) -> bool:
     """Return whether insulation and copper are both free, so that one can replace the other."""
-    return bool(problem.free[_TUBE] and problem.free[_COPPER])
+    return bool(problem.is_free[_TUBE] and problem.is_free[_COPPER])
 
 
 def _yield_starts(problem: Problem, logs: Floats) -> Iterator[Floats]:
@@ -223,7 +222,7 @@ def _yield_starts(problem: Problem, logs: Floats) -> Iterator[Floats]:
     if not _has_trade_off(problem):
         return
     nominal_values = problem.law.nominal
-    is_nominal = problem.free & (nominal_values > 0.0)
+    is_nominal = problem.is_free & (nominal_values > 0.0)
     nominal = np.where(is_nominal, np.log(np.where(is_nominal, nominal_values, 1.0)), logs)
     models = objective.compute_model_forces(problem.law, np.exp(nominal), problem.curves)
     total = sum(float(np.abs(model.force).sum()) for model in models)
@@ -384,7 +383,7 @@ def compute_differences(line: list[Fit], base: Fit) -> Floats:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Trace:
+class LocalProfile:
     """Profile of a parameter from one minimum, and the ends of its interval.
 
     Parameters
@@ -406,7 +405,7 @@ class Trace:
     threshold_above: float
 
 
-def follow_profiles(minima: Minima, index: int, *, factor: float = 1.0) -> tuple[Trace, ...]:
+def follow_profiles(minima: Minima, index: int, *, factor: float = 1.0) -> tuple[LocalProfile, ...]:
     """Follow the objective from each of its minima within the interval of a parameter.
 
     Parameters
@@ -422,7 +421,7 @@ def follow_profiles(minima: Minima, index: int, *, factor: float = 1.0) -> tuple
     )
 
 
-def unite_intervals(traces: tuple[Trace, ...]) -> tuple[tuple[float, float], ...]:
+def unite_intervals(traces: tuple[LocalProfile, ...]) -> tuple[tuple[float, float], ...]:
     """Return the ends of the union of the intervals of several traces, increasing logarithms."""
     intervals: list[tuple[float, float]] = []
     for lower, upper in sorted((trace.lower, trace.upper) for trace in traces):
@@ -494,7 +493,9 @@ def _compute_quantile_ratio(quantile: Floats, error: Floats) -> Floats:
     return np.asarray(np.maximum(ratio, min_quantile))
 
 
-def _follow_profile(minima: Minima, index: int, minimum: LocalMinimum, factor: float) -> Trace:
+def _follow_profile(
+    minima: Minima, index: int, minimum: LocalMinimum, factor: float
+) -> LocalProfile:
     """Follow the objective to both sides of a minimum, with all other unknowns fitted."""
     fit, start = minimum.fit, float(minimum.fit.logs[index])
     error = float(np.sqrt(minimum.uncertainty.covariance[index, index]))
@@ -510,14 +511,14 @@ def _follow_profile(minima: Minima, index: int, minimum: LocalMinimum, factor: f
         is_single = len(minima.local_minima) == 1
         points |= set(side.points if is_single else _select_uphill(start, side))
     logs, heights = np.array(sorted(points)).T
-    return Trace(
+    return LocalProfile(
         *(logs, heights**2 + minimum.rise, low.end, high.end, low.is_open, high.is_open),
         *(float(root) ** 2 + minimum.rise for root in roots),
     )
 
 
 @dataclass(frozen=True, slots=True)
-class _Side:
+class _ProfileSide:
     """One side of a profile.
 
     Parameters
@@ -532,7 +533,7 @@ class _Side:
     points: list[tuple[float, float]]
 
 
-def _select_uphill(start: float, side: _Side) -> list[tuple[float, float]]:
+def _select_uphill(start: float, side: _ProfileSide) -> list[tuple[float, float]]:
     """Select the points up to the first hill; another minimum beyond it is followed separately."""
     points: list[tuple[float, float]] = []
     for point in sorted(side.points, key=lambda point: abs(point[0] - start)):
@@ -591,7 +592,7 @@ class _ProfileWalk:
         return float(np.sqrt(max(rise, 0.0))), best
 
 
-def _find_end(walk: _ProfileWalk, sign: float, root: float, error: float) -> _Side:
+def _find_end(walk: _ProfileWalk, sign: float, root: float, error: float) -> _ProfileSide:
     """Find where the root of the deviance reaches `root`: extrapolate first, then interpolate."""
     root_tolerance = 0.01  # relative to the root
     max_evaluations = 24
@@ -599,9 +600,9 @@ def _find_end(walk: _ProfileWalk, sign: float, root: float, error: float) -> _Si
     bound = float((problem.lower if sign < 0.0 else problem.upper)[walk.index])
     max_distance = sign * (bound - start)
     if max_distance <= 0.0:
-        return _Side(bound, is_open=True, points=[])
-    low, start_fit, n_kept = (0.0, 0.0), walk.fit, 0
-    high: tuple[float, float] | None = None
+        return _ProfileSide(bound, is_open=True, points=[])
+    inner, start_fit, n_kept = (0.0, 0.0), walk.fit, 0
+    outer: tuple[float, float] | None = None
     points: list[tuple[float, float]] = []
     distance = min(root * error, max_distance) if error > 0.0 else max_distance
     for _ in range(max_evaluations):
@@ -610,36 +611,36 @@ def _find_end(walk: _ProfileWalk, sign: float, root: float, error: float) -> _Si
         if abs(height - root) <= root_tolerance * root:
             break
         if height >= root:
-            high, n_kept = (distance, height), min(n_kept, 0) - 1
+            outer, n_kept = (distance, height), min(n_kept, 0) - 1
         elif distance >= max_distance:
-            return _Side(bound, is_open=True, points=points)
+            return _ProfileSide(bound, is_open=True, points=points)
         else:
-            start_fit, low, n_kept = fit, (distance, height), max(n_kept, 0) + 1
-        distance = _choose_distance(low, high, n_kept, root, max_distance)
+            start_fit, inner, n_kept = fit, (distance, height), max(n_kept, 0) + 1
+        distance = _choose_distance(inner, outer, n_kept, root, max_distance)
     else:  # not converged: take the wider interval
-        distance = high[0] if high else max_distance
-    return _Side(start + sign * distance, high is None and distance >= max_distance, points)
+        distance = outer[0] if outer else max_distance
+    return _ProfileSide(start + sign * distance, outer is None and distance >= max_distance, points)
 
 
 def _choose_distance(
-    low: tuple[float, float],
-    high: tuple[float, float] | None,
+    inner: tuple[float, float],
+    outer: tuple[float, float] | None,
     n_kept: int,
     root: float,
     max_distance: float,
 ) -> float:
     """Choose the next distance: a limited extrapolation, then false position or bisection.
 
-    `low` and `high` are distances and heights inside and outside the interval. The distance is
+    `inner` and `outer` are distances and heights inside and outside the interval. The distance is
     bisected if one of the two was kept twice (`n_kept`), because the deviance is then not
     quadratic.
     """
     max_growth = 2.5  # ratio of successive distances
-    low_distance, height = low
-    if high is None:
-        target = low_distance * root / height if height > 0.0 else np.inf
-        return min(max(target, 1.1 * low_distance), max_growth * low_distance, max_distance)
+    inner_distance, height = inner
+    if outer is None:
+        target = inner_distance * root / height if height > 0.0 else np.inf
+        return min(max(target, 1.1 * inner_distance), max_growth * inner_distance, max_distance)
     if abs(n_kept) > 2:
-        return 0.5 * (low_distance + high[0])
-    fraction = (root - height) / (high[1] - height)
-    return low_distance + min(max(fraction, 0.02), 0.98) * (high[0] - low_distance)
+        return 0.5 * (inner_distance + outer[0])
+    fraction = (root - height) / (outer[1] - height)
+    return inner_distance + min(max(fraction, 0.02), 0.98) * (outer[0] - inner_distance)

@@ -39,13 +39,13 @@ class MeasuredCurve(ArrayRecord):
     sample : name of the sample; all tests of a sample share its factor
     length : m, free length
     deflection : shape (n,), m, deflection of the tip from rest
-    force : shape (n,), N, force of the load cell, zeroed at rest; `select_usable` leaves out points
-        at which force or deflection is NaN
+    force : shape (n,), N, force of the load cell, zeroed at rest; `select_usable_curves` leaves out
+        points at which force or deflection is NaN
     noise : N, standard deviation of the force, one number or shape (n,). It includes the noise of
         the deflection times the slope of the curve
     rig : string and counterweight; None for an end load normal to the undeformed axis
     zero_error : N, standard error of the zero of the force
-    place_error : m, standard error of the offset of all deflections, due to zero and clock
+    offset_error : m, standard error of the offset of all deflections, due to zero and clock
     scale_error : relative standard error of the deflection's scale, common to all curves of a
         calibration
     own_scale_error : relative standard error of the deflection's scale in this curve
@@ -61,7 +61,7 @@ class MeasuredCurve(ArrayRecord):
     noise: float | Floats
     rig: StringRig | None = None
     zero_error: float = 0.0
-    place_error: float = 0.0
+    offset_error: float = 0.0
     scale_error: float = 0.0
     own_scale_error: float = 0.0
     self_weight: float = 0.0
@@ -83,7 +83,7 @@ class MeasuredCurve(ArrayRecord):
         return float(np.nanmax(np.abs(self.force)))
 
     @property
-    def read_error(self) -> float:
+    def point_error(self) -> float:
         """Standard deviation of a point, N, as root mean square over the curve.
 
         Errors of the deflection are converted with the secant from rest to the peak.
@@ -107,10 +107,10 @@ def compute_shared_errors(curve: MeasuredCurve, slope: Floats) -> Floats:
     """
     zero = np.full(len(slope), curve.zero_error)
     scale = float(np.hypot(curve.scale_error, curve.own_scale_error))
-    return np.stack([zero, curve.place_error * slope, scale * curve.deflection * slope])
+    return np.stack([zero, curve.offset_error * slope, scale * curve.deflection * slope])
 
 
-def select_usable(
+def select_usable_curves(
     curves: tuple[MeasuredCurve, ...],
 ) -> tuple[MeasuredCurve, ...] | CalibrationFailure:
     """Leave out NaN points and empty curves; refuse curves that cannot be fitted.

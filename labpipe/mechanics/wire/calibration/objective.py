@@ -21,6 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import groupby
 
 import numpy as np
@@ -51,10 +52,10 @@ from labpipe.records.wire import (
 )
 
 P = len(PARAMETERS)
-"""Number of parameters."""
+"""Number of parameters: index of the gain among the unknowns, and of the force in `Fit.grams`."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Wire:
     """A wire with the nominal values of its sheet.
 
@@ -73,9 +74,9 @@ class Wire:
     self_weight: float = 0.0
     linear_range: float = np.inf
 
-    @property
+    @cached_property
     def law(self) -> WireLaw:
-        """Split the law of the wire into its components, and tabulate them."""
+        """Law of the wire, split into its components."""
         return split_law(self.section, self.contacts, orientation=self.orientation)
 
 
@@ -113,34 +114,34 @@ class Problem:
     ----------
     law : law of the wire, split into its components
     curves : measured curves with usable points only
-    sample : shape (curves,), index of the sample of each curve
+    sample_index : shape (curves,), index of the sample of each curve
     centre : shape (3,), centres of the priors on the logarithms
     precision : shape (3,), inverse variances of the priors; 0 without a prior
     lower, upper : shape (3,), bounds of the logarithms
     gain : standard uncertainty of the logarithm of the load cell's gain
-    free : shape (3,), which parameters are fitted
+    is_free : shape (3,), whether each parameter is fitted
     scatter : standard deviation of the logarithms of the samples' factors; None to estimate it
     """
 
     law: WireLaw
     curves: tuple[MeasuredCurve, ...]
-    sample: Ints
+    sample_index: Ints
     centre: Floats
     precision: Floats
     lower: Floats
     upper: Floats
     gain: float
-    free: Flags
+    is_free: Flags
     scatter: float | None = None
 
     def hold(self, index: int) -> Problem:
         """Return the problem in which the parameter with this index is fixed."""
-        return replace(self, free=self.free & (np.arange(P) != index))
+        return replace(self, is_free=self.is_free & (np.arange(P) != index))
 
     @property
     def n_samples(self) -> int:
         """Number of samples."""
-        return int(self.sample.max()) + 1
+        return int(self.sample_index.max()) + 1
 
     @property
     def n_points(self) -> int:
@@ -258,19 +259,19 @@ def compute_model_forces(
     forces: dict[int, ModelForce] = {}
     order = sorted(range(len(curves)), key=lambda i: curves[i].setup)
     for _, members in groupby(order, key=lambda i: curves[i].setup):
-        numbers = list(members)
-        deflections = np.concatenate([curves[i].deflection for i in numbers])
-        first = curves[numbers[0]]
+        indices = list(members)
+        deflections = np.concatenate([curves[i].deflection for i in indices])
+        first = curves[indices[0]]
         loading = compute_loading_curve(
             *(law, values, first.length, first.rig, float(np.max(np.abs(deflections)))),
             self_weight=first.self_weight,
-            guess=guess[numbers[0]].loading if guess else None,
+            guess=guess[indices[0]].loading if guess else None,
         )
         force, change = interpolate_force(loading, deflections)
         slope = np.interp(np.abs(deflections), loading.deflection, loading.stiffness)
-        ends = np.cumsum([len(curves[i].deflection) for i in numbers])[:-1]
+        ends = np.cumsum([len(curves[i].deflection) for i in indices])[:-1]
         pieces = (np.split(array, ends, axis=-1) for array in (force, change, slope))
-        for index, *piece in zip(numbers, *pieces, strict=True):
+        for index, *piece in zip(indices, *pieces, strict=True):
             forces[index] = ModelForce(piece[0], piece[1], piece[2], loading)
     return [forces[index] for index in range(len(curves))]
 
@@ -354,10 +355,11 @@ class Fit:
     @property
     def factors(self) -> Floats:
         """Factor of sample and load cell on the model's force of each curve."""
-        return np.asarray(np.exp(self.unknowns[P] + self.unknowns[P + 1 :][self.problem.sample]))
+        offsets = self.unknowns[P + 1 :][self.problem.sample_index]
+        return np.asarray(np.exp(self.unknowns[P] + offsets))
 
 
-def evaluate(
+def evaluate_objective(
     problem: Problem, levels: Levels, unknowns: Floats, guess: list[ModelForce] | None = None
 ) -> Fit:
     """Evaluate the objective for a set of unknowns; the model starts from a guess of its forces."""
@@ -377,7 +379,7 @@ def compute_products(fit: Fit, correlation: float) -> Floats:
     problem = fit.problem
     grams = np.zeros((problem.n_samples, P + 2, P + 2))
     for curve, model, sample, factor in zip(
-        problem.curves, fit.models, problem.sample, fit.factors, strict=True
+        problem.curves, fit.models, problem.sample_index, fit.factors, strict=True
     ):
         force = factor * model.force
         columns = np.column_stack([factor * model.change.T, force, curve.force - force])
@@ -400,7 +402,7 @@ def make_normal_equations(fit: Fit) -> tuple[Floats, Floats, Flags]:
     precision = np.where(may_move, precision, 0.0)
     matrix[np.diag_indices_from(matrix)] += precision
     right_side -= precision * problem.compute_offsets(fit.unknowns)
-    may_move[:P] = problem.free
+    may_move[:P] = problem.is_free
     may_move[:P] &= ~((fit.logs <= problem.lower) & (right_side[:P] < 0.0))
     may_move[:P] &= ~((fit.logs >= problem.upper) & (right_side[:P] > 0.0))
     return matrix, right_side, may_move
@@ -453,7 +455,7 @@ def search(
     jitter = 1e-2  # predicted gain below which a step fails because the curves are tabulated
     damping_range = (1e-6, 10.0, 1e8)  # first, growth, last
     max_far_steps, far_rise = 8, 200.0  # no quantile of so few samples is as large as the rise
-    fit = evaluate(problem, levels, start, guess)
+    fit = evaluate_objective(problem, levels, start, guess)
     damping, steps, idle_steps = damping_range[0], 0, 0
     while damping <= damping_range[2] and idle_steps < max_idle_steps:
         is_far = fit.objective - lowest > far_rise
@@ -496,7 +498,7 @@ def _take_step(fit: Fit, step: Floats, gain: float) -> Fit | None:
 def _evaluate_step(fit: Fit, step: Floats) -> Fit | None:
     """Evaluate a step; None if the model cannot follow the curves, so that it is shortened."""
     try:
-        return evaluate(fit.problem, fit.levels, apply_step(fit, step), fit.models)
+        return evaluate_objective(fit.problem, fit.levels, apply_step(fit, step), fit.models)
     except ValueError:
         return None
 

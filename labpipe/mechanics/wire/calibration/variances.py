@@ -35,6 +35,7 @@ from labpipe.records.wire import ScatterMixture
 
 _LOG_VARIANCE_STEP = 0.02
 """Step of the logarithms of variances for numerical derivatives."""
+_UP, _DOWN = np.exp([_LOG_VARIANCE_STEP, -_LOG_VARIANCE_STEP]).tolist()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,19 +45,19 @@ class Uncertainty:
     Parameters
     ----------
     covariance : shape (4, 4), covariance; 0 for parameters that are not free
-    by_level : shape (2, 4, 4), derivatives of the covariance with respect to the logarithms of the
-        variances of noise and samples
+    covariance_by_level : shape (2, 4, 4), derivatives of the covariance with respect to the
+        logarithms of the variances of noise and samples
     level_covariance : shape (2, 2), covariance of the estimates of these logarithms
     """
 
     covariance: Floats
-    by_level: Floats
+    covariance_by_level: Floats
     level_covariance: Floats
 
     def compute_freedom(self, direction: Floats) -> float:
         """Compute the degrees of freedom of the variance of a linear combination, shape (4,)."""
         variance = float(direction @ self.covariance @ direction)
-        slopes = self.by_level @ direction @ direction
+        slopes = self.covariance_by_level @ direction @ direction
         variance_of_variance = float(slopes @ self.level_covariance @ slopes)
         return 2.0 * variance**2 / variance_of_variance if variance_of_variance > 0.0 else np.inf
 
@@ -106,7 +107,7 @@ class LinearModel:
         weights = ratio / (1.0 + ratio * self.grams[:, P, P])
         return self.grams - weights[:, None, None] * sample[:, :, None] * sample[:, None, :]
 
-    def estimate(self, ratio: float) -> tuple[float, float]:
+    def estimate_noise(self, ratio: float) -> tuple[float, float]:
         """Estimate the noise variance for a ratio, and -2 times the log restricted likelihood."""
         total = self.compute_products(ratio).sum(axis=0)
         unit, scale = scale_matrix(total[np.ix_(self.columns, self.columns)])
@@ -132,14 +133,14 @@ def estimate_levels(fit: Fit, correlation: float) -> Levels:
     if scatter is None and fit.problem.n_samples == 1:
         scatter = 0.0
     if scatter is not None:
-        noise = linear.estimate(0.0)[0]
+        noise = linear.estimate_noise(0.0)[0]
         for _ in range(3):
-            noise = linear.estimate(scatter**2 / noise)[0]
+            noise = linear.estimate_noise(scatter**2 / noise)[0]
         return Levels(noise, correlation, scatter)
     information = float(np.median(linear.grams[:, P, P]))
 
     def compute_deviance(log_ratio: float) -> float:
-        return linear.estimate(float(np.exp(log_ratio)) / information)[1]
+        return linear.estimate_noise(float(np.exp(log_ratio)) / information)[1]
 
     grid = np.linspace(*log_ratios)
     best = int(np.argmin([compute_deviance(log_ratio) for log_ratio in grid]))
@@ -148,7 +149,7 @@ def estimate_levels(fit: Fit, correlation: float) -> Levels:
         compute_deviance, bounds=bracket, method="bounded", options={"xatol": 1e-3}
     )
     ratio = float(np.exp(optimum.x)) / information
-    noise = linear.estimate(ratio)[0]
+    noise = linear.estimate_noise(ratio)[0]
     return Levels(noise, correlation, float(np.sqrt(ratio * noise)))
 
 
@@ -159,7 +160,7 @@ def make_linear_model(fit: Fit) -> LinearModel:
     grams[:, :, -1] += shift
     grams[:, -1, :] += shift
     grams[:, -1, -1] += offsets**2 * fit.grams[:, P, P]
-    columns = [*np.flatnonzero(fit.problem.free).tolist(), P]
+    columns = [*np.flatnonzero(fit.problem.is_free).tolist(), P]
     return LinearModel(grams, columns, fit.problem.n_points)
 
 
@@ -167,18 +168,17 @@ def estimate_uncertainty(fit: Fit) -> Uncertainty:
     """Estimate the covariance of a fit, and its derivatives for the degrees of freedom."""
     linear = make_linear_model(fit)
 
-    def compute(noise: float, samples: float) -> Floats:
+    def compute_covariance(noise_factor: float, sample_factor: float) -> Floats:
+        noise, samples = noise_factor * fit.levels.noise, sample_factor * fit.levels.scatter**2
         total = linear.compute_products(samples / noise).sum(axis=0) / noise
         return _compute_posterior(fit, total)[1]
 
-    noise, samples = fit.levels.noise, fit.levels.scatter**2
-    up, down = np.exp(_LOG_VARIANCE_STEP), np.exp(-_LOG_VARIANCE_STEP)
-    by_noise = compute(noise * up, samples) - compute(noise * down, samples)
-    by_samples = compute(noise, samples * up) - compute(noise, samples * down)
-    by_level = np.stack([by_noise, by_samples]) / (2.0 * _LOG_VARIANCE_STEP)
-    is_known = fit.problem.scatter is not None or samples == 0.0
-    level_covariance = _compute_level_covariance(linear, noise, samples, is_scatter_known=is_known)
-    return Uncertainty(compute(noise, samples), by_level, level_covariance)
+    by_noise = compute_covariance(_UP, 1.0) - compute_covariance(_DOWN, 1.0)
+    by_samples = compute_covariance(1.0, _UP) - compute_covariance(1.0, _DOWN)
+    covariance_by_level = np.stack([by_noise, by_samples]) / (2.0 * _LOG_VARIANCE_STEP)
+    is_known = fit.problem.scatter is not None or fit.levels.scatter == 0.0
+    level_covariance = _compute_level_covariance(linear, fit.levels, is_scatter_known=is_known)
+    return Uncertainty(compute_covariance(1.0, 1.0), covariance_by_level, level_covariance)
 
 
 def _compute_posterior(fit: Fit, total: Floats) -> tuple[Floats, Floats]:
@@ -187,7 +187,7 @@ def _compute_posterior(fit: Fit, total: Floats) -> tuple[Floats, Floats]:
     They follow from the whitened products `total`, shape (5, 5), and from the priors.
     """
     problem = fit.problem
-    is_free = np.append(problem.free, problem.gain > 0.0)
+    is_free = np.append(problem.is_free, problem.gain > 0.0)
     precision = np.where(is_free, problem.compute_precision(0.0)[: P + 1], 0.0)
     offsets = problem.compute_offsets(fit.unknowns)[: P + 1]
     matrix, right_side = total[: P + 1, : P + 1].copy(), total[: P + 1, -1] - precision * offsets
@@ -202,7 +202,7 @@ def _compute_posterior(fit: Fit, total: Floats) -> tuple[Floats, Floats]:
 
 
 def _compute_level_covariance(
-    linear: LinearModel, noise: float, samples: float, *, is_scatter_known: bool
+    linear: LinearModel, levels: Levels, *, is_scatter_known: bool
 ) -> Floats:
     """Compute the covariance of the log variances from the expected restricted information.
 
@@ -210,15 +210,15 @@ def _compute_level_covariance(
     """
     if is_scatter_known:
         return np.diag([2.0 / linear.freedom, 0.0])
-    up, down = np.exp(_LOG_VARIANCE_STEP), np.exp(-_LOG_VARIANCE_STEP)
+    noise, samples = levels.noise, levels.scatter**2
 
-    def compute_trace(noise_factor: float, scatter_factor: float) -> float:
-        return float(np.trace(_project(linear, noise * noise_factor, samples * scatter_factor)))
+    def compute_trace(noise_factor: float, sample_factor: float) -> float:
+        return float(np.trace(_project(linear, noise * noise_factor, samples * sample_factor)))
 
     # P is inversely proportional to a common factor of both variances. The derivative of the trace
     # with respect to the noise is the difference of those with respect to both and to the samples.
-    by_both = (compute_trace(up, up) - compute_trace(down, down)) / (2.0 * _LOG_VARIANCE_STEP)
-    by_samples = (compute_trace(1.0, up) - compute_trace(1.0, down)) / (2.0 * _LOG_VARIANCE_STEP)
+    by_both = (compute_trace(_UP, _UP) - compute_trace(_DOWN, _DOWN)) / (2.0 * _LOG_VARIANCE_STEP)
+    by_samples = (compute_trace(1.0, _UP) - compute_trace(1.0, _DOWN)) / (2.0 * _LOG_VARIANCE_STEP)
     samples_term = float(np.sum(_project(linear, noise, samples) ** 2)) * samples**2
     cross_term = -(by_both - by_samples) * samples
     noise_term = linear.freedom - samples_term - 2.0 * cross_term
@@ -263,19 +263,17 @@ def compute_quantiles(
     error = np.maximum(error, 1e-9 * error.max(axis=1, keepdims=True) + 1e-300)
     half_range = stdtrit(mixture.freedom, 1.0 - 1e-4 * mixture.chance.min()) * error
     lower, upper = (centre - half_range).min(axis=1), (centre + half_range).max(axis=1)
-    rows = np.arange(len(lower), dtype=np.float64)
+    rows = np.tile(np.arange(len(lower), dtype=np.float64), 2)
+    probabilities = np.repeat([tail, 1.0 - tail], len(lower))
 
     def compute_excess(value: Floats, row: Floats, probability: Floats) -> Floats:
-        numbers = row.astype(np.int64)
-        t = (value[:, None] - centre[numbers]) / error[numbers]
+        indices = row.astype(np.int64)
+        t = (value[:, None] - centre[indices]) / error[indices]
         return np.asarray(stdtr(mixture.freedom, t) @ mixture.chance - probability)
 
-    def find_quantile(probability: float) -> Floats:
-        inputs = rows, np.full_like(rows, probability)
-        root = elementwise.find_root(compute_excess, (lower, upper), args=inputs)
-        return np.asarray(root.x)
-
-    return find_quantile(tail), find_quantile(1.0 - tail)
+    ends, inputs = (np.tile(lower, 2), np.tile(upper, 2)), (rows, probabilities)
+    quantiles = elementwise.find_root(compute_excess, ends, args=inputs).x
+    return quantiles[: len(lower)], quantiles[len(lower) :]
 
 
 def make_mixture(fit: Fit) -> ScatterMixture:
@@ -293,7 +291,7 @@ def make_mixture(fit: Fit) -> ScatterMixture:
     ratios = np.array([levels.scatter**2 / levels.noise])
     if fit.problem.scatter is None and fit.problem.n_samples > 1:
         ratios = _space_variance_ratios(linear, levels)
-    estimates = [linear.estimate(float(ratio)) for ratio in ratios]
+    estimates = [linear.estimate_noise(float(ratio)) for ratio in ratios]
     deviances = np.array([deviance for _, deviance in estimates])
     likelihood = np.exp(-0.5 * (deviances - deviances.min()))
     posteriors = [

@@ -1,20 +1,22 @@
-"""Harness files: one line (a wire, a bundle or a chain), its boundaries, and its motion.
+"""Files for models of wires: harnesses, and plans of calibrations.
 
-A line has a length, a section and a shape without load. Clips, pins, grips, rings and strings hold
-it, loads pull it, and planes support it. Time is counted in steps; each step is an equilibrium, and
-step 0 is the start.
+A harness is one line (a wire, a bundle or a chain) with its boundaries and its motion. A line has a
+length, a section and a shape without load. Clips, pins, grips, rings and strings hold it, loads
+pull it, and planes support it. Time is counted in steps. Each step is an equilibrium, and step 0 is
+the start.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from functools import partial
 from itertools import combinations, pairwise
 from pathlib import Path
-from typing import Annotated, Literal, Self, TypeAlias
+from typing import Annotated, Literal, TypeAlias
 
 import numpy as np
-from pydantic import AfterValidator, Field, PlainSerializer, PlainValidator, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, PlainSerializer, PlainValidator
 
 from labpipe.errors import Fault, KeyPath
 from labpipe.protocol.grammar import (
@@ -23,13 +25,15 @@ from labpipe.protocol.grammar import (
     Remark,
     SingleLine,
     Text,
+    build_path_validator,
     build_row_validator,
     build_unique_name_validator,
     suggest_quantity,
+    try_parse_quantity,
 )
 from labpipe.protocol.schema import Version
 from labpipe.protocol.source import Plausible, find_implausible_sizes
-from labpipe.protocol.yaml_text import Values, build_refusal, raise_faults
+from labpipe.protocol.yaml_text import build_refusal
 from labpipe.records.arrays import Floats
 from labpipe.records.declarations import (
     Curvature,
@@ -157,30 +161,25 @@ class SectionBlock(Block):
         """Return the source of the bending law: ``wire``, ``sliders`` or ``bending_stiffness``."""
         return next(name for name in _SECTION_KEYS if getattr(self, name) is not None)
 
-    @classmethod
-    def find_contradictions(cls, data: Values) -> Iterator[Fault]:
+    def find_value_faults(self) -> Iterator[Fault]:
         """Find several sources or none, missing keys, and keys of other sources."""
-        stated_keys = [key for key in data if data[key] is not None]
+        stated_keys = {key for key, value in self if value is not None}
         kinds = [name for name in _SECTION_KEYS if name in stated_keys]
         if len(kinds) != 1:
             kind_names = " and ".join(map(repr, kinds)) or "none of them"
             yield Fault.of("protocol.no_one_section", found=kind_names)
             return
         kind, own_keys = kinds[0], _SECTION_KEYS[kinds[0]]
-        for key in sorted(_REQUIRED_KEYS.keys() & {*own_keys} - {*stated_keys}):
+        for key in sorted(_REQUIRED_KEYS.keys() & {*own_keys} - stated_keys):
             remedy = _REQUIRED_KEYS[key]
             yield Fault.of(
                 "protocol.no_section_key", missing=key, key=key, kind=kind, remedy=remedy
             )
         all_keys = {key for keys in _SECTION_KEYS.values() for key in keys}
-        for key in sorted(all_keys & {*data} - {*own_keys}):
+        for key in sorted(all_keys & stated_keys - {*own_keys}):
+            keys = ", ".join(map(repr, own_keys))
             yield Fault.of(
-                "protocol.other_section",
-                (key,),
-                at="key",
-                key=key,
-                kind=kind,
-                keys=", ".join(map(repr, own_keys)),
+                "protocol.other_section", (key,), at="key", key=key, kind=kind, keys=keys
             )
 
 
@@ -264,22 +263,15 @@ class Grip(Holder):
     holds: Literal["pose", "position"] = "pose"
     """pose: position and direction; position: the line may rotate."""
 
-    @model_validator(mode="after")
-    def _check_path(self) -> Self:
-        """Refuse waypoints out of order, and directions of a grip that holds positions only."""
-        faults = [
-            Fault.of(
-                "protocol.step_not_after", ("path", number, "step"), previous=previous, point=point
-            )
-            for number, (previous, point) in enumerate(pairwise(self.path), start=1)
-            if point.step <= previous.step
-        ]
-        for number, point in enumerate(self.path if self.holds == "position" else ()):
+    def find_value_faults(self) -> Iterator[Fault]:
+        """Find waypoints out of order, and directions of a grip that holds positions only."""
+        for index, (previous, point) in enumerate(pairwise(self.path), start=1):
+            if point.step <= previous.step:
+                path = ("path", index, "step")
+                yield Fault.of("protocol.step_not_after", path, previous=previous, point=point)
+        for index, point in enumerate(self.path if self.holds == "position" else ()):
             for key in sorted({"direction", "turn"} & point.model_fields_set):
-                path = ("path", number, key)
-                faults.append(Fault.of("protocol.turn_of_no_pose", path, at="key", key=key))
-        raise_faults(faults)
-        return self
+                yield Fault.of("protocol.turn_of_no_pose", ("path", index, key), at="key", key=key)
 
 
 class Ring(_Boundary):
@@ -359,27 +351,30 @@ class HarnessFile(Block):
         """Return the lengths to compute, m: the stated length, then those of the sweep."""
         return (self.line.length, *(self.sweep.length if self.sweep else ()))
 
-    @model_validator(mode="after")
-    def _check(self) -> Self:
-        """Refuse implausible sizes, and boundaries that contradict each other.
+    def find_value_faults(self) -> list[Fault]:
+        """Find implausible sizes, and boundaries that contradict each other.
 
         A group of checks runs only if the previous groups found no faults. Rings out of reach are
         found when the line is solved.
         """
-        blocks = {"line": self.line, "boundaries": self.boundaries, "sweep": self.sweep}
-        sizes = find_implausible_sizes(blocks, (), self.plausible, in_file=True)
-        raise_faults([*sizes, *_find_late_steps(self)])
-        if not any(isinstance(boundary, Holder | String) for boundary in self.boundaries):
-            raise_faults([Fault.of("protocol.nothing_holds", ("boundaries",))])
-        checks = (
-            *(_find_places_off_the_line, _find_release_faults),
-            *(_find_large_turns, _find_large_curl),
+        groups = (
+            (_find_wrong_sizes, _find_late_steps, _find_nothing_that_holds),
+            (_find_places_off_the_line, _find_release_faults, _find_large_turns, _find_large_curl),
+            (_find_distant_places,),
         )
-        raise_faults(fault for check in checks for fault in check(self))
-        for i, length in enumerate(self.lengths):
-            path: KeyPath = ("sweep", "length", i - 1) if i else ()
-            raise_faults(_find_distant_places(self, length, path))
-        return self
+        for group in groups:
+            if faults := [fault for check in group for fault in check(self)]:
+                return faults
+        return []
+
+
+def _find_wrong_sizes(harness: HarnessFile) -> Iterator[Fault]:
+    return find_implausible_sizes(harness, (), harness.plausible, in_file=True)
+
+
+def _find_nothing_that_holds(harness: HarnessFile) -> Iterator[Fault]:
+    if not any(isinstance(boundary, Holder | String) for boundary in harness.boundaries):
+        yield Fault.of("protocol.nothing_holds", ("boundaries",))
 
 
 def _find_places_off_the_line(harness: HarnessFile) -> Iterator[Fault]:
@@ -468,13 +463,19 @@ def _find_large_curl(harness: HarnessFile) -> Iterator[Fault]:
         yield Fault.of("protocol.curl", path, limit=max_curl, element=element, found=curl)
 
 
-def _find_distant_places(
+def _find_distant_places(harness: HarnessFile) -> Iterator[Fault]:
+    """Find held places farther apart than line and strings allow, for the first such length."""
+    for i, length in enumerate(harness.lengths):
+        path: KeyPath = ("sweep", "length", i - 1) if i else ()
+        if faults := [*_find_distances_beyond(harness, length, path)]:
+            yield from faults
+            return
+
+
+def _find_distances_beyond(
     harness: HarnessFile, length: float, length_path: KeyPath
 ) -> Iterator[Fault]:
-    """Find held places that are farther apart than the line and strings between them.
-
-    `length_path` is that of the length in a sweep; empty for the length of the line.
-    """
+    """Find held places too far apart for a length; its path is empty for that of the line."""
     start, direction = map(np.array, find_line_start(harness))
     places = []
     for number, holder in enumerate(harness.boundaries):
@@ -580,3 +581,135 @@ def find_missing_files(harness: HarnessFile, path: Path) -> Iterator[Fault]:
                 name=name,
                 paths=[path.parent / name, Path(name)],
             )
+
+
+_COPY_CURVE = "Copy the curve into the folder of the plan and name it from there."
+
+
+def _parse_unit(si_unit: str, value: object) -> str:
+    if try_parse_quantity(f"1 {value}", si_unit) is None:
+        raise build_refusal("protocol.no_unit_like", found=value, si_unit=si_unit)
+    return str(value)
+
+
+def _parse_sign(value: object) -> int:
+    if str(value) not in ("1", "+1", "-1"):
+        raise build_refusal("protocol.no_sign", found=value)
+    return int(str(value))
+
+
+LengthUnit = Annotated[str, BeforeValidator(partial(_parse_unit, "m")), Field(examples=["mm"])]
+ForceUnit = Annotated[str, BeforeValidator(partial(_parse_unit, "N")), Field(examples=["N"])]
+Sign = Annotated[Literal[1, -1], BeforeValidator(_parse_sign)]
+
+
+class _Column(Block):
+    """One of the two columns of a curve."""
+
+    column: Text | None = None
+    """Name of the column, or its number, counted from 1; by default 'deflection' or 'force'."""
+    sign: Sign = 1
+    """-1 if the values decrease in the direction of bending."""
+
+
+class DeflectionColumn(_Column):
+    """Column of the deflection of the tip."""
+
+    unit: LengthUnit | None = None
+    """Unit of the values, if the heading states none."""
+
+
+class ForceColumn(_Column):
+    """Column of the force at the tip."""
+
+    unit: ForceUnit | None = None
+    """Unit of the values, if the heading states none."""
+
+
+class Comparison(Block):
+    """External curve: from finite elements, a digitised figure or another lab."""
+
+    name: Text
+    file: Annotated[str, build_path_validator("the folder of the plan", _COPY_CURVE)]
+    """File (csv or xlsx) in the folder of the plan, or below it."""
+    wire: Text
+    """Name of the wire in the wire sheet."""
+    length: Length
+    """Free length."""
+    load: Literal["as tested", "normal"] = "as tested"
+    """Direction of the force; as tested: that of the string of the tests; normal: normal to the
+    undeformed axis, as in most finite-element models."""
+    deflection: DeflectionColumn = DeflectionColumn.model_construct()
+    force: ForceColumn = ForceColumn.model_construct()
+    because: Text
+    """Origin of the curve."""
+
+
+Friction = Annotated[float, Quantity("N", "N", "0.05 N", above=0.0)]
+Modulus = Annotated[float, Quantity("Pa", "MPa", "1000 MPa", above=0.0)]
+Scale = Annotated[float, Quantity("1", "1", "1", above=0.0)]
+RelativeScatter = Annotated[float, Quantity("1", "%", "3 %", minimum=0.0, maximum=0.5)]
+Factor = Annotated[float, Quantity("1", "1", "1.5", above=1.0)]
+
+
+class _Parameter(Block):
+    """Treatment of one parameter in a calibration."""
+
+    enters: Literal["free", "fixed", "prior"] = "free"
+    """free: fitted; fixed: constant; prior: fitted with a log-normal prior."""
+    factor: Factor | None = None
+    """Factor of a prior, whose 95 % interval is value / factor to value x factor."""
+    because: Remark = ""
+    """Origin of a prior or a fixed value."""
+
+    def find_value_faults(self) -> Iterator[Fault]:
+        """Find missing keys of a prior or fixed value, and a factor without a prior."""
+        needed_keys = {"fixed": ("value", "because"), "prior": ("value", "because", "factor")}
+        for key in needed_keys.get(self.enters, ()):
+            if not getattr(self, key):
+                yield Fault.of("protocol.no_key_of_parameter", key=key, enters=self.enters)
+        if self.enters != "prior" and self.factor is not None:
+            yield Fault.of("protocol.factor_of_no_prior", ("factor",), at="key")
+
+
+class RadialFriction(_Parameter):
+    """Radial friction phi = F_rad (mu_s + mu_p)."""
+
+    value: Friction | None = None
+
+
+class InsulationModulus(_Parameter):
+    """Young's modulus of the insulation."""
+
+    value: Modulus | None = None
+
+
+class CopperScale(_Parameter):
+    """Factor on the strength of the copper."""
+
+    value: Scale | None = None
+
+
+class Parameters(Block):
+    """Parameters of a calibration."""
+
+    radial_friction: RadialFriction = RadialFriction.model_construct()
+    insulation_modulus: InsulationModulus = InsulationModulus.model_construct()
+    copper_scale: CopperScale = CopperScale.model_construct()
+
+
+class CalibrationPlan(Block):
+    """Plan of a calibration: its parameters, tests and external curves."""
+
+    version: Version
+    wire: Text | None = None
+    """Specimen type whose tests are fitted; other types are predicted."""
+    parameters: Parameters = Parameters.model_construct()
+    scatter: RelativeScatter | None = None
+    """Relative standard deviation between samples, if it is known."""
+    points: Annotated[int, WholeNumber(20, 5000)] = 272
+    """Number of points of each curve."""
+    up_to: Length | None = None
+    """Largest deflection that the fit uses."""
+    comparisons: Annotated[tuple[Comparison, ...], build_unique_name_validator("comparison")] = ()
+    """External curves to compare with tests and model."""
