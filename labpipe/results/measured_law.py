@@ -409,7 +409,7 @@ class BendingTest:
         first, is_visible = basis.compute_slopes(arc_length), np.isfinite(markers).all(axis=2)
         gain = np.full(curves.angle.shape, np.nan)
         for pattern in np.unique(is_visible, axis=0):
-            if pattern.sum() < basis.unknowns:
+            if pattern.sum() < basis.n_unknowns:
                 continue
             design = build_marker_design(basis, self.marker_arc_length[pattern], self.centre_offset)
             x, y = np.split(np.linalg.pinv(design), 2)

@@ -203,14 +203,13 @@ def _build_results(
 ) -> tuple[Result, ...]:
     """Build the results of a solved harness with their doubts and intervals."""
     material, path, intervals = solution.material, solution.path, solution.intervals
-    doubts = [*filter(None, (find_jump_doubt(path), find_unloading_doubt(path)))]
-    doubts += convergence_doubts
+    doubts = [find_jump_doubt(path), find_unloading_doubt(path), *convergence_doubts]
     names = list_unloading_numbers(path)
     if material.share_range:
         doubts += find_share_doubts(intervals, names, material.share_range)
     if material.varies_only_share:
         intervals = {name: ends for name, ends in intervals.items() if name.startswith(names)}
-    return build_results(path, solution.reasons, intervals, doubts)
+    return build_results(path, solution.reasons, intervals, [*filter(None, doubts)])
 
 
 def _collect_reasons(
@@ -341,7 +340,7 @@ def predict_bands(
     )
     if line is None:
         return None
-    values = [_evaluate(response.value.__getitem__, line.path) for response in line.responses]
+    values = [_evaluate(response.best_fields.__getitem__, line.path) for response in line.responses]
     draws = [_evaluate(response.compute_draws, line.path) for response in line.responses]
     pairs = list(zip(values, draws, strict=True))
     bands = {
