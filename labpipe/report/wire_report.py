@@ -19,10 +19,9 @@ from labpipe.records.wire import WireLayout, WireTable
 from labpipe.report import plot_records as plots
 from labpipe.report import table_records
 from labpipe.report.figure_page import choose_line_look, split_pages
-from labpipe.report.issues import join_sentences
 from labpipe.report.plot_records import Axis, Label, Line, Page, Plot, make_line
 from labpipe.report.table_records import Record, Table
-from labpipe.report.wording import Scale, shorten, write_number
+from labpipe.report.wording import Scale, join_sentences, shorten, write_number
 
 CURVATURE = Scale(1.0, "1/m")
 LENGTH_SCALE = Scale(1e3, "mm")
@@ -313,7 +312,7 @@ def make_cantilever_page(table: WireTable) -> Page:
         at_rest = format_sentence("report.cantilever_at_rest", force=force, sag=sag)
         note = f"{at_rest} {note}"
     if len(table.tip_deflection) < 2:  # only the state at rest
-        panel = plots.make_empty_plot(format_sentence("report.no_end_loads"))
+        panel = Plot(reason=format_sentence("report.no_end_loads"))
         return _make_wire_page(table, "cantilever", [panel], 40.0, note)
     x = table.tip_deflection
     end = float(x[-1])

@@ -20,13 +20,14 @@ from labpipe.records.curve import Interval
 from labpipe.records.group import BoundedStiffness, Campaign
 from labpipe.records.quality import Reason
 from labpipe.records.result import Instrument, Status
-from labpipe.report.html_pages import read_logo, render_test
 from labpipe.report.lab_report import (
+    read_logo,
     read_page_script,
     render_page,
     write_page_data,
     write_report,
 )
+from labpipe.report.page_of_test import render_test
 from tests.approved import Approve
 from tests.builders.bundle_campaigns import bundle_campaign, conduit_cases
 from tests.builders.campaigns import build_campaign, build_group, build_sample, six_samples
