@@ -65,8 +65,9 @@ from labpipe.statistics.group_samples import (
     make_field_sort_key,
     make_grouping_notes,
 )
-from labpipe.statistics.groups import PoolingLimits, build_group, compare_groups
+from labpipe.statistics.groups import build_group, compare_groups
 from labpipe.statistics.lots import judge_lot
+from labpipe.statistics.means import PoolingLimits
 from labpipe.statistics.significance import judge_family, mark_outliers
 from labpipe.store.replace import lock, replace_files
 from labpipe.store.result_files import read_reported, read_result
@@ -745,6 +746,7 @@ def _make_group(
         for sample in samples
     ]
     settings, outputs = protocol.groups, list_outputs(protocol)
+    has_stroke = protocol.rig.stroke is not None
     group = build_group(
         name,
         members[0].protocol,
@@ -753,9 +755,7 @@ def _make_group(
         scaled=settings.scaled,
         signed_names={name for name, output in outputs.items() if output.can_be_negative},
         rig_names={
-            name
-            for name, output in outputs.items()
-            if output.is_set_by_stroke and protocol.rig.stroke is not None
+            name for name, output in outputs.items() if output.is_set_by_stroke and has_stroke
         },
     )
     numbers = {number.name: number for number in group.numbers}
