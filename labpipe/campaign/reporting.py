@@ -48,10 +48,9 @@ from labpipe.records.group import (
 )
 from labpipe.records.quality import QualityNote
 from labpipe.records.result import Specimen, TestResult
-from labpipe.report.html_pages import render_test
-from labpipe.report.lab_report import write_report
+from labpipe.report.figures import choose_frames_at_steps, find_loading_deflection
+from labpipe.report.lab_report import render_test, write_report
 from labpipe.report.page_tables import compute_report_id, list_samples, name_page_file
-from labpipe.report.quality_figures import choose_frames_at_steps, find_loading_deflection
 from labpipe.report.wording import is_main
 from labpipe.statistics.group_samples import (
     NOT_STATED,
@@ -66,8 +65,9 @@ from labpipe.statistics.group_samples import (
     make_field_sort_key,
     make_grouping_notes,
 )
-from labpipe.statistics.groups import PoolingLimits, build_group, compare_groups
+from labpipe.statistics.groups import build_group, compare_groups
 from labpipe.statistics.lots import judge_lot
+from labpipe.statistics.means import PoolingLimits
 from labpipe.statistics.significance import judge_family, mark_outliers
 from labpipe.store.replace import lock, replace_files
 from labpipe.store.result_files import read_reported, read_result
@@ -581,7 +581,7 @@ def report_tests(
     return WrittenReport(folder, campaign, paths)
 
 
-def make_campaign(tests: ReadTests, title: str, options: ReportOptions) -> Campaign:
+def make_campaign(tests: ReportTests, title: str, options: ReportOptions) -> Campaign:
     """Group tests, and compare the groups.
 
     Parameters
@@ -633,7 +633,7 @@ def make_campaign(tests: ReadTests, title: str, options: ReportOptions) -> Campa
 
 
 @dataclass(slots=True)
-class ReadTests:
+class ReportTests:
     """The tests of a report.
 
     Parameters
@@ -657,7 +657,7 @@ class ReadTests:
     decisions: list[Decision] = field(default_factory=list)
 
 
-def read_tests(files: Sequence[Path], say: Callable[[str], object]) -> ReadTests:
+def read_tests(files: Sequence[Path], say: Callable[[str], object]) -> ReportTests:
     """Read processed tests.
 
     Parameters
@@ -672,7 +672,7 @@ def read_tests(files: Sequence[Path], say: Callable[[str], object]) -> ReadTests
         If no file can be read, all were rejected, decisions cannot be read, or two tests have the
         same name.
     """
-    tests, decisions_by_file = ReadTests(find_shared_folder(files)), read_decisions_by_file(files)
+    tests, decisions_by_file = ReportTests(find_shared_folder(files)), read_decisions_by_file(files)
     recordings: list[tuple[Path, RecordingIdentity]] = []
     settings_by_protocol: dict[str, Settings] = {}
     for file in files:
@@ -716,7 +716,7 @@ def read_tests(files: Sequence[Path], say: Callable[[str], object]) -> ReadTests
     return tests
 
 
-def _make_groups(tests: ReadTests, grouping_fields: Sequence[str]) -> list[Group]:
+def _make_groups(tests: ReportTests, grouping_fields: Sequence[str]) -> list[Group]:
     """Make the groups of a report, with notes on settings that differ within a group."""
     members, groups = divide_into_groups(tests.samples, grouping_fields), []
     for key, name in name_groups(list(members)).items():
@@ -746,6 +746,7 @@ def _make_group(
         for sample in samples
     ]
     settings, outputs = protocol.groups, list_outputs(protocol)
+    has_stroke = protocol.rig.stroke is not None
     group = build_group(
         name,
         members[0].protocol,
@@ -754,9 +755,7 @@ def _make_group(
         scaled=settings.scaled,
         signed_names={name for name, output in outputs.items() if output.can_be_negative},
         rig_names={
-            name
-            for name, output in outputs.items()
-            if output.is_set_by_stroke and protocol.rig.stroke is not None
+            name for name, output in outputs.items() if output.is_set_by_stroke and has_stroke
         },
     )
     numbers = {number.name: number for number in group.numbers}

@@ -156,11 +156,6 @@ def _import_decisions(options: argparse.Namespace, campaign: CampaignFolders) ->
     return 2 if imported.faults or imported.not_imported else 0
 
 
-def _rebuild(_: argparse.Namespace, campaign: CampaignFolders) -> int:
-    """Build the catalog again from the result files."""
-    return _print_overview(campaign, rebuild_catalog(campaign), [])
-
-
 def _watch(options: argparse.Namespace, campaign: CampaignFolders) -> int:
     """Process tests as their exports arrive."""
     from labpipe.campaign.watching import watch
@@ -172,15 +167,16 @@ def _watch(options: argparse.Namespace, campaign: CampaignFolders) -> int:
     return 0
 
 
-_ACTIONS: dict[str, Any] = {
+_ACTIONS: dict[str, Callable[[argparse.Namespace, CampaignFolders], int]] = {
     "run": _run,
     "status": _status,
     "query": _query,
     "replay": _replay,
     "decide": _decide,
-    "rebuild": _rebuild,
+    "rebuild": lambda _, campaign: _print_overview(campaign, rebuild_catalog(campaign), []),
     "watch": _watch,
 }
+"""Function of each action, keyed by name."""
 
 
 def _print_errors(messages: Iterable[str]) -> None:

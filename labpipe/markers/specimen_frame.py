@@ -23,8 +23,8 @@ class SpecimenFrame(ArrayRecord):
     ----------
     rotation_lab_to_specimen : shape (3, 3), proper
     origin_lab : shape (3,), m, pivot of the clamp at rest, or first marker at rest
-    order : columns of the markers in order along the specimen
-    out_of_plane : m, root mean square distance of the markers from their plane
+    marker_order : columns of the markers in order along the specimen
+    out_of_plane_distance : m, root mean square distance of the markers from their plane
     travel_residual : m, root mean square distance of the clamp from its straight path; 0 without a
         clamp
     notes : quality notes
@@ -32,8 +32,8 @@ class SpecimenFrame(ArrayRecord):
 
     rotation_lab_to_specimen: Annotated[Floats, 3, 3]
     origin_lab: Annotated[Floats, 3]
-    order: tuple[int, ...]
-    out_of_plane: float
+    marker_order: tuple[int, ...]
+    out_of_plane_distance: float
     travel_residual: float
     notes: tuple[QualityNote, ...] = ()
 
@@ -52,7 +52,7 @@ def _normalise(vector: Floats, name: str) -> Floats:
 
 
 def find_specimen_frame(
-    clamp_lab: Floats | None, markers_lab: Floats, *, rest: Selection, out_of_plane_limit: float
+    clamp_lab: Floats | None, markers_lab: Floats, *, rest_frames: Selection, plane_limit: float
 ) -> SpecimenFrame:
     """Determine the frame of the specimen and the order of its markers.
 
@@ -60,8 +60,8 @@ def find_specimen_frame(
     ----------
     clamp_lab : shape (frames, 3), m, pivot of the clamp; None for a take without a clamp
     markers_lab : shape (frames, markers, 3), m; NaN is ignored
-    rest : frames in which the specimen is at rest, before the first loading
-    out_of_plane_limit : m, largest distance of the markers from their plane without a note
+    rest_frames : frames in which the specimen is at rest, before the first loading
+    plane_limit : m, largest distance of the markers from their plane without a note
 
     Returns
     -------
@@ -84,35 +84,35 @@ def find_specimen_frame(
     if markers_lab.ndim != 3 or markers_lab.shape[1] < 2:
         raise ValueError(format_sentence("markers.single_marker", shape=markers_lab.shape))
     if clamp_lab is None:
-        return _find_frame_without_clamp(markers_lab, rest, out_of_plane_limit)
+        return _find_frame_of_markers(markers_lab, rest_frames, plane_limit)
     relative = markers_lab - clamp_lab[:, None]
-    origin = _compute_mean(clamp_lab[rest], "the clamp")
+    origin = _compute_mean(clamp_lab[rest_frames], "the clamp")
     travel, travel_residual = _fit_travel(clamp_lab, origin)
     normal_part = relative - (relative @ travel)[..., None] * travel
     x, out_of_plane = _find_spread_direction(normal_part.reshape(-1, 3), travel)
     rotation = np.stack([x, -travel, np.cross(x, -travel)])
     clamp_distances = np.array(
-        [_compute_median_length(marker, rest) for marker in np.moveaxis(relative, 1, 0)]
+        [_compute_median_length(marker, rest_frames) for marker in np.moveaxis(relative, 1, 0)]
     )
-    order = _order_markers(_compute_distances(relative, rest), clamp_distances)
-    notes = _make_notes(out_of_plane, out_of_plane_limit)
+    order = _order_markers(_compute_distances(relative, rest_frames), clamp_distances)
+    notes = _make_notes(out_of_plane, plane_limit)
     return SpecimenFrame(rotation, origin, order, out_of_plane, travel_residual, notes)
 
 
-def _find_frame_without_clamp(markers_lab: Floats, rest: Selection, limit: float) -> SpecimenFrame:
+def _find_frame_of_markers(markers: Floats, rest_frames: Selection, limit: float) -> SpecimenFrame:
     """Find the frame from the markers alone, as the notes of `find_specimen_frame` state."""
-    distances = _compute_distances(markers_lab, rest)
+    distances = _compute_distances(markers, rest_frames)
     ends = np.unravel_index(np.argmax(np.nan_to_num(distances, posinf=0.0)), distances.shape)
-    motions = [float(np.nanstd(markers_lab[:, end], axis=0).sum()) for end in ends]
+    motions = [float(np.nanstd(markers[:, end], axis=0).sum()) for end in ends]
     first_marker = int(ends[int(np.argmin(motions))])
     order = _order_markers(distances, distances[first_marker])
-    origin = _compute_mean(markers_lab[rest, order[0]], "the marker nearest the clamped end")
-    tip = _compute_mean(markers_lab[rest, order[-1]], "the marker nearest the tip")
+    origin = _compute_mean(markers[rest_frames, order[0]], "the marker nearest the clamped end")
+    tip = _compute_mean(markers[rest_frames, order[-1]], "the marker nearest the tip")
     x = _normalise(tip - origin, "line from the first to the last marker at rest")
-    tip_motion = markers_lab[:, order[-1]] - tip
+    tip_motion = markers[:, order[-1]] - tip
     y, _ = _find_spread_direction(tip_motion - (tip_motion @ x)[:, None] * x, x)
     rotation = np.stack([x, y, np.cross(x, y)])
-    height = (markers_lab - origin) @ rotation[2]
+    height = (markers - origin) @ rotation[2]
     out_of_plane = float(np.sqrt(np.nanmean((height - np.nanmean(height)) ** 2)))
     notes = _make_notes(out_of_plane, limit)
     return SpecimenFrame(rotation, origin, order, out_of_plane, 0.0, notes)
@@ -145,24 +145,24 @@ def _find_spread_direction(points: Floats, normal: Floats) -> tuple[Floats, floa
     return sign * direction, float(np.sqrt(np.mean((centred @ normal_direction) ** 2)))
 
 
-def _compute_distances(positions: Floats, rest: Selection) -> Floats:
+def _compute_distances(positions: Floats, rest_frames: Selection) -> Floats:
     """Compute median distances between markers, m; see `_compute_median_length`."""
     count = positions.shape[1]
     distances = np.zeros((count, count))
-    for first in range(count):
-        for second in range(first):
-            distance = _compute_median_length(positions[:, first] - positions[:, second], rest)
-            distances[first, second] = distances[second, first] = distance
+    for i in range(count):
+        for j in range(i):
+            offsets = positions[:, i] - positions[:, j]
+            distances[i, j] = distances[j, i] = _compute_median_length(offsets, rest_frames)
     return distances
 
 
-def _compute_median_length(offsets: Floats, rest: Selection) -> float:
+def _compute_median_length(offsets: Floats, rest_frames: Selection) -> float:
     """Compute the median length of offsets (frames, 3), m.
 
     Frames at rest are used, or all frames if there is no offset at rest. The length is infinite if
     there is no offset at all.
     """
-    for selected in (offsets[rest], offsets):
+    for selected in (offsets[rest_frames], offsets):
         distance = np.linalg.norm(selected, axis=1)
         measured = distance[np.isfinite(distance)]
         if len(measured):

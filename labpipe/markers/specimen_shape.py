@@ -38,7 +38,7 @@ class CurveBasis:
     matrix: Floats
 
     @property
-    def unknowns(self) -> int:
+    def n_unknowns(self) -> int:
         """Number of unknowns per coordinate."""
         return int(self.matrix.shape[1])
 
@@ -301,8 +301,8 @@ def fit_frames(
     free_tip = conditions.free_tip
     basis = build_curve_basis(terms=terms, length=length, clamped=clamped, free_tip=free_tip)
     frames, count = markers.shape[:2]
-    if basis.unknowns > count:
-        largest = terms - basis.unknowns + count
+    if basis.n_unknowns > count:
+        largest = terms - basis.n_unknowns + count
         text = format_sentence("markers.many_terms", terms=terms, largest=largest, count=count)
         raise ValueError(text)
     given_terms = np.zeros((3, terms))
@@ -315,18 +315,18 @@ def fit_frames(
         misfit=np.full((frames, 2, count), np.nan),
         gain=np.full((frames, 3), np.nan),
         freedom=np.zeros(frames, dtype=np.int64),
-        min_markers=basis.unknowns,
+        min_markers=basis.n_unknowns,
     )
     for pattern, rows in _group_by_visible_markers(is_in_sight(markers)):
-        if pattern.sum() >= basis.unknowns:
+        if pattern.sum() >= basis.n_unknowns:
             columns = np.flatnonzero(pattern)
             visible = data[np.ix_(rows, columns)]
             unknowns, misfit, gain = _fit_group(visible, basis, arc_length[pattern], centre_offset)
-            series = unknowns.reshape(-1, basis.unknowns) @ np.ascontiguousarray(basis.matrix.T)
+            series = unknowns.reshape(-1, basis.n_unknowns) @ np.ascontiguousarray(basis.matrix.T)
             fits.coefficients[rows] = given_terms + series.reshape(-1, 3, terms)
             fits.misfit[np.ix_(rows, np.arange(2), columns)] = misfit
             fits.gain[rows] = gain
-            fits.freedom[rows] = len(columns) - basis.unknowns
+            fits.freedom[rows] = len(columns) - basis.n_unknowns
     return fits
 
 
@@ -337,7 +337,7 @@ def _fit_group(
 
     Return unknowns (frames, 3, unknowns), misfit (frames, 2, markers) and gain of the end (3,).
     """
-    count, design = basis.unknowns, build_marker_design(basis, arc_length, centre_offset)
+    count, design = basis.n_unknowns, build_marker_design(basis, arc_length, centre_offset)
     inverse, inverse_z = np.linalg.pinv(design), np.linalg.pinv(basis.compute_values(arc_length))
     positions_xy = np.concatenate([data[..., 0], data[..., 1]], axis=1)
     unknowns_xy = positions_xy @ inverse.T
@@ -444,7 +444,7 @@ def fit_shape(
     uncertainties: Offsets = EXACT,
     terms: int,
     tip: Literal["free", "loaded"],
-    rest: Selection,
+    rest_frames: Selection,
 ) -> ShapeFit:
     """Fit a smooth curve in arc length to the markers of every frame.
 
@@ -462,7 +462,7 @@ def fit_shape(
     uncertainties : standard uncertainties of `offsets`
     terms : number of coefficients per coordinate
     tip : ``free`` if the moment at the last point is zero; ``loaded`` if it is unknown
-    rest : frames before the first loading
+    rest_frames : frames before the first loading
 
     Returns
     -------
@@ -492,11 +492,11 @@ def fit_shape(
         raise ValueError(format_sentence("markers.shapes_differ", found=actual, expected=expected))
     clamped, free_tip = clamp_specimen is not None, tip == "free"
     relative = markers_specimen - (0.0 if clamp_specimen is None else clamp_specimen[:, None])
-    is_seen_at_rest = np.asarray(is_in_sight(relative[rest]).any(axis=0), dtype=np.bool_)
+    is_seen_at_rest = np.asarray(is_in_sight(relative[rest_frames]).any(axis=0), dtype=np.bool_)
     markers = relative[:, is_seen_at_rest]
     if (count := markers.shape[1]) < MIN_MARKERS:
         raise ValueError(format_sentence("markers.few_at_rest", count=count, needed=MIN_MARKERS))
-    mean_markers = np.nanmean(markers[rest], axis=0)
+    mean_markers = np.nanmean(markers[rest_frames], axis=0)
     fit_rest = partial(fit_rest_curve, mean_markers, clamped=clamped, free_tip=free_tip)
 
     def fit_all(curve: RestCurve, offsets: Offsets, terms: int = terms) -> FrameFits:
@@ -538,7 +538,7 @@ def fit_shape(
         ),
         clamp_angle=float(np.arctan2(rest_curve.tangent[1], rest_curve.tangent[0])),
         residual=fit.residual,
-        marker_noise=fit.estimate_noise(rest),
+        marker_noise=fit.estimate_noise(rest_frames),
         tip_gain=fit.gain,
         tip_systematic=tip_systematic,
         perturbed_tip=perturbed_tip,
@@ -546,13 +546,13 @@ def fit_shape(
     )
 
 
-def compute_deflection(shape: Shape, *, rest: Selection) -> Floats:
+def compute_deflection(shape: Shape, *, rest_frames: Selection) -> Floats:
     """Compute the deflection of the last point relative to the first, normal to the specimen.
 
     Parameters
     ----------
     shape : shape from `fit_shape`
-    rest : frames in which the deflection is zero on average
+    rest_frames : frames in which the deflection is zero on average
 
     Returns
     -------
@@ -561,10 +561,10 @@ def compute_deflection(shape: Shape, *, rest: Selection) -> Floats:
     Raises
     ------
     ValueError
-        If no frame of `rest` has both points.
+        If no frame of `rest_frames` has both points.
     """
     relative_y: Floats = shape.positions[:, -1, 1] - shape.positions[:, 0, 1]
-    y_at_rest = relative_y[rest]
+    y_at_rest = relative_y[rest_frames]
     y_at_rest = y_at_rest[np.isfinite(y_at_rest)]
     if not len(y_at_rest):
         raise ValueError(format_sentence("markers.no_ends_at_rest"))

@@ -256,7 +256,7 @@ class BentAxis:
     ----------
     coefficients : shape (frames, terms), 1/m, coefficients c_k of the curvature, k from 1
     tilt : shape (frames,), sine of the slope at mid-span
-    height : shape (frames,), m, y at mid-span
+    height : shape (frames,), m, y of mid-span
     residual : shape (frames,), m, root mean square distance of the points from the axis in y
     freedom : shape (frames,), degrees of freedom: measured points minus parameters; 0 without a fit
     span : distance between the supports, m
@@ -373,7 +373,8 @@ def fit_specimen_shape(
     slope and twist of its section, so shape and offsets are computed alternately. Mid-span is the
     position with the smallest residuals over at most 30 frames with a bent specimen.
     """
-    max_frames, min_reach = 30, 0.6  # reach of the sections relative to half the span
+    # The outer sections must be at least 0.6 half spans away from mid-span.
+    max_frames, min_reach = 30, 0.6
     if (count := sections.count) < (needed := N_TERMS + 3):
         raise ValueError(format_sentence("markers.few_sections", count=count, needed=needed))
     x = np.sort(sections.x)
@@ -394,10 +395,10 @@ def fit_specimen_shape(
         fits.append((misfit, axis, mid_span, curvature))
     fits.sort(key=lambda fit: fit[0])
     _, axis, mid_span, curvature = fits[0]
-    low, high = 1e3 * (x[[0, -1]] - mid_span)
+    first, last = 1e3 * (x[[0, -1]] - mid_span)  # mm
     reach = 1e3 * min_reach * 0.5 * span
-    if low > -reach or high < reach:
-        raise ValueError(format_sentence("markers.short_reach", low=low, high=high, reach=reach))
+    if first > -reach or last < reach:
+        raise ValueError(format_sentence("markers.short_reach", low=first, high=last, reach=reach))
     side_change = abs(fits[-1][3] / curvature - 1.0)
     return replace(_fit_shapes(sections, axis, mid_span, span, radius), side_change=side_change)
 

@@ -197,13 +197,14 @@ def _bridge_path(time: Floats, path: Floats, gap_times: Floats) -> Floats:
     first = np.maximum(previous - velocity_frames, 0)
     last = np.minimum(following + velocity_frames, len(time) - 1)
     span = (time[following] - time[previous])[:, None]
-    start_slope = _compute_velocity(time, path, first, previous) * span
-    stop_slope = _compute_velocity(time, path, following, last) * span
+    # Tangents of a cubic in u, which increases from 0 to 1 across a gap.
+    start_tangent = _compute_velocity(time, path, first, previous) * span
+    stop_tangent = _compute_velocity(time, path, following, last) * span
     start, stop = path[previous], path[following]
-    u = (gap_times - time[previous])[:, None] / span  # from 0 to 1 across a gap
+    u = (gap_times - time[previous])[:, None] / span
     v = 1.0 - u
     bridge: Floats = start * v**2 * (1.0 + 2.0 * u) + stop * u**2 * (1.0 + 2.0 * v)
-    return bridge + u * v * (start_slope * v - stop_slope * u)
+    return bridge + u * v * (start_tangent * v - stop_tangent * u)
 
 
 def _compute_velocity(time: Floats, path: Floats, start: Ints, stop: Ints) -> Floats:
@@ -247,7 +248,7 @@ class Repair:
         yield from self._make_missing_notes()
         yield from self._make_stretch_notes("markers.pose_frozen", self.is_frozen, self.names)
         yield from self._make_relabel_notes()
-        for label, chain in self.naming.eliminated:
+        for label, chain in self.naming.assigned_by_elimination:
             span = chain.start, chain.stop
             yield self._make_span_note("markers.label_by_elimination", label, *span)
         yield from self._make_jump_notes()
@@ -350,7 +351,7 @@ class Repair:
     def _make_dropped_notes(self) -> Iterator[QualityNote]:
         """Yield a note on each of the first chains of no marker, and a common one on the others."""
         tracklets = self.tracklets
-        chains = sorted(self.naming.leftover, key=lambda chain: (chain.start, chain.stop))
+        chains = sorted(self.naming.unassigned, key=lambda chain: (chain.start, chain.stop))
         for chain in chains[:_MAX_NOTES]:
             columns = tracklets.column[list(chain.tracklets)]
             names = ", ".join(dict.fromkeys(self.names[column] for column in columns))

@@ -150,9 +150,9 @@ class Links:
 
     Parameters
     ----------
-    successor : shape (tracklets,), number of the next tracklet of the chain, -1 at its end
-    ambiguous : pairs of tracklets that compete with a link of similar distance; their labels are
-        not changed
+    successor : shape (tracklets,), index of the next tracklet of the chain, -1 at its end
+    ambiguous : indices of both tracklets of each possible link that competes with a link of similar
+        distance; no label is changed by it
     """
 
     successor: Ints
@@ -161,11 +161,11 @@ class Links:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Pairs:
-    """Candidate links, arrays of shape (pairs,).
+    """Pairs of tracklets that may be linked; arrays of shape (pairs,).
 
     Parameters
     ----------
-    end, start : numbers of the tracklets whose end and whose start are linked
+    end, start : indices of the tracklets whose end and whose start would be linked
     distance : distance of the start from the expected position, m
     cost : distance plus the cost of a change of label, m
     """
@@ -323,10 +323,10 @@ class Chain:
 
     Parameters
     ----------
-    tracklets : numbers of the tracklets
-    start, stop : indices of the frames, `stop` excluded
+    tracklets : indices of the tracklets
+    start, stop : indices of the first frame, and of the first frame after the chain
     frames : number of frames with a position
-    label : column of the marker according to the labels; -1 if the chain has no label
+    label : column of the marker that the labels state; -1 if the chain has no label
     """
 
     tracklets: tuple[int, ...]
@@ -347,15 +347,16 @@ class Naming:
     Parameters
     ----------
     markers : chains of each marker in order of time, keyed by column
-    eliminated : column of the only missing marker, and the chain that is assigned to it
+    assigned_by_elimination : each chain without a valid label that belongs to the only missing
+        marker, after the column of this marker
     doubtful : labelled chains that may belong to several markers, or to none
-    leftover : chains of no marker
+    unassigned : chains of no marker
     """
 
     markers: dict[int, tuple[Chain, ...]]
-    eliminated: tuple[tuple[int, Chain], ...]
+    assigned_by_elimination: tuple[tuple[int, Chain], ...]
     doubtful: tuple[Chain, ...]
-    leftover: tuple[Chain, ...]
+    unassigned: tuple[Chain, ...]
 
 
 def is_unlabelled(name: str) -> bool:
@@ -382,7 +383,7 @@ def name_chains(
     relative : shape (frames, columns, 3), m, positions relative to the clamp
     time : shape (frames,), s
     min_label_time : shortest duration of a valid label, s; shorter stretches are errors
-    min_distance : smallest distance between two markers, m; a closer track is a double
+    min_distance : smallest distance between two markers, m; a closer track is a copy
 
     Returns
     -------
@@ -395,27 +396,27 @@ def name_chains(
     belongs to the marker of its longest label. If two simultaneous chains have the same label, the
     chain with more frames keeps it. The other chain, if it lasts at least `min_label_time`, is
     assigned to the marker that is missing during that time, if there is exactly one. A track that
-    begins at the position of another track is a double, which is used only if no longer track has
-    its label. In a take without labels, the columns with at least half the frames of the longest
-    column are the markers.
+    begins at the position of another track is a copy, which is used only if no longer track
+    has its label. In a take without labels, the columns with at least half the frames of the
+    longest column are the markers.
     """
     is_named = [not is_unlabelled(name) for name in names]
     has_no_labels = not any(is_named)
     if has_no_labels:
         is_named = [True] * len(names)
     chains = _collect_chains(tracklets, links, time, is_named, min_label_time)
-    doubles = [chain for chain in chains if _is_double(chain, tracklets, relative, min_distance)]
-    markers, rejected_chains = _assign_by_label(chains, doubles)
+    copies = [chain for chain in chains if _is_copy(chain, tracklets, relative, min_distance)]
+    markers, rejected_chains = _assign_by_label(chains, copies)
     long_chains = [x for x in rejected_chains if time[x.stop - 1] - time[x.start] >= min_label_time]
-    candidates = [chain for chain in long_chains if chain not in doubles]
+    candidates = [chain for chain in long_chains if chain not in copies]
     short_chains = [chain for chain in rejected_chains if chain not in candidates]
     eliminated, doubtful = _assign_by_elimination(markers, candidates)
-    leftover = short_chains + [chain for chain in chains if chain.label < 0]
+    unassigned = short_chains + [chain for chain in chains if chain.label < 0]
     if has_no_labels:
-        leftover += _remove_short_markers(markers)
+        unassigned += _remove_short_markers(markers)
     get_start = attrgetter("start")
     chains_of = {label: tuple(sorted(markers[label], key=get_start)) for label in sorted(markers)}
-    return Naming(chains_of, tuple(eliminated), tuple(doubtful), tuple(leftover))
+    return Naming(chains_of, tuple(eliminated), tuple(doubtful), tuple(unassigned))
 
 
 def _collect_chains(
@@ -440,20 +441,20 @@ def _collect_chains(
 
 
 def _assign_by_label(
-    chains: list[Chain], doubles: list[Chain]
+    chains: list[Chain], copies: list[Chain]
 ) -> tuple[dict[int, list[Chain]], list[Chain]]:
-    """Assign chains by label; reject doubles, and chains that overlap a longer chain."""
+    """Assign chains by label; reject copies, and chains that overlap longer ones."""
     markers: dict[int, list[Chain]] = {}
     rejected_chains: list[Chain] = []
     labelled_chains = [chain for chain in chains if chain.label >= 0]
     for chain in sorted(labelled_chains, key=lambda chain: (-chain.frames, chain.start)):
         assigned = markers.setdefault(chain.label, [])
-        is_rejected = any(map(chain.overlaps, assigned)) or (assigned and chain in doubles)
+        is_rejected = any(map(chain.overlaps, assigned)) or (assigned and chain in copies)
         (rejected_chains if is_rejected else assigned).append(chain)
     return markers, rejected_chains
 
 
-def _is_double(chain: Chain, tracklets: Tracklets, relative: Floats, min_distance: float) -> bool:
+def _is_copy(chain: Chain, tracklets: Tracklets, relative: Floats, min_distance: float) -> bool:
     """Return whether the chain begins at the position of another track."""
     column = tracklets.column[chain.tracklets[0]]
     distance = np.linalg.norm(relative[chain.start] - relative[chain.start, column], axis=1)

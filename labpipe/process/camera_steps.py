@@ -125,17 +125,17 @@ def find_specimen_axes(prepared: PreparedTest, step: declarations.SpecimenFrame)
     tracks, positions, role = _require(take.tracks), _require(take.repaired).positions, take.role
     is_at_rest = np.asarray(tracks.time <= tracks.time[0] + step.over)
     clamp_path, limit = take.clamp_positions, step.max_out_of_plane
-    find_frame = partial(find_specimen_frame, clamp_path, positions, out_of_plane_limit=limit)
-    frame = find_frame(rest=is_at_rest)
+    find_frame = partial(find_specimen_frame, clamp_path, positions, plane_limit=limit)
+    frame = find_frame(rest_frames=is_at_rest)
     is_before_motion = _flag_before_motion(tracks.time, frame, clamp_path)
     if MIN_ZERO_SAMPLES_NOISE_UNKNOWN <= (is_at_rest & is_before_motion).sum() < is_at_rest.sum():
         is_at_rest &= is_before_motion
-        frame = find_frame(rest=is_at_rest)
+        frame = find_frame(rest_frames=is_at_rest)
         duration = float(np.ptp(tracks.time[is_at_rest]))
         facts: dict[str, Any] = {"duration": duration, "stated": step.over}
         findings.append(Finding.of("process.short_rest_of_clamp", role, **facts))
     findings += _make_shape_findings(frame.notes, role)
-    facts = {"plane": 1e3 * frame.out_of_plane, "line": 1e3 * frame.travel_residual}
+    facts = {"plane": 1e3 * frame.out_of_plane_distance, "line": 1e3 * frame.travel_residual}
     findings.append(Finding.of("process.specimen_frame", role, **facts))
     if clamp_path is not None:
         travel = -frame.to_specimen(clamp_path)[:, 1]
@@ -164,7 +164,7 @@ def fit_specimen_shapes(
     take, signals, role = prepared.take, prepared.signals, prepared.take.role
     tracks, repaired = _require(take.tracks), _require(take.repaired)
     frame, is_at_rest = _require(take.frame), _require(take.is_at_rest)
-    order, grip_error = list(frame.order), settings.offset_uncertainty
+    order, grip_error = list(frame.marker_order), settings.offset_uncertainty
     has_clamp = take.clamp_positions is not None
     fit = fit_shape(
         frame.to_specimen(repaired.positions[:, order]),
@@ -177,7 +177,7 @@ def fit_specimen_shapes(
         uncertainties=Offsets(grip_error, grip_error, settings.centre_uncertainty),
         terms=step.terms,
         tip=step.tip,
-        rest=is_at_rest,
+        rest_frames=is_at_rest,
     )
     findings = list(_make_shape_findings(fit.notes, role))
     rms, rest_rms = 1e3 * compute_rms(fit.residual), 1e3 * compute_rms(fit.residual[is_at_rest])
@@ -200,7 +200,7 @@ def _make_deflection_signal(fit: ShapeFit, is_at_rest: Flags, take: Take) -> Sig
     The offsets and the shape are perturbed. The change of the shape with one more term is the half
     width of a rectangular distribution, whose standard uncertainty is 1 / sqrt(3) of it.
     """
-    values = compute_deflection(fit.shape, rest=is_at_rest)
+    values = compute_deflection(fit.shape, rest_frames=is_at_rest)
     _, zero_error = average_level(drop_missing(values[is_at_rest]), values[~is_at_rest])
     perturbed = {
         cause: deflection - np.nanmean(deflection[is_at_rest])

@@ -116,7 +116,7 @@ def _describe_times(time: Floats, *, is_uneven: bool = False) -> dict[str, Any]:
         "step_median": _reduce_finite([median(steps)] if len(steps) else []),
         "step_min": _reduce_finite(steps, np.min),
         "step_max": _reduce_finite(steps, np.max),
-        "holes": [{"at": hole.time, "length": hole.length} for hole in holes],
+        "holes": [{"at": hole.time, "length": hole.duration} for hole in holes],
     }
 
 

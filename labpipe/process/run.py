@@ -144,7 +144,7 @@ def process(task: Task, on_stage: StageCallback = lambda _: None) -> ProcessedTe
         if not task.figures and read_run(folder / RESULT_FILE) == result.run:
             outdated_figures = []
     outdated_files = [FAILURE_FILE, *outdated_figures]
-    with lock(folder), replace_files(folder, owned=outdated_files) as new_folder:
+    with lock(folder), replace_files(folder, earlier_files=outdated_files) as new_folder:
         on_stage("write")
         with ThreadPoolExecutor(max_workers=1) as compressor:  # compression releases the GIL
             write_future = compressor.submit(write_result, result, new_folder / RESULT_FILE)
@@ -180,7 +180,7 @@ def draw_figures(folder: Path) -> tuple[Path, ...]:
 
     with lock(folder):
         result = read_result(folder / RESULT_FILE)
-        with replace_files(folder, owned=_FIGURE_FILES) as new_folder:
+        with replace_files(folder, earlier_files=_FIGURE_FILES) as new_folder:
             paths = save_figures(result, new_folder / FIGURES_FOLDER)
     return tuple(folder / path.relative_to(new_folder) for path in paths)
 

@@ -152,7 +152,7 @@ def find_alternatives(
     Parameters
     ----------
     choice, pairs : as for `find_channel`
-    chosen : index that `find_channel` returns
+    chosen : index of the channel that `find_channel` chooses, which is left out
     """
     names = (choice,) if isinstance(choice, str) else choice
     finders = product((_find_exact, _find_similar), names)
@@ -176,7 +176,7 @@ def compare_alternatives(
     of the range. A channel that is another choice is not compared, nor one in a unit of another
     quantity.
     """
-    max_share = 0.01
+    max_range_fraction = 0.01
     pairs = [(channel.name, channel.path) for channel in channels]
     selected = [find_channel(choice, pairs, "") for choice in choices]
     for choice, index in zip(choices, selected, strict=True):
@@ -194,7 +194,7 @@ def compare_alternatives(
                 continue
             deviation = float(np.subtract(*np.quantile(difference, (0.975, 0.025))))
             full_range = np.nanmax(chosen.values) - np.nanmin(chosen.values)
-            if deviation > max_share * full_range > 0.0:
+            if deviation > max_range_fraction * full_range > 0.0:
                 yield QualityNote.of(
                     "readers.columns_disagree",
                     chosen.path,
@@ -237,12 +237,12 @@ def normalise_name(name: str) -> str:
     return " ".join(remainder.replace("_", " ").rstrip(" .").split())
 
 
-def _find_exact(text: str, pairs: Sequence[tuple[str, str]]) -> list[int]:
+def _find_exact(wanted_name: str, pairs: Sequence[tuple[str, str]]) -> list[int]:
     """Find the indices of channels with a path or, if there is none, with a name."""
-    by_path = [i for i, (_, path) in enumerate(pairs) if path == text]
-    spellings = _list_spellings(text)
+    by_path = [i for i, (_, path) in enumerate(pairs) if path == wanted_name]
+    spellings = _list_spellings(wanted_name)
     by_spelling = [i for i, (_, path) in enumerate(pairs) if _list_spellings(path) & spellings]
-    by_name = [i for i, (name, _) in enumerate(pairs) if name == text]
+    by_name = [i for i, (name, _) in enumerate(pairs) if name == wanted_name]
     return by_path or by_spelling or by_name
 
 

@@ -106,13 +106,13 @@ class _Table:
 
     Parameters
     ----------
-    units : by column, of the row of units; empty texts if the file has none
-    head : place of the names, or of the first row
-    body : the rows of samples, with the names and units of the columns
+    units : cells of the row of units, one for each column; empty without such a row
+    head_place : place of the row of names or, without names, of the first row, for messages
+    body : rows of samples, with the names of the columns
     """
 
     units: Sequence[str]
-    head: str
+    head_place: str
     body: Body
 
 
@@ -156,7 +156,7 @@ def _convert_points(table: _Table, curve_columns: Sequence[CurveColumn]) -> tupl
     """Convert the wanted columns to deflection and force in SI, and check their order."""
     columns = [_find_column(table, column) for column in curve_columns]
     if columns[0] == columns[1]:
-        raise ContentError.of("readers.one_column_twice", table.head, number=columns[0] + 1)
+        raise ContentError.of("readers.one_column_twice", table.head_place, number=columns[0] + 1)
     factors = [
         _compute_unit_factor(table, i, column)
         for i, column in zip(columns, curve_columns, strict=True)
@@ -251,7 +251,7 @@ def _find_column(table: _Table, column: CurveColumn) -> int:
     found_names = sort_by_likeness(names[0], [*filter(None, table.body.names)])
     raise ContentError.of(
         "readers.several_columns" if matches else "readers.no_column",
-        table.head,
+        table.head_place,
         name=names[0],
         found=", ".join(str(i + 1) for i in matches)
         or ", ".join(map(repr, found_names))
@@ -277,7 +277,7 @@ def _compute_unit_factor(table: _Table, index: int, column: CurveColumn) -> floa
     """Compute the factor from the unit of a column to SI, and refuse contradicting units."""
     heading = table.body.names[index]
     stated_unit = _split_heading(heading, column.si_unit)[1] or table.units[index]
-    place = f"{table.head}, column {index + 1}"
+    place = f"{table.head_place}, column {index + 1}"
     unit = column.unit or stated_unit
     for text in {unit, stated_unit or unit}:
         if not has_dimension_of(text, column.si_unit):

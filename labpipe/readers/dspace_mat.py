@@ -283,19 +283,19 @@ class _Cursor:
     Parameters
     ----------
     data : bytes of the elements
-    order : byte order of the file, ``<`` or ``>``
+    byte_order : byte order of the file, ``<`` or ``>``
     position : number of bytes before the next element
     """
 
     data: memoryview
-    order: str
+    byte_order: str
     position: int = 0
 
     def read_element(self) -> tuple[int, memoryview]:
         """Read type and bytes of the next element, and advance beyond its padding."""
         n_left, n_bytes = len(self.data) - self.position, len(self.data)
         require(n_left >= 8, f"ends after {n_bytes} bytes, within the tag of an element")
-        kind, size = struct.unpack_from(self.order + "II", self.data, self.position)
+        kind, size = struct.unpack_from(self.byte_order + "II", self.data, self.position)
         start = self.position + 8
         padded = size if kind == _MI_COMPRESSED else -(-size // 8) * 8
         if kind >> 16:  # a small element has size and type in one word, and then its data
@@ -309,7 +309,7 @@ class _Cursor:
         """Read the numbers of the next element, in the type in which they are stored."""
         kind, data = self.read_element()
         require(kind in _DTYPE_BY_MI_TYPE, f"type {kind} instead of numbers")
-        array: np.ndarray = np.frombuffer(data, dtype=self.order + _DTYPE_BY_MI_TYPE[kind])
+        array: np.ndarray = np.frombuffer(data, dtype=self.byte_order + _DTYPE_BY_MI_TYPE[kind])
         return array
 
 
@@ -335,15 +335,15 @@ def parse_mat5(content: bytes | memoryview) -> dict[str, MatValue]:
         If the file is cut off or damaged.
     """
     header_bytes = 128
-    order = ">" if content[126:128] == b"MI" else "<"
-    cursor = _Cursor(memoryview(content), order, header_bytes)
+    byte_order = ">" if content[126:128] == b"MI" else "<"
+    cursor = _Cursor(memoryview(content), byte_order, header_bytes)
     variables: dict[str, MatValue] = {}
     while cursor.position < len(content):
         kind, data = cursor.read_element()
         if kind == _MI_COMPRESSED:
-            kind, data = _Cursor(memoryview(zlib.decompress(data)), order).read_element()
+            kind, data = _Cursor(memoryview(zlib.decompress(data)), byte_order).read_element()
         if kind == _MI_MATRIX:
-            name, value = _parse_matrix(_Cursor(data, cursor.order))
+            name, value = _parse_matrix(_Cursor(data, cursor.byte_order))
             variables[name] = value
     return variables
 
@@ -376,7 +376,7 @@ def _parse_matrix(cursor: _Cursor) -> tuple[str, MatValue]:
 def _parse_item(cursor: _Cursor) -> MatValue:
     kind, data = cursor.read_element()
     require(kind == _MI_MATRIX, f"type {kind} instead of an array")
-    return _parse_matrix(_Cursor(data, cursor.order))[1]
+    return _parse_matrix(_Cursor(data, cursor.byte_order))[1]
 
 
 def _parse_struct_array(cursor: _Cursor, count: int) -> list[dict[str, MatValue]]:
@@ -403,6 +403,6 @@ def _check_count(count: int, cursor: _Cursor) -> int:
 def _parse_text(cursor: _Cursor) -> str:
     kind, data = cursor.read_element()
     if kind in {4, 17}:
-        name = "utf-16-le" if cursor.order == "<" else "utf-16-be"
+        name = "utf-16-le" if cursor.byte_order == "<" else "utf-16-be"
         return bytes(data).decode(name, errors="replace")
     return bytes(data).decode(_ENCODING_BY_MI_TYPE[kind], errors="replace")

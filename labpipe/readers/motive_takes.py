@@ -58,12 +58,15 @@ _LENGTH_UNITS = {"Meters": 1.0, "Centimeters": 0.01, "Millimeters": 0.001}
 _KNOWN_VERSIONS = ("1.21", "1.23", "1.24", "1.25")
 """Format versions of known files."""
 _CONVERTED_TYPES = ("Marker", "Rigid Body")
+"""Types of objects whose columns are read."""
 _LABELS = ("Type", "Name", "ID")
+"""Labels of the header rows above the row of quantities."""
 _KEYS = (
     *("Format Version", "Take Name", "Take Notes", "Capture Frame Rate", "Export Frame Rate"),
     *("Capture Start Time", "Capture Start Frame", "Total Frames in Take"),
     *("Total Exported Frames", "Rotation Type", "Length Units", "Coordinate Space"),
 )
+"""Known keys in line 1."""
 Columns = Mapping[int, Floats]
 """Columns of shape (frames,), keyed by their index in the file; NaN where blank."""
 Cells = Sequence[str]
@@ -129,10 +132,10 @@ def _read_table_style(content: bytes, path: Path, sheet: str = "") -> Recording:
     header = parse_header(rows)
     stated_rows = header.properties.get("Total Exported Frames", "")
     body = Body(
-        data=content[sum(len(line) + 1 for line in lines[: header.rows]) :],
+        data=content[sum(len(line) + 1 for line in lines[: header.n_rows]) :],
         names=header.names,
         columns=header.needed_columns,
-        first_line=header.rows + 1,
+        first_line=header.n_rows + 1,
         separator=separator,
         decimal=".",
         stated_rows=parse_count(stated_rows.removesuffix(".0")),
@@ -170,7 +173,7 @@ def make_recording(
 
 
 @dataclass(frozen=True, slots=True)
-class Group:
+class ObjectColumns:
     """The columns of one object.
 
     Parameters
@@ -201,14 +204,14 @@ class Header:
     groups : columns of each object, in the order of the file
     time_column : index of the column of times, None if there is none
     width : number of cells of a complete line, padding included
-    rows : number of header rows
+    n_rows : number of header rows
     """
 
     properties: Mapping[str, str]
-    groups: tuple[Group, ...]
+    groups: tuple[ObjectColumns, ...]
     time_column: int | None
     width: int
-    rows: int
+    n_rows: int
 
     @property
     def names(self) -> list[str]:
@@ -312,7 +315,7 @@ def _find_label_rows(rows: Sequence[Cells], start: int, last: int) -> dict[str, 
     return rows_by_label
 
 
-def _group_columns(rows: Sequence[Cells], start: int, last: int) -> tuple[Group, ...]:
+def _group_columns(rows: Sequence[Cells], start: int, last: int) -> tuple[ObjectColumns, ...]:
     """Collect the columns of each object, by its type, name and id.
 
     The rows are those of `_LABELS`, of quantities, and of axes.
@@ -329,14 +332,14 @@ def _group_columns(rows: Sequence[Cells], start: int, last: int) -> tuple[Group,
         while key in groups.get((kind, name, id_, repeat), {}):
             repeat += 1  # another object has the same name and id
         groups.setdefault((kind, name, id_, repeat), {})[key] = column
-    return tuple(Group(key[0], key[1], key[2], columns) for key, columns in groups.items())
+    return tuple(ObjectColumns(key[0], key[1], key[2], columns) for key, columns in groups.items())
 
 
 def _convert_tracks(header: Header, columns: Columns) -> tuple[MarkerTracks, list[QualityNote]]:
-    """Convert columns to tracks in SI units, with notes on the clock and on rotations."""
+    """Convert columns to tracks in SI units, with notes on the clock."""
     frames = columns[0]
     if len(invalid_frames := np.flatnonzero(~np.isfinite(frames))):
-        place = f"line {header.rows + 1 + int(invalid_frames[0])}, cell 1"
+        place = f"line {header.n_rows + 1 + int(invalid_frames[0])}, cell 1"
         raise ContentError.of("readers.no_frame_number", place)
     time, rate, notes = _compute_time(header, columns, frames)
     markers, bodies = (
@@ -390,24 +393,21 @@ def make_object_names(objects: Sequence[tuple[str, str]]) -> tuple[str, ...]:
 
 
 def _make_header_notes(header: Header, path: Path) -> Iterator[QualityNote]:
-    """Make notes on version, name of the take, columns that are left out, and repeated names."""
+    """Make notes on version, name of the take, unused columns, and repeated names."""
     if (version := header.properties["Format Version"]) not in _KNOWN_VERSIONS:
         versions = ", ".join(_KNOWN_VERSIONS)
         yield QualityNote.of("readers.version_unseen", "file", version=version, known=versions)
     take = header.properties.get("Take Name", "")
     if take and take != path.stem:
         yield QualityNote.of("readers.take_name_differs", "file", take=take, file=path.name)
-    left_out = Counter(group.type for group in header.groups if group.type not in _CONVERTED_TYPES)
-    if fitted := left_out.pop("Rigid Body Marker", 0):
+    unused_types = Counter(x.type for x in header.groups if x.type not in _CONVERTED_TYPES)
+    if fitted := unused_types.pop("Rigid Body Marker", 0):
         yield QualityNote.of("readers.fitted_markers", "markers", count=fitted)
-    if other_columns := ", ".join(f"{n} of type {kind}" for kind, n in left_out.items()):
+    if other_columns := ", ".join(f"{n} of type {kind}" for kind, n in unused_types.items()):
         yield QualityNote.of("readers.columns_left_out", "columns", types=other_columns)
-    names = Counter((group.type, group.name) for group in header.groups)
-    repeated = [name for (kind, name), n in names.items() if n > 1 and kind in _CONVERTED_TYPES]
-    if repeated:
-        yield QualityNote.of(
-            "readers.objects_of_one_name", "markers", names=", ".join(repeated[:5])
-        )
+    objects = Counter((x.type, x.name) for x in header.groups if x.type in _CONVERTED_TYPES)
+    if repeated_names := ", ".join([name for (_, name), n in objects.items() if n > 1][:5]):
+        yield QualityNote.of("readers.objects_of_one_name", "markers", names=repeated_names)
 
 
 def _compute_time(
@@ -433,7 +433,7 @@ def _compute_time(
         return time, header.rate, []
     rate, expected_rate = derive_rate(stated_time), derive_rate(time)
     if max(rate, expected_rate) >= max_ratio * min(rate, expected_rate):
-        place = f"line {header.rows}, column of times"
+        place = f"line {header.n_rows}, column of times"
         rates = {"rate": header.rate, "expected": 1.0 / expected_rate, "found": 1.0 / rate}
         raise ContentError.of("readers.times_of_another_rate", place, **rates)
     deviation = 1e3 * float(np.abs(stated_time - time).max())  # NaN if a time is missing
@@ -463,17 +463,17 @@ def derive_rate(time: Floats) -> float:
     return float(1.0 / steps[steps <= 1.5 * np.median(steps)].mean())
 
 
-def _find_position(group: Group, header: Header) -> list[int]:
+def _find_position(group: ObjectColumns, header: Header) -> list[int]:
     """Find the indices of the columns of a position, or raise ContentError if one is missing."""
     columns = group.find_columns("Position", "XYZ")
     if columns is None:
-        place = f"line {header.rows}, {group.type} '{group.name}'"
+        place = f"line {header.n_rows}, {group.type} '{group.name}'"
         found = ", ".join(" ".join(key).strip() for key in group.columns)
         raise ContentError.of("readers.no_position", place, columns=found)
     return columns
 
 
-def _convert_body(name: str, group: Group, header: Header, columns: Columns) -> RigidBody:
+def _convert_body(name: str, group: ObjectColumns, header: Header, columns: Columns) -> RigidBody:
     """Convert the columns of a rigid body to SI units, with NaN for quantities not exported."""
     position = _stack_columns(columns, _find_position(group, header)) * header.length_unit
     error_columns = [i for (x, axis), i in group.columns.items() if "Error" in x and not axis]

@@ -27,14 +27,14 @@ class Hole:
 
     Parameters
     ----------
-    sample : index of the last sample before the hole
-    time : s, time of that sample
-    length : s, from that sample to the next one
+    last_sample : index of the last sample before the hole
+    time : time of that sample, s
+    duration : time from that sample to the next one, s
     """
 
-    sample: int
+    last_sample: int
     time: float
-    length: float
+    duration: float
 
 
 def find_holes(time: Floats) -> tuple[Hole, ...]:
@@ -124,22 +124,22 @@ def _make_step_notes(
         )
         return
     if holes:
-        lengths = [hole.length for hole in holes]
-        n_lost = sum(round(length / median_step) - 1 for length in lengths)
-        span = f"{_format_duration(min(lengths))} to {_format_duration(max(lengths))}"
+        durations = [hole.duration for hole in holes]
+        n_lost = sum(round(duration / median_step) - 1 for duration in durations)
+        span = f"{_format_duration(min(durations))} to {_format_duration(max(durations))}"
         first = ", ".join(f"{hole.time:.6g} s" for hole in holes[:3])
         yield QualityNote.of(
             "readers.time_holes", where, count=count, span=span, lost=n_lost, first=first
         )
-    regular = np.delete(steps, [hole.sample for hole in holes])
+    regular = np.delete(steps, [hole.last_sample for hole in holes])
     if np.abs(regular - median_step).max() > _MIN_JITTER * median_step:
         text = _format_range(regular, median_step)
         yield QualityNote.of("readers.time_jitter", where, steps=text)
 
 
-def _format_range(steps: Floats, typical: float) -> str:
+def _format_range(steps: Floats, median_step: float) -> str:
     ends = f"{_format_duration(float(steps.min()))} to {_format_duration(float(steps.max()))}"
-    return f"steps from {ends} around {_format_duration(typical)}"
+    return f"steps from {ends} around {_format_duration(median_step)}"
 
 
 def _format_duration(seconds: float) -> str:

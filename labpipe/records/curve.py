@@ -50,7 +50,7 @@ class Interval:
 
     @property
     def standard_error(self) -> float:
-        """Return the standard error of a normal 95 % interval, in the unit of its ends."""
+        """Standard error of a normal 95 % interval, in the unit of its ends."""
         return (self.upper - self.lower) / (2.0 * NORMAL_95)
 
 
@@ -171,7 +171,7 @@ class Curve(ArrayRecord):
 
     @property
     def first_loading(self) -> Branch | None:
-        """Return the first loading branch; None if there is none."""
+        """First loading branch; None if there is none."""
         loadings = (branch for branch in self.branches if branch.direction is Direction.LOADING)
         return next(loadings, None)
 
@@ -333,7 +333,7 @@ class BendingCloud(ArrayRecord):
 
     @property
     def noise(self) -> Floats:
-        """Return the standard errors of the curvature from noise and shape, (n, stations), 1/m.
+        """Standard errors of the curvature from noise and shape, (n, stations), 1/m.
 
         The error of the shape has a rectangular distribution of half-width `curvature_systematic`.
         It is zero where `curvature_systematic` is NaN.

@@ -285,7 +285,7 @@ class _Step:
 
     @property
     def key(self) -> str:
-        """Return the dotted key of the step, such as ``steps.2``."""
+        """Dotted key of the step, such as ``steps.2``."""
         return f"steps.{self.number}"
 
     def with_number(self, number: int) -> Self:

@@ -119,12 +119,12 @@ class MeanInterval:
 
     @property
     def middle(self) -> float:
-        """Return the middle of the interval: the estimate, or the mean if there is none."""
+        """Middle of the interval: the estimate, or the mean if there is none."""
         return self.mean if self.estimate is None else self.estimate
 
     @property
     def half_width(self) -> float:
-        """Return the half-width of the interval before its conversion to a log scale, or NaN."""
+        """Half-width of the interval before its conversion to a log scale, or NaN."""
         if self.interval is None:
             return float("nan")
         lower, upper = self.interval.lower, self.interval.upper
@@ -132,7 +132,7 @@ class MeanInterval:
 
     @property
     def distinct_estimate(self) -> float | None:
-        """Return the estimate if it must be shown beside the mean, see `find_distinct_estimate`."""
+        """Estimate if it must be shown beside the mean, see `find_distinct_estimate`."""
         return find_distinct_estimate(self.mean, self.estimate, self.interval)
 
 
@@ -181,7 +181,7 @@ class NestedMean:
 
     @property
     def n_samples(self) -> int:
-        """Return the number of samples of all spools."""
+        """Number of samples of all spools."""
         return sum(mean.n for mean in self.spool_means.values())
 
 
@@ -232,13 +232,13 @@ class Band(ArrayRecord):
 
     @property
     def has_area(self) -> bool:
-        """Return whether there is a band, and not only intervals at some displacements."""
+        """Whether there is a band, and not only intervals at some displacements."""
         max_intervals = 3
         return bool(np.isfinite(self.lower).sum() > max_intervals)
 
     @property
     def marks(self) -> Ints:
-        """Return the indices of the displacements with an interval; empty if there is a band."""
+        """Indices of the displacements with an interval; empty if there is a band."""
         indices = np.flatnonzero(np.isfinite(self.lower))
         return indices[:0] if self.has_area else indices
 
@@ -299,12 +299,12 @@ class Contrast:
 
     @property
     def error(self) -> float:
-        """Return the standard error of the difference from scatter."""
+        """Standard error of the difference from scatter."""
         return hypot(*self.errors)
 
     @property
     def degrees(self) -> float:
-        """Return Satterthwaite's degrees of freedom (Welch, Biometrika 34 (1947) 28)."""
+        """Satterthwaite's degrees of freedom (Welch, Biometrika 34 (1947) 28)."""
         squares = [error**2 for error in self.errors]
         degrees_of_means = [count - 1 for count in self.counts]
         terms = zip(squares, degrees_of_means, strict=True)
@@ -358,14 +358,14 @@ class Difference:
 
     @property
     def change(self) -> float | None:
-        """Return the relative change, second / first - 1; None if the scale is not logarithmic."""
+        """Relative change, second / first - 1; None if the scale is not logarithmic."""
         if self.contrast is None or not self.contrast.is_log:
             return None
         return expm1(self.contrast.difference)
 
     @property
     def single_field(self) -> str:
-        """Return the only field in which the groups differ; empty if there are several or none."""
+        """Only field in which the groups differ; empty if there are several or none."""
         return next(iter(self.fields)) if len(self.fields) == 1 else ""
 
 
@@ -393,7 +393,7 @@ class SampleVerdict:
 
     @property
     def text(self) -> str:
-        """Return both verdicts as a text, such as ``pass (cannot tell with its interval)``."""
+        """Both verdicts as a text, such as ``pass (cannot tell with its interval)``."""
         if self.by_number is self.with_interval:
             return str(self.by_number)
         return f"{self.by_number} ({self.with_interval} with its interval)"

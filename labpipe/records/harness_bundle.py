@@ -71,17 +71,17 @@ class Bundle:
 
     @property
     def number(self) -> int:
-        """Return the number of wires."""
+        """Number of wires."""
         return sum(wire.number for wire in self.wires)
 
     @property
     def composition(self) -> str:
-        """Return a text with the number of wires of each type, such as ``10 B1 + 9 B2``."""
+        """Text with the number of wires of each type, such as ``10 B1 + 9 B2``."""
         return " + ".join(f"{wire.number} {wire.type}" for wire in self.wires)
 
     @property
     def fields(self) -> Mapping[str, str]:
-        """Return the text of each field by which bundles are grouped."""
+        """Text of each field by which bundles are grouped."""
         return {
             "wire": " & ".join(wire.type for wire in self.wires),
             "number": str(self.number),
@@ -171,12 +171,12 @@ class BundleModel(ArrayRecord):
 
     @property
     def is_doubtful(self) -> Flags:
-        """Return whether each curvature is beyond `doubtful_curvature`, shape (n,)."""
+        """Whether each curvature is beyond `doubtful_curvature`, shape (n,)."""
         return np.asarray(self.curvature > self.doubtful_curvature)
 
     @property
     def is_doubtful_stick(self) -> Flags:
-        """Return whether each curvature is beyond `doubtful_curvature_stick`, shape (n,)."""
+        """Whether each curvature is beyond `doubtful_curvature_stick`, shape (n,)."""
         return np.asarray(self.curvature > self.doubtful_curvature_stick)
 
 

@@ -164,7 +164,7 @@ class Finding:
 
     @property
     def code(self) -> str:
-        """Return the code of the note."""
+        """Code of the note."""
         return self.note.code
 
 
@@ -209,16 +209,16 @@ class Findings:
 
     @property
     def notes(self) -> tuple[QualityNote, ...]:
-        """Return the notes, each once."""
+        """Notes, each once."""
         return tuple(dict.fromkeys(finding.note for finding in self.entries))
 
     @property
     def doubts(self) -> tuple[Doubt, ...]:
-        """Return the doubts, each once."""
+        """Doubts, each once."""
         return tuple(dict.fromkeys(doubt for finding in self.entries for doubt in finding.doubts))
 
     @property
     def blocked(self) -> Reason | None:
-        """Return the reason of the first finding that blocks later stages; None without one."""
+        """Reason of the first finding that blocks later stages; None without one."""
         blocking = next((finding for finding in self.entries if finding.blocks), None)
         return None if blocking is None else Reason(blocking.code, blocking.note.message)

@@ -139,7 +139,7 @@ class MarkerTracks(ArrayRecord):
 
     @property
     def n_missing(self) -> dict[str, int]:
-        """Return the number of frames in which each marker was not tracked, keyed by marker."""
+        """Number of frames in which each marker was not tracked, keyed by marker."""
         counts = np.isnan(self.positions).any(axis=2).sum(axis=0)
         return {name: int(count) for name, count in zip(self.names, counts, strict=True)}
 

@@ -128,38 +128,38 @@ class Result:
 
     @property
     def full_method(self) -> str:
-        """Return the method with the remark of this test."""
+        """Method with the remark of this test."""
         return "; ".join(filter(None, (self.method, self.remark)))
 
     @property
     def shares(self) -> tuple[float, ...]:
-        """Return the share of each row of the budget in the variance; 0 without a variance."""
+        """Fraction of the variance of each row of the budget; 0 without a variance."""
         variances = [contribution.change**2 for contribution in self.budget]
         total = sum(variances)
         return tuple(variance / total if total > 0.0 else 0.0 for variance in variances)
 
     @property
     def largest_share(self) -> tuple[str, float] | None:
-        """Return the cause with the largest share in the variance and that share, or None."""
+        """Cause with the largest fraction of the variance and this fraction, or None."""
         pairs = zip((row.cause for row in self.budget), self.shares, strict=True)
         cause, share = max(pairs, key=lambda pair: pair[1], default=("", 0.0))
         return (cause, share) if share > 0.0 else None
 
     @property
     def distinct_estimate(self) -> float | None:
-        """Return the estimate if it must be shown beside the value (`find_distinct_estimate`)."""
+        """Estimate if it must be shown beside the value (`find_distinct_estimate`)."""
         if self.value is None:
             return None
         return find_distinct_estimate(self.value, self.estimate, self.interval)
 
     @property
     def best_estimate(self) -> float | None:
-        """Return the estimate, or else the value."""
+        """Estimate, or else the value."""
         return self.value if self.estimate is None else self.estimate
 
     @property
     def seal(self) -> str:
-        """Return the SHA-256 of the numbers, equal in every file of the test."""
+        """SHA-256 of the numbers, equal in every file of the test."""
         interval = self.interval
         ends = (interval.lower, interval.upper, interval.level) if interval else (None, None, None)
         numbers = (self.value, *ends, self.best_estimate)
@@ -167,12 +167,12 @@ class Result:
 
     @property
     def codes(self) -> tuple[str, ...]:
-        """Return the codes of the reasons, each once."""
+        """Codes of the reasons, each once."""
         return tuple(dict.fromkeys(reason.code for reason in self.reasons))
 
     @property
     def reason_text(self) -> str:
-        """Return the reasons as text, such as ``not_reached: the branch ends at 4.2 mm``."""
+        """Reasons as text, such as ``not_reached: the branch ends at 4.2 mm``."""
         return join_reasons(self.reasons)
 
 
@@ -205,7 +205,7 @@ class Specimen:
 
     @property
     def fields(self) -> Mapping[str, str]:
-        """Return the text of each grouping field; a label replaces a bundle's field of its name."""
+        """Text of each grouping field; a label replaces a bundle's field of its name."""
         names = {"type": self.type, "spool": self.spool}
         return names | dict(self.bundle.fields if self.bundle else {}) | dict(self.labels)
 

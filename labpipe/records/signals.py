@@ -60,7 +60,7 @@ class Signal:
 
     @property
     def has_time(self) -> bool:
-        """Return whether the samples have times, not only row numbers."""
+        """Whether the samples have times, not only row numbers."""
         return self.time_unit == "s"
 
     def map_values(self, change: Callable[[Floats], Floats]) -> Signal:
@@ -101,7 +101,7 @@ class Signals:
 
     @property
     def quantities(self) -> dict[str, str]:
-        """Return the quantity of each of the two signals of the curve, keyed by signal name."""
+        """Quantity of each of the two signals of the curve, keyed by signal name."""
         return {self.force: "force", self.displacement: "displacement"}
 
     def is_zeroed(self, name: str) -> bool:
@@ -168,14 +168,14 @@ class Clocks:
 
     @property
     def error(self) -> float:
-        """Return the standard error of the offset between force and motion, s; 0 for one clock."""
+        """Standard error of the offset between force and motion, s; 0 for one clock."""
         if self.force is None:
             return 0.0
         return float(np.sqrt(1.0 / np.sum(self.force.event_errors**-2.0)))
 
     @property
     def drift_error(self) -> float:
-        """Return the standard error of the clock drift; 0 for one clock or one event.
+        """Standard error of the clock drift; 0 for one clock or one event.
 
         One event does not determine the drift: the interval of the fit is then NaN.
         """
@@ -184,7 +184,7 @@ class Clocks:
 
     @property
     def middle(self) -> float:
-        """Return the weighted mean time of the events of the fit, s on the clock of the curve.
+        """Weighted mean time of the events of the fit, s on the clock of the curve.
 
         The errors of offset and drift are independent at this time. It is 0 for one clock.
         """
@@ -195,7 +195,7 @@ class Clocks:
 
     @property
     def perturbed(self) -> dict[str, Clocks]:
-        """Return the clocks with one input larger by its standard uncertainty, keyed by cause.
+        """Clocks with one input larger by its standard uncertainty, keyed by cause.
 
         The offset shifts all times of the force by `error`. The drift stretches them by
         `drift_error` about the `middle` of the events.

@@ -197,12 +197,12 @@ class WireTable(ArrayRecord):
 
     @property
     def is_doubtful(self) -> Flags:
-        """Return whether each curvature is beyond `doubtful_curvature`, shape (n,)."""
+        """Whether each curvature is beyond `doubtful_curvature`, shape (n,)."""
         return np.asarray(self.curvature > self.doubtful_curvature)
 
     @property
     def insulation_share(self) -> Floats:
-        """Return the fraction of the moment that the insulation carries, shape (n,).
+        """Fraction of the moment that the insulation carries, shape (n,).
 
         At zero moment it is the fraction at the second curvature.
         """
@@ -212,7 +212,7 @@ class WireTable(ArrayRecord):
 
     @property
     def slips_at_once(self) -> bool:
-        """Return whether strands slip as soon as the wire bends, without stick stiffness.
+        """Whether strands slip as soon as the wire bends, without stick stiffness.
 
         The first secant of the table is then the slope of the law at zero curvature.
         """
@@ -554,7 +554,7 @@ class CalibratedParameter:
 
     @property
     def interval(self) -> Interval | None:
-        """Return the interval from the lowest to the highest end; None if nothing was fitted."""
+        """Interval from the lowest to the highest end; None if nothing was fitted."""
         if not self.intervals:
             return None
         return Interval(self.intervals[0].lower, self.intervals[-1].upper)
@@ -626,12 +626,12 @@ class Solution(ArrayRecord):
 
     @property
     def is_allowed(self) -> bool:
-        """Return whether the solution is in the 95 % set, which intervals and bands include."""
+        """Whether the solution is in the 95 % set, which intervals and bands include."""
         return self.rise < self.limit
 
     @property
     def likelihood(self) -> float:
-        """Return the ratio of the likelihood to that of the best solution."""
+        """Ratio of the likelihood to that of the best solution."""
         return float(np.exp(-0.5 * self.rise))
 
 

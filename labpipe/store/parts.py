@@ -104,14 +104,8 @@ _SPECIMEN_MAPS = {"labels": ("labels", "label_words"), "observed": ("observed", 
 """Names of the attributes for the keys and texts of each mapping of a specimen."""
 
 
-def write_specimen(target: GroupWriter, specimen: Specimen) -> None:
-    """Write a specimen, with type, spool and sample in the root, and other fields in a group.
-
-    Parameters
-    ----------
-    target : root of the result file
-    specimen : specimen of the test
-    """
+def _write_specimen(target: GroupWriter, specimen: Specimen) -> None:
+    """Write a specimen, with type, spool and sample in the root, and other fields in a group."""
     for name, attribute in _SPECIMEN_TEXTS.items():
         target.group.attrs[attribute] = getattr(specimen, name)
     target = target.open_group("specimen")
@@ -143,13 +137,8 @@ def _write_bundle(target: GroupWriter, bundle: Bundle) -> None:
     target.attach_scales()
 
 
-def read_specimen(root: Any) -> Specimen:
-    """Read the specimen.
-
-    Parameters
-    ----------
-    root : open result file
-    """
+def _read_specimen(root: Any) -> Specimen:
+    """Read the specimen."""
     root_texts: dict[str, Any] = {
         name: read_text(root, attribute) for name, attribute in _SPECIMEN_TEXTS.items()
     }
@@ -194,7 +183,7 @@ def _nan_to_none(value: float) -> float | None:
     return None if isnan(value) else float(value)
 
 
-def write_recording(target: GroupWriter, recording: Recording) -> None:
+def _write_recording(target: GroupWriter, recording: Recording) -> None:
     """Write a recording.
 
     Parameters
@@ -271,8 +260,8 @@ def _write_markers(target: GroupWriter, tracks: MarkerTracks) -> None:
     bodies.write_texts("bodies", tuple(names))
 
 
-def read_recording(group: Any) -> Recording:
-    """Read a recording that `write_recording` wrote.
+def _read_recording(group: Any) -> Recording:
+    """Read a recording that `_write_recording` wrote.
 
     Parameters
     ----------
@@ -324,14 +313,8 @@ def _read_markers(group: Any) -> MarkerTracks:
     return read_record(group["markers"], MarkerTracks, bodies=all_bodies)
 
 
-def write_raw(target: GroupWriter, result: TestResult) -> None:
-    """Write the recording of each role, with the names, SHA-256 and order of the exports.
-
-    Parameters
-    ----------
-    target : group of the raw data
-    result : processed test
-    """
+def _write_raw(target: GroupWriter, result: TestResult) -> None:
+    """Write the recording of each role, with the names, SHA-256 and order of the exports."""
     roles = dict.fromkeys([*result.recordings, *(export.role for export in result.inputs)])
     target.write_texts("roles", tuple(result.recordings))
     for role in roles:
@@ -344,16 +327,11 @@ def write_raw(target: GroupWriter, result: TestResult) -> None:
         role_group.group.attrs["bytes"] = sizes
         role_group.group.attrs["input_order"] = np.array(indices, dtype=np.int64)
         if role in result.recordings:
-            write_recording(role_group, result.recordings[role])
+            _write_recording(role_group, result.recordings[role])
 
 
-def read_inputs(raw: Any) -> tuple[InputFile, ...]:
-    """Read the names and SHA-256 of the exports, in the order of the protocol.
-
-    Parameters
-    ----------
-    raw : group of the raw data
-    """
+def _read_inputs(raw: Any) -> tuple[InputFile, ...]:
+    """Read the names and SHA-256 of the exports, in the order of the protocol."""
     inputs: dict[int, InputFile] = {}
     for role, group in raw.items():
         rows = zip(
@@ -367,14 +345,8 @@ def read_inputs(raw: Any) -> tuple[InputFile, ...]:
     return tuple(inputs[i] for i in sorted(inputs))
 
 
-def write_aligned(target: GroupWriter, aligned: Aligned) -> None:
-    """Write aligned signals, with the events of their clocks.
-
-    Parameters
-    ----------
-    target : group of the record
-    aligned : signals of the test on one clock
-    """
+def _write_aligned(target: GroupWriter, aligned: Aligned) -> None:
+    """Write aligned signals, with the events of their clocks."""
     write_arrays(target, aligned)
     datasets = _write_series(target, "series", aligned.series.items(), ("events",))
     for name, dataset in zip(aligned.series, datasets, strict=True):
@@ -385,13 +357,8 @@ def write_aligned(target: GroupWriter, aligned: Aligned) -> None:
         write_arrays(target.open_group("events"), aligned.clock_fit)
 
 
-def read_aligned(root: Any) -> Aligned | None:
-    """Read the aligned signals; None without a group of them.
-
-    Parameters
-    ----------
-    root : open result file
-    """
+def _read_aligned(root: Any) -> Aligned | None:
+    """Read the aligned signals; None without a group of them."""
     if "aligned" not in root:
         return None
     group = root["aligned"]
@@ -406,25 +373,18 @@ def read_aligned(root: Any) -> Aligned | None:
     return read_record(group, Aligned, series=series, clock_fit=fit)
 
 
-def write_curve(target: GroupWriter, result: TestResult, curve: Curve) -> None:
-    """Write the curve of a test, with its branches, slips and fitted lines.
-
-    Parameters
-    ----------
-    target : group of the record
-    result : processed test, whose slips and lines are written
-    curve : curve of the test
-    """
+def _write_curve(target: GroupWriter, result: TestResult, curve: Curve) -> None:
+    """Write the curve of a test, with its branches, and the slips and fitted lines of the test."""
     write_arrays(target, curve)
     for name, numbers in zip(("branch", "cycle"), curve.assign_samples(), strict=True):
         target.write_array(name, numbers, _SAMPLE_NUMBER)
     target.attach_scales()
     write_table(target, "branches", Branch, curve.branches, curve.time_unit)
-    write_optional_table(target, "slips", Slip, result.slips)
-    write_optional_table(target, "lines", FittedLine, result.lines)
+    _write_optional_table(target, "slips", Slip, result.slips)
+    _write_optional_table(target, "lines", FittedLine, result.lines)
 
 
-def read_curve(root: Any) -> dict[str, Any]:
+def _read_curve(root: Any) -> dict[str, Any]:
     """Read the curve, slips and fitted lines of a test.
 
     Parameters
@@ -443,43 +403,32 @@ def read_curve(root: Any) -> dict[str, Any]:
     branches = read_table(group, "branches", Branch, time_unit)
     return {
         "curve": read_record(group, Curve, branches=branches),
-        "slips": read_optional_table(group, "slips", Slip),
-        "lines": read_optional_table(group, "lines", FittedLine),
+        "slips": _read_optional_table(group, "slips", Slip),
+        "lines": _read_optional_table(group, "lines", FittedLine),
     }
 
 
-def write_optional_table(target: GroupWriter, name: str, kind: Any, rows: Sequence[Any]) -> None:
+def _write_optional_table(target: GroupWriter, name: str, kind: Any, rows: Sequence[Any]) -> None:
     """Write a table as `write_table` does, unless it is empty."""
     if rows:
         write_table(target, name, kind, rows)
 
 
-def read_optional_table(parent: Any, name: str, kind: type[_R]) -> tuple[_R, ...]:
-    """Read a table that `write_optional_table` wrote; empty if there is none."""
+def _read_optional_table(parent: Any, name: str, kind: type[_R]) -> tuple[_R, ...]:
+    """Read a table that `_write_optional_table` wrote; empty if there is none."""
     return read_table(parent, name, kind) if name in parent else ()
 
 
-def write_bending(target: GroupWriter, bending: Bending) -> None:
-    """Write the measured moments and curvatures, with their law.
-
-    Parameters
-    ----------
-    target : group of the record
-    bending : measured moments and curvatures of the test
-    """
+def _write_bending(target: GroupWriter, bending: Bending) -> None:
+    """Write the measured moments and curvatures, with their law."""
     write_record(target, bending.cloud)
     write_attributes(target, bending)
     if bending.law is not None:
         write_record(target.open_group("law"), bending.law)
 
 
-def read_bending(root: Any) -> Bending | None:
-    """Read measured moments and curvatures; None without a group of them.
-
-    Parameters
-    ----------
-    root : open result file
-    """
+def _read_bending(root: Any) -> Bending | None:
+    """Read measured moments and curvatures; None without a group of them."""
     if "bending" not in root:
         return None
     group = root["bending"]
@@ -487,14 +436,8 @@ def read_bending(root: Any) -> Bending | None:
     return read_record(group, Bending, cloud=read_record(group, BendingCloud), law=law)
 
 
-def write_results(target: GroupWriter, results: Sequence[Result]) -> None:
-    """Write the results, a table of them, and a table of their budgets.
-
-    Parameters
-    ----------
-    target : root of the result file
-    results : results of the test
-    """
+def _write_results(target: GroupWriter, results: Sequence[Result]) -> None:
+    """Write the results, a table of them, and a table of their budgets."""
     group = target.open_group("results")
     group.write_texts("order", tuple(result.name for result in results))
     rows, budget_rows = [], []
@@ -511,10 +454,10 @@ def write_results(target: GroupWriter, results: Sequence[Result]) -> None:
             cells = (result.name, row.cause, row.change, result.unit, share, row.is_common)
             budget_rows.append(BudgetRow(*cells))
     write_table(group, "table", ResultRow, rows)
-    write_optional_table(target, "budgets", BudgetRow, budget_rows)
+    _write_optional_table(target, "budgets", BudgetRow, budget_rows)
 
 
-def read_results(root: Any) -> tuple[Result, ...]:
+def _read_results(root: Any) -> tuple[Result, ...]:
     """Read the results of a test, with their budgets.
 
     Parameters
@@ -557,18 +500,18 @@ def write_test(target: GroupWriter, result: TestResult) -> None:
     target.group.attrs[SCHEMA_ATTRIBUTE] = SCHEMA_VERSION
     write_attributes(target, result)
     target.group.attrs["display"] = json.dumps(dict(result.display), ensure_ascii=False)
-    write_specimen(target, result.specimen)
-    write_raw(target.open_group("raw"), result)
+    _write_specimen(target, result.specimen)
+    _write_raw(target.open_group("raw"), result)
     if result.aligned is not None:
-        write_aligned(target.open_group("aligned"), result.aligned)
+        _write_aligned(target.open_group("aligned"), result.aligned)
     if result.curve is not None:
-        write_curve(target.open_group("curve"), result, result.curve)
+        _write_curve(target.open_group("curve"), result, result.curve)
     if result.shape is not None:
         write_record(target.open_group("shape"), result.shape)
     if result.bending is not None:
-        write_bending(target.open_group("bending"), result.bending)
-    write_optional_table(target, "instruments", Instrument, result.instruments)
-    write_results(target, result.results)
+        _write_bending(target.open_group("bending"), result.bending)
+    _write_optional_table(target, "instruments", Instrument, result.instruments)
+    _write_results(target, result.results)
     write_table(target, "quality", QualityNote, result.quality)
 
 
@@ -611,9 +554,9 @@ def _read_common_fields(root: Any, *, has_raw: bool = True) -> dict[str, Any]:
     roles = read_texts(group, "roles") if has_raw else ()
     return {
         **read_attributes(root, RawTest),
-        "specimen": read_specimen(root),
-        "inputs": read_inputs(group),
-        "recordings": {role: read_recording(group[role]) for role in roles},
+        "specimen": _read_specimen(root),
+        "inputs": _read_inputs(group),
+        "recordings": {role: _read_recording(group[role]) for role in roles},
     }
 
 
@@ -627,20 +570,20 @@ def read_test(root: Any, stages: Collection[str] = ()) -> TestResult:
         are also read if slips were repaired
     """
     display = json.loads(read_text(root, "display"))
-    curve = read_curve(root)
+    curve = _read_curve(root)
     is_repaired = any(slip.decision is SlipDecision.REPAIRED for slip in curve.get("slips", ()))
     has_shape = "shape" in stages and "shape" in root
     return TestResult(
         **_read_common_fields(root, has_raw="raw" in stages),
         **read_attributes(root, TestResult, skip=list_attributes(RawTest)),
         **curve,
-        results=read_results(root),
+        results=_read_results(root),
         quality=read_table(root, "quality", QualityNote),
         display={str(key): str(unit) for key, unit in display.items()},
-        instruments=read_optional_table(root, "instruments", Instrument),
-        aligned=read_aligned(root) if "aligned" in stages or is_repaired else None,
+        instruments=_read_optional_table(root, "instruments", Instrument),
+        aligned=_read_aligned(root) if "aligned" in stages or is_repaired else None,
         shape=read_record(root["shape"], Shape) if has_shape else None,
-        bending=read_bending(root) if "bending" in stages else None,
+        bending=_read_bending(root) if "bending" in stages else None,
     )
 
 

@@ -69,15 +69,15 @@ _FILES, _BACKUPS, _REMOVED_NAMES = "files", "aside", "gone"
 
 
 @contextmanager
-def replace_files(folder: Path, *, owned: Iterable[str] = ()) -> Iterator[Path]:
+def replace_files(folder: Path, *, earlier_files: Iterable[str] = ()) -> Iterator[Path]:
     """Replace several files together by those that the block writes, if the block succeeds.
 
     Parameters
     ----------
     folder : folder of files that belong together, such as a result and its figures; files with
         other names are kept. No other process may write in it meanwhile (`lock`)
-    owned : relative paths, with slashes, of files of earlier results, which are removed unless a
-        new file replaces them
+    earlier_files : relative paths, with slashes, of files of earlier results, which are removed
+        unless a new file replaces them
 
     Yields
     ------
@@ -107,7 +107,7 @@ def replace_files(folder: Path, *, owned: Iterable[str] = ()) -> Iterator[Path]:
     try:
         yield new_folder / _FILES
         with map_errors(folder):
-            _commit(folder, owned)
+            _commit(folder, earlier_files)
     finally:
         shutil.rmtree(new_folder, ignore_errors=True)
 
@@ -147,11 +147,11 @@ def finish_moves(folder: Path) -> bool:
     return True
 
 
-def _commit(folder: Path, owned: Iterable[str]) -> None:
+def _commit(folder: Path, earlier_files: Iterable[str]) -> None:
     """Make the new files valid and move them into the folder, or undo the moves after an error."""
     new_folder = folder / _NEW
     files = _list_files(new_folder / _FILES)
-    removed = [name for name in owned if name not in files and (folder / name).is_file()]
+    removed = [name for name in earlier_files if name not in files and (folder / name).is_file()]
     (new_folder / _REMOVED_NAMES).write_text("\n".join(removed), encoding="utf-8")
     _check_destinations(folder, files)
     paths = list(new_folder.rglob("*"))

@@ -407,7 +407,7 @@ class Segment:
     angle: Floats
 
     @property
-    def is_still(self) -> bool:
+    def is_slack(self) -> bool:
         """Return whether the string is slack, so that the wire moves with the clamp."""
         return len(self.progress) == 2 and not np.any(self.tension > 0.0)
 
@@ -479,7 +479,7 @@ class MechanicalPath:
         edges = [0, *np.searchsorted(progress, starts), len(progress)]
         stretches = [slice(first, last) for first, last in pairwise(edges)]
         for segment, values, rows in zip(self.segments, columns, stretches, strict=True):
-            if segment.is_still:
+            if segment.is_slack:
                 interpolated[rows] = values[0]
             elif rows.stop > rows.start:
                 inside = np.clip(progress[rows], segment.progress[0], segment.progress[-1])
@@ -782,10 +782,10 @@ def evaluate_taped(path: MechanicalPath) -> Truth:
 def _fit_slope_after_slack(displacement: Floats, force: Floats) -> float:
     """Fit the slope over the first 5 mm from where the force exceeds zero, N/m."""
     slack_samples = np.flatnonzero(force <= 0.0)
-    first = 0 if len(slack_samples) == 0 else int(slack_samples[-1])
-    pair = slice(first, first + 2)
-    start = float(np.interp(0.0, force[pair], displacement[pair]))
-    return fit_slope(displacement[first:], force[first:], start, start + _INITIAL_RANGE)
+    last_slack = 0 if len(slack_samples) == 0 else int(slack_samples[-1])
+    crossing = slice(last_slack, last_slack + 2)
+    start = float(np.interp(0.0, force[crossing], displacement[crossing]))
+    return fit_slope(displacement[last_slack:], force[last_slack:], start, start + _INITIAL_RANGE)
 
 
 def _list_specimen_facts(path: MechanicalPath) -> Truth:
@@ -855,7 +855,7 @@ def _find_residual(path: MechanicalPath, cycle: int) -> float | None:
     """Find the deflection, m, at which unloading first reaches zero force; None if it does not."""
     zero_force = 1e-9  # N
     for segment in path.segments:
-        if segment.cycle != cycle or segment.is_loading or segment.is_still:
+        if segment.cycle != cycle or segment.is_loading or segment.is_slack:
             continue
         force = segment.tension - path.rest.tension
         if force[-1] > zero_force:

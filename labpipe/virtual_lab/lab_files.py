@@ -75,6 +75,7 @@ _SHEET_HEAD = (
     "# A synthetic test, made by labpipe's virtual lab. Its true values are in truth.json.\n"
 )
 _NEWTONS = {"N": 1.0, "kN": 1e3, "lbf": 4.4482216152605}
+"""Force in N of each unit of exports."""
 _METRES_PER_INCH = 0.0254
 
 

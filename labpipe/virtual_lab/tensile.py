@@ -330,9 +330,9 @@ class TensileScenario:
         if self.failure is not None:
             return frame.speed * np.clip(time, 0.0, self.end)
         reversal_time = self.last_time + frame.overrun
-        way_back = frame.speed * np.maximum(time - reversal_time, 0.0) * frame.unloads
-        way_out = frame.speed * np.clip(time, 0.0, self.last_time)
-        return np.maximum(way_out - way_back, 0.0)
+        return_travel = frame.speed * np.maximum(time - reversal_time, 0.0) * frame.unloads
+        outward_travel = frame.speed * np.clip(time, 0.0, self.last_time)
+        return np.maximum(outward_travel - return_travel, 0.0)
 
     def compute_force(self, time: Floats) -> Floats:
         """Compute the tension in the specimen, N, at given times, s."""

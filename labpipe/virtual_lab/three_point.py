@@ -74,7 +74,7 @@ voltage of its amplifier, up to 100 V."""
 
 
 class BentModel(Protocol):
-    """Specimen: a bundle, or a model for tests of the solver. Equal models share one solution."""
+    """Specimen that a rig bends. Equal specimens share one solution."""
 
     def build_law(self) -> PlayLaw:
         """Build the law of moment against curvature."""
@@ -223,7 +223,7 @@ class ConduitScenario:
     def bundle(self) -> BundleModel:
         """Return the bundle with the factor of the sample."""
         bundle = self.test.bundle
-        assert isinstance(bundle, BundleModel)  # only tests of the solver use other models
+        assert isinstance(bundle, BundleModel)  # the specimen of every scenario
         return replace(bundle, factor=bundle.factor * self.factor)
 
     def plan_schedule(self) -> Schedule:
@@ -322,12 +322,12 @@ class ConduitScenario:
         """
         rate = 5.0  # sampling rate of the arrays, Hz
         stroke, clocks = self.test.stroke, self.clocks
-        down = stroke * np.linspace(0.0, 1.0, TRUTH_POINTS)
-        cycle = 2.0 * stroke * np.linspace(0.0, 1.0, 2 * TRUTH_POINTS - 1)
-        loading = evaluate_loading(down, self.factor * path.compute_force(down))
-        displacement = path.compute_displacement(cycle)
-        force = self.factor * path.compute_force(cycle)
-        top = int(np.argmax(force))
+        descent = stroke * np.linspace(0.0, 1.0, TRUTH_POINTS)
+        cycle_progress = 2.0 * stroke * np.linspace(0.0, 1.0, 2 * TRUTH_POINTS - 1)
+        loading = evaluate_loading(descent, self.factor * path.compute_force(descent))
+        displacement = path.compute_displacement(cycle_progress)
+        force = self.factor * path.compute_force(cycle_progress)
+        peak = int(np.argmax(force))
         time: Floats = np.arange(0.0, plan.end + clocks.camera_lead, 1.0 / rate)
         progress = plan.compute_progress(time - clocks.camera_lead)
         _, moment, curvature = path.compute_mid_span(progress)
@@ -336,8 +336,8 @@ class ConduitScenario:
             "loading": loading,
             "initial_bending_stiffness": self.bundle.build_law().stiffness,
             "bending_stiffness": loading["windowed_stiffness"] * self.test.span**3 / 48.0,
-            "peak_force": float(force[top]),
-            "peak_displacement": float(displacement[top]),
+            "peak_force": float(force[peak]),
+            "peak_displacement": float(displacement[peak]),
             "residual_displacement": path.residual,
             "energy": float(np.trapezoid(force, displacement)),
             "middle": self._list_mid_span_values(path),
@@ -486,10 +486,10 @@ class ThreePointPath:
         unloading_progress = [2.0 * stroke - h.displacement for h in self.unloading]
         unloading = CubicSpline(unloading_progress, columns[n:])
         release_progress = 2.0 * stroke - self.residual
-        is_down = (progress <= stroke)[:, None]
-        values_down = loading(np.clip(progress, 0.0, stroke))
-        values_up = unloading(np.clip(progress, stroke, release_progress))
-        return np.where(is_down, values_down, values_up)
+        is_loading = (progress <= stroke)[:, None]
+        loading_values = loading(np.clip(progress, 0.0, stroke))
+        unloading_values = unloading(np.clip(progress, stroke, release_progress))
+        return np.where(is_loading, loading_values, unloading_values)
 
 
 @lru_cache(maxsize=64)
@@ -511,7 +511,7 @@ def solve_three_point(test: ThreePointTest) -> ThreePointPath:
     """
     arc_length = np.linspace(0.0, 0.5 * test.span + test.overhang, test.n_stations)
     half = HalfBundle(test, test.bundle.build_law(), arc_length)
-    state_at_rest = half.release(half.law.make_unbent_history(test.n_stations))
+    state_at_rest = half.unload(half.law.make_unbent_history(test.n_stations))
     loading = [state_at_rest, *_solve_branch(half, state_at_rest, test.stroke, is_unloading=False)]
     unloading = [loading[-1], *_solve_branch(half, loading[-1], 0.0, is_unloading=True)]
     return ThreePointPath(test, half.arc_length, tuple(loading), tuple(unloading))
@@ -525,7 +525,7 @@ def _solve_branch(
     steps = np.linspace(0.0, 1.0, test.steps_per_branch + 1)[1:] ** test.crowding
     for displacement in (start + steps * (goal - start)).tolist():
         if is_unloading:
-            unloaded_shape = half.release(shape.plays)
+            unloaded_shape = half.unload(shape.plays)
             if unloaded_shape.displacement >= displacement - _MIN_DISPLACEMENT_STEP:
                 yield unloaded_shape
                 return
@@ -593,8 +593,8 @@ class HalfBundle:
             1.0 - 2.0 * build_up_fraction if is_unloading else build_up_fraction
         )
 
-    def release(self, plays: Floats) -> HalfShape:
-        """Compute the shape of an unloaded bundle with a history of plays."""
+    def unload(self, plays: Floats) -> HalfShape:
+        """Unload the bundle: compute its shape without forces, with a history of plays."""
         zero_moment = np.zeros(self.test.n_stations)
         response = self.law.respond(zero_moment, plays)
         shape = self._compute_shape(response.curvature)

@@ -111,7 +111,7 @@ def bending_test(
         offsets=Offsets(0.0, PULL_OFFSET, HEIGHT),
         terms=terms,
         tip="free",
-        rest=rest,
+        rest_frames=rest,
     )
     force = [shape.tension if has_string else float(shape.force[1]) for shape in shapes]
     anchor = float(shapes[0].x[-1]) if has_string else 0.0

@@ -236,6 +236,6 @@ def rows(kind: LineKind, seed: int) -> dict[str, Any]:
             "wire": drawn.wire,
             "notes": [note.code for note in bands.notes],
             "inside": shares_inside(truth, bands),
-            "shares": dict(bands.states[0].shares["smallest_bend_radius"]),
+            "shares": dict(bands.states[0].variance_fractions["smallest_bend_radius"]),
         },
     }

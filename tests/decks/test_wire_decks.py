@@ -284,7 +284,7 @@ def test_numbers_out_of_range(approved: Approve) -> None:
         lambda: write_ansys_deck(table, section=0),
         lambda: write_calculix_deck(table, n_steps=0),
         lambda: write_calculix_deck(table, n_bricks_along=0),
-        lambda: mesh_half_bar(RADIUS, LENGTH, n_bricks_along=0),
+        lambda: mesh_half_bar(0),
         lambda: make_deck_texts(replace(table, moment=table.moment[::-1])),
     ]
     messages = []
@@ -293,9 +293,6 @@ def test_numbers_out_of_range(approved: Approve) -> None:
             call()
         messages.append(str(refused.value))
     approved(messages)
-
-
-RADIUS, LENGTH = 0.8e-3, 85e-3
 
 
 NATURAL = np.array(
@@ -342,19 +339,19 @@ def integrals(mesh: BarMesh) -> Floats:
 
 
 def test_every_brick_is_right_way_round_and_the_section_is_a_half_circle() -> None:
-    mesh = mesh_half_bar(RADIUS, LENGTH, n_bricks_along=2)
+    mesh = mesh_half_bar(2)
     volume, second = integrals(mesh)
-    assert volume == pytest.approx(0.5 * np.pi * RADIUS**2 * LENGTH, rel=1e-3)
-    assert second == pytest.approx(0.5 * np.pi / 4.0 * RADIUS**4 * LENGTH, rel=2e-3)
+    assert volume == pytest.approx(0.5 * np.pi, rel=1e-3)
+    assert second == pytest.approx(0.5 * np.pi / 4.0, rel=2e-3)
     assert sorted(set(mesh.bricks.ravel().tolist())) == list(range(1, len(mesh.nodes) + 1))
     assert len(np.unique(mesh.nodes.round(12), axis=0)) == len(mesh.nodes)
     assert mesh.bricks.shape == (12, 20)
     sets = mesh.node_sets
     assert np.ptp(mesh.nodes[sets["CLAMP"], 0]) == 0.0
-    assert mesh.nodes[sets[TIP_SET], 0] == pytest.approx(LENGTH)
+    assert mesh.nodes[sets[TIP_SET], 0] == pytest.approx(1.0)
     assert np.count_nonzero(sets[TIP_SET]) == 5
     assert (mesh.nodes[:, 2] >= -1e-12).all()
-    assert mesh.nodes[sets["CUT"], 1].min() == pytest.approx(-RADIUS)
+    assert mesh.nodes[sets["CUT"], 1].min() == pytest.approx(-1.0)
 
 
 def test_every_deck_of_every_wire(tmp_path: Path) -> None:

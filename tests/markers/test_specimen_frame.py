@@ -21,8 +21,8 @@ def frame_of(take: WireTake, *, limit: float = 1e-4) -> SpecimenFrame:
     return find_specimen_frame(
         take.clamp,
         take.tracks.positions,
-        rest=REST,
-        out_of_plane_limit=limit,
+        rest_frames=REST,
+        plane_limit=limit,
     )
 
 
@@ -34,12 +34,12 @@ def test_the_lab_frame_and_the_columns_do_not_matter(
     rotation = Rotation.from_rotvec(turn).as_matrix()
     markers = take.tracks.positions[:, order] @ rotation.T + shift
     clamp = take.clamp @ rotation.T + shift
-    frame = find_specimen_frame(clamp, markers, rest=REST, out_of_plane_limit=1e-4)
+    frame = find_specimen_frame(clamp, markers, rest_frames=REST, plane_limit=1e-4)
     straight = frame_of(take)
     assert np.linalg.det(frame.rotation_lab_to_specimen) == pytest.approx(1.0)
-    assert [order[column] for column in frame.order] == list(range(6))
+    assert [order[column] for column in frame.marker_order] == list(range(6))
     np.testing.assert_allclose(
-        frame.to_specimen(markers[:, frame.order]),
+        frame.to_specimen(markers[:, frame.marker_order]),
         straight.to_specimen(take.tracks.positions),
         atol=1e-9,
     )
@@ -63,30 +63,29 @@ def test_a_curved_wire_is_ordered_along_itself() -> None:
     markers = hook[order] + clamp[:, None]
     markers[:, :, 1] += lift[:, None] * hook[order, 1]
     markers[:50, 3] = np.nan  # not seen at rest
-    frame = find_specimen_frame(clamp, markers, rest=slice(0, 50), out_of_plane_limit=1e-4)
-    assert [order[column] for column in frame.order] == list(range(9))
+    frame = find_specimen_frame(clamp, markers, rest_frames=slice(0, 50), plane_limit=1e-4)
+    assert [order[column] for column in frame.marker_order] == list(range(9))
 
 
 def test_markers_off_their_plane_are_told() -> None:
     take = wire_take()
     positions = take.tracks.positions.copy()
     positions[:, ::2, 2] += 0.002
-    frame = find_specimen_frame(take.clamp, positions, rest=REST, out_of_plane_limit=2e-4)
+    frame = find_specimen_frame(take.clamp, positions, rest_frames=REST, plane_limit=2e-4)
     assert frame.notes[0].code == "out_of_plane"
-    assert frame.notes[0].message == (
-        f"markers leave their plane by {frame.out_of_plane * 1e3:.3f} mm (rms), limit 0.2 mm"
-    )
+    distance = f"{1e3 * frame.out_of_plane_distance:.3f} mm (rms)"
+    assert frame.notes[0].message == f"markers leave their plane by {distance}, limit 0.2 mm"
 
 
 def test_without_a_clamp_the_end_that_moves_less_is_the_origin() -> None:
     take = wire_take()
     hanging = (take.tracks.positions - take.clamp[:, None])[:, [3, 5, 0, 2, 1, 4]]
     turn = Rotation.from_rotvec([0.4, -1.0, 2.0]).as_matrix()
-    frame = find_specimen_frame(None, hanging @ turn.T, rest=REST, out_of_plane_limit=1e-4)
-    assert frame.order == (2, 4, 3, 0, 5, 1)
+    frame = find_specimen_frame(None, hanging @ turn.T, rest_frames=REST, plane_limit=1e-4)
+    assert frame.marker_order == (2, 4, 3, 0, 5, 1)
     assert np.linalg.det(frame.rotation_lab_to_specimen) == pytest.approx(1.0)
     np.testing.assert_allclose(frame.rotation_lab_to_specimen @ turn, np.eye(3), atol=5e-3)
-    assert frame.out_of_plane < 5e-5
+    assert frame.out_of_plane_distance < 5e-5
     np.testing.assert_allclose(frame.origin_lab, turn @ [0.01, 0, 0], atol=1e-5)
 
 
@@ -96,8 +95,8 @@ def test_markers_never_seen_together_do_not_break_the_order() -> None:
     positions[300:, 1] = positions[:300, 4] = np.nan
     frame = frame_of(WireTake(marker_tracks(NAMES, positions), take.clamp))
     hanging = positions - take.clamp[:, None]
-    chain = find_specimen_frame(None, hanging, rest=REST, out_of_plane_limit=1e-4)
-    assert frame.order == chain.order == (0, 1, 2, 3, 4, 5)
+    chain = find_specimen_frame(None, hanging, rest_frames=REST, plane_limit=1e-4)
+    assert frame.marker_order == chain.marker_order == (0, 1, 2, 3, 4, 5)
 
 
 def test_frames_that_cannot_be_found() -> None:
@@ -113,4 +112,4 @@ def test_frames_that_cannot_be_found() -> None:
     ]
     for clamp, seen, message in cases:
         with pytest.raises(ValueError, match=message):
-            find_specimen_frame(clamp, seen, rest=REST, out_of_plane_limit=1e-4)
+            find_specimen_frame(clamp, seen, rest_frames=REST, plane_limit=1e-4)

@@ -74,7 +74,7 @@ def fit(
         uncertainties=uncertainties,
         terms=terms,
         tip=tip,
-        rest=REST,
+        rest_frames=REST,
     )
 
 
@@ -98,7 +98,7 @@ def test_tip_of_a_bent_wire(law: str, degrees: int, terms: int, limit: float) ->
     error = np.abs(tip_error(fitted, wire)[0])
     assert error[1] < limit
     assert error[0] < 2 * limit
-    assert np.abs(compute_deflection(fitted.shape, rest=REST)[20] - wire.y[-1]) < limit
+    assert np.abs(compute_deflection(fitted.shape, rest_frames=REST)[20] - wire.y[-1]) < limit
 
 
 def with_gaps(wire: BentWire) -> Floats:
@@ -193,7 +193,7 @@ def test_shapes_that_cannot_be_fitted() -> None:
     with pytest.raises(ValueError, match=r"terms=12: expected at most 11 for 8 markers"):
         fit(markers, terms=12)
     with pytest.raises(ValueError, match="rest: expected a frame with first and last point"):
-        compute_deflection(fit(markers).shape, rest=slice(0, 0))
+        compute_deflection(fit(markers).shape, rest_frames=slice(0, 0))
     assert build_curve_basis(terms=4, length=0.085, clamped=True, free_tip=True)
     with pytest.raises(ValueError, match=r"terms=3: expected at least 4"):
         build_curve_basis(terms=3, length=0.085, clamped=True, free_tip=True)

@@ -206,6 +206,6 @@ def test_which_marker_a_chain_is(case: str) -> None:
     starts = {label: [chain.start for chain in of] for label, of in naming.markers.items()}
     assert starts == markers
     assert [chain.start for chain in naming.doubtful] == doubtful
-    assert [chain.start for chain in naming.leftover] == leftover
-    by_elimination = [label for label, _ in naming.eliminated]
+    assert [chain.start for chain in naming.unassigned] == leftover
+    by_elimination = [label for label, _ in naming.assigned_by_elimination]
     assert by_elimination == ([1] if "only free" in case else [])

@@ -87,7 +87,7 @@ def test_lost_samples_are_holes(lost: list[int], step: float) -> None:
     holes = find_holes(numbers * step)
     edges = [int(n) for n, m in pairwise(numbers) if m - n > 1]
     assert [hole.time for hole in holes] == pytest.approx([n * step for n in edges])
-    assert sum(round(hole.length / step) - 1 for hole in holes) == len(lost)
+    assert sum(round(hole.duration / step) - 1 for hole in holes) == len(lost)
 
 
 def late(at: int, by: float) -> Floats:

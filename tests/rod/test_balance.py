@@ -62,7 +62,7 @@ class Case:
             0.5 * random.normal(size=(len(supports.nodes), 3, 2)), contacts[None], np.array([4.2])
         )
         self.imposed = ImposedValues(
-            held=self.line.positions[supports.held_nodes],
+            held_positions=self.line.positions[supports.held_nodes],
             clamps=multiply(
                 self.line.frames[[0, -1]], from_rotation_vectors(0.1 * random.normal(size=(2, 3)))
             ),
@@ -174,13 +174,13 @@ def test_a_cell_that_slides_loses_what_its_sliders_carry() -> None:
     ring_stations = np.maximum(curvature - SLIDING.slip_curvatures, 0.0)
     assert np.all(ring_stations > 0.0)
     lost = SLIDING.stiffnesses * SLIDING.slip_curvatures @ ring_stations
-    assert path.lost[-1] == pytest.approx(0.01 * lost, rel=1e-9)
+    assert path.lost_energy[-1] == pytest.approx(0.01 * lost, rel=1e-9)
 
 
 BELIEF = bands.join_distributions(
     [
-        bands.build_stated_distribution("a", 0.3, draws=16_384),
-        bands.build_stated_distribution("b", 0.4, draws=16_384),
+        bands.build_stated_distribution("a", 0.3, n_draws=16_384),
+        bands.build_stated_distribution("b", 0.4, n_draws=16_384),
     ]
 )
 
@@ -246,7 +246,7 @@ def test_a_side_without_equilibrium_borrows_the_other() -> None:
 
     response = bands.compute_response(partly, BELIEF)
     assert response is not None
-    assert (response.one_sided, response.unsolved) == (("a",), ("b",))
+    assert (response.one_sided_causes, response.unsolved_causes) == (("a",), ("b",))
     assert bands.compute_band([response], "sum").upper[1] == pytest.approx(1.96 * 0.6, rel=0.04)
     assert np.ptp(bands.compute_band([response], "one").upper) == 0.0
 

@@ -33,9 +33,9 @@ LAW = SliderLaw(2e-4, np.array([3e-4, 2e-4]), np.array([1.0, 4.0]), 0.0, 50.0)
 
 BELIEF = join_distributions(
     [
-        build_stated_distribution("law_factor", 0.08, draws=2048),
-        build_stated_distribution("length_factor", 0.01, draws=2048),
-        build_stated_distribution("free_curvature", 0.3, draws=2048, seed=4),
+        build_stated_distribution("law_factor", 0.08, n_draws=2048),
+        build_stated_distribution("length_factor", 0.01, n_draws=2048),
+        build_stated_distribution("free_curvature", 0.3, n_draws=2048, seed=4),
     ]
 )
 
@@ -84,7 +84,7 @@ def test_several_solutions_are_joined_each_with_its_own_solver() -> None:
     for solvers in ([pushed], [stiffer], [pushed, stiffer]):
         bands = predict_line_bands(solvers, [BELIEF] * len(solvers), steps=(4,))
         assert bands is not None
-        shares = bands.states[0].shares["positions"]
+        shares = bands.states[0].variance_fractions["positions"]
         assert set(shares) == {"law_factor", "length_factor", "free_curvature"}
         assert sum(shares.values()) == pytest.approx(1.0)
         band = bands.states[0].positions
@@ -98,7 +98,7 @@ def test_sides_without_equilibrium_and_jumps_at_other_steps_are_noted() -> None:
         return replace(pushed(drawn), status=Status("failed" if drawn["law_factor"] > 0 else "ok"))
 
     def jumping(inputs: Mapping[str, float]) -> RodPath:
-        return replace(pushed(inputs), snapped=(0,) if inputs["law_factor"] < 0.0 else (0, 3))
+        return replace(pushed(inputs), jump_steps=(0,) if inputs["law_factor"] < 0.0 else (0, 3))
 
     distribution = build_stated_distribution("law_factor", 0.05)
     for solve, code, facts in ((torn, "one_sided", "law_factor"), (jumping, "jumps", "3 at the")):
@@ -149,7 +149,7 @@ def test_there_is_one_for_each_solution_of_the_set(calibration: Calibration) -> 
 @pytest.mark.parametrize("one_more", [0.0, 1.0])
 def test_draws_have_the_quantiles_of_the_mixture(calibration: Calibration, one_more: float) -> None:
     solution = replace(calibration.solutions[0], rise=0.0)
-    belief = build_calibrated_distributions([solution], specimen=LAW_FACTOR, draws=MANY)[0]
+    belief = build_calibrated_distributions([solution], specimen=LAW_FACTOR, n_draws=MANY)[0]
     for weights in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.2, 0.5, 0.3)):
         direction = dict(zip(belief.names, weights, strict=False)) | {LAW_FACTOR: one_more}
         ends = np.quantile(drawn(belief, direction), [0.025, 0.975])
@@ -171,7 +171,7 @@ def test_a_less_likely_solution_is_narrower(calibration: Calibration) -> None:
 
 def test_a_stated_deviation_is_drawn_from_students_t() -> None:
     for freedom, quantile in ((np.inf, 1.96), (4.0, float(stdtrit(4.0, 0.975)))):
-        belief = build_stated_distribution("mass_factor", 0.02, freedom=freedom, draws=MANY)
+        belief = build_stated_distribution("mass_factor", 0.02, freedom=freedom, n_draws=MANY)
         assert belief.to_inputs(np.ones(1)) == {"mass_factor": 0.02}
         upper = np.quantile(drawn(belief, {"mass_factor": 1.0}), 0.975)
         assert upper == pytest.approx(0.02 * quantile, rel=1e-3)

@@ -129,7 +129,7 @@ def test_a_line_is_laid_in_gradually() -> None:
     frame = multiply(LINE.frames[0], from_rotation_vectors(np.array([0.0, 0.0, 0.6])))
     plan = schedule(Held(0, np.array([0.0, 0.2, 0.0]), frame))
     half = plan.compute_imposed(-0.5, (0,))
-    np.testing.assert_allclose(half.held, [[0.0, 0.1, 0.0]])
+    np.testing.assert_allclose(half.held_positions, [[0.0, 0.1, 0.0]])
     rotation = to_matrices(LINE.frames[0]).T @ to_matrices(half.clamps)[0]
     assert np.arccos((np.trace(rotation) - 1.0) / 2.0) == pytest.approx(0.3)
     np.testing.assert_allclose(plan.compute_imposed(0.0, (0,)).clamps, [frame])

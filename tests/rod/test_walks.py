@@ -52,29 +52,29 @@ TURN = from_rotation_vectors(np.array([0.7, -1.1, 2.0]))
 
 
 def test_nothing_depends_on_the_frame_of_space() -> None:
-    path, turned = (walked(*space_case(turn), 6) for turn in (None, TURN))
+    path, spun = (walked(*space_case(turn), 6) for turn in (None, TURN))
     space = to_matrices(TURN)
-    for state, image in zip(path.states, turned.states, strict=True):
+    for state, image in zip(path.states, spun.states, strict=True):
         np.testing.assert_allclose(image.positions, state.positions @ space.T, atol=1e-9 * LENGTH)
         np.testing.assert_allclose(image.rests, state.rests, atol=1e-9 * 5.0)
         np.testing.assert_allclose(image.forces, state.forces @ space.T, atol=1e-9)
         turns = to_rotation_vectors(multiply(conjugate(multiply(TURN, state.frames)), image.frames))
         np.testing.assert_allclose(turns, 0.0, atol=1e-9)
-    np.testing.assert_allclose(turned.lost, path.lost, atol=1e-9 * path.lost[-1])
+    np.testing.assert_allclose(spun.lost_energy, path.lost_energy, atol=1e-9 * path.lost_energy[-1])
 
 
 def test_nothing_depends_on_the_order_of_the_nodes() -> None:
     line, boundaries = space_case()
     path = walked(line, boundaries, 6)
-    mirror = walked(*reversed_case(line, boundaries), 6)
-    assert path.lost[-1] > 0.0
-    for state, image in zip(path.states, mirror.states, strict=True):
+    twin = walked(*reversed_case(line, boundaries), 6)
+    assert path.lost_energy[-1] > 0.0
+    for state, image in zip(path.states, twin.states, strict=True):
         np.testing.assert_allclose(image.positions[::-1], state.positions, atol=1e-9 * LENGTH)
         np.testing.assert_allclose(image.forces[::-1], -state.forces, atol=1e-9)
         size = np.linalg.norm(image.rests[::-1, ::-1], axis=3)
         np.testing.assert_allclose(size, np.linalg.norm(state.rests, axis=3), atol=1e-9 * 5.0)
         np.testing.assert_allclose(image.reaction_forces, state.reaction_forces, atol=1e-9)
-    np.testing.assert_allclose(mirror.lost, path.lost, atol=1e-9 * path.lost[-1])
+    np.testing.assert_allclose(twin.lost_energy, path.lost_energy, atol=1e-9 * path.lost_energy[-1])
 
 
 def test_forces_and_moments_balance_and_lengths_are_kept() -> None:
@@ -127,8 +127,8 @@ def test_work_is_stored_or_lost() -> None:
     for steps in (20, 40):
         path = walked(*space_case(steps=steps), steps)
         work, energy = work_and_energy(path)
-        errors.append(abs(work - energy - path.lost[-1]) / work)
-        assert path.lost[-1] > 0.2 * work
+        errors.append(abs(work - energy - path.lost_energy[-1]) / work)
+        assert path.lost_energy[-1] > 0.2 * work
     assert errors[0] < 1e-3
     assert errors[1] < 0.35 * errors[0]
 
@@ -154,7 +154,7 @@ def test_what_stays_unstable_is_said_once_and_walked_on() -> None:
     twist = ramp((9.4 * STIFFNESS / line.section.torsional_stiffness, 0.0, 0.0), 10)
     frames = multiply(from_rotation_vectors(twist), line.frames[-1:])
     path = follow(line, [clamp(line), Held(-1, line.positions[-1], frames)], steps=10)
-    assert (path.status, len(path.states), path.snapped) == ("doubtful", 11, (10,))
+    assert (path.status, len(path.states), path.jump_steps) == ("doubtful", 11, (10,))
     assert [(reason.code, reason.message[:7]) for reason in path.reasons] == [
         ("unstable", "step 10")
     ]
@@ -193,7 +193,7 @@ def test_each_cell_of_what_falls_springs_back_by_what_it_carries(max_turn: float
     curvature = np.linalg.norm(free.curvatures[:, :, :2], axis=2).max(axis=1)
     np.testing.assert_allclose(curvature, expected, atol=1e-6)
     assert not np.any(free.rests[13:])
-    assert path.lost_in_jumps[41] == pytest.approx(path.lost[41] - path.lost[40])
+    assert path.jump_energy[41] == pytest.approx(path.lost_energy[41] - path.lost_energy[40])
 
 
 def test_a_heavy_line_lies_on_a_table_with_its_axis_a_radius_above() -> None:

@@ -61,7 +61,7 @@ def test_files_are_replaced_together(earlier: Path, owned: tuple[str, ...], kept
     leftovers = earlier / ".labpipe.new" / "figures"
     leftovers.mkdir(parents=True)
     (leftovers / "x").write_text("half")
-    with replace_files(earlier, owned=owned) as stage:
+    with replace_files(earlier, earlier_files=owned) as stage:
         (stage / "a").write_text("new")
         (stage / "figures").mkdir()
         (stage / "figures" / "b").write_text("new")
@@ -134,7 +134,7 @@ sys.addaudithook(end)
 if "finish" in sys.argv:
     finish_moves(folder)
 else:
-    with replace_files(folder, owned=["figures/c"]) as stage:
+    with replace_files(folder, earlier_files=["figures/c"]) as stage:
         (stage / "figures").mkdir()
         for name in ("a", "figures/b", "figures/n", "r.h5"):
             (stage / name).write_text("new")

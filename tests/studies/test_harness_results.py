@@ -126,15 +126,15 @@ def test_what_was_lost_in_a_jump_is_doubtful() -> None:
     """1 of 4 J in a jump in step 2: what remembers is doubtful, and shape where it was let go."""
     _, _, path = followed(ALONE)
     lost, fallen = np.array([1.0, 3.0, 4.0]), np.array([0.0, 0.0, 1.0])
-    jumped = replace(path, snapped=(0, 2), lost=lost, lost_in_jumps=fallen)
+    jumped = replace(path, jump_steps=(0, 2), lost_energy=lost, jump_energy=fallen)
     doubt = find_jump_doubt(jumped)
     assert doubt is not None
     assert doubt.reason.code == "jumped"
     assert doubt.reason.message.startswith("step 2: the line jumped")
     assert "25 % of the energy" in doubt.reason.message
     assert doubtful_of(jumped, doubt) == MEMORY | {"moment.bench"}
-    assert find_jump_doubt(replace(jumped, lost_in_jumps=0.2 * fallen)) is None, "a twentieth"
-    without_memory = replace(jumped, lost=0.0 * lost, lost_in_jumps=0.0 * lost)
+    assert find_jump_doubt(replace(jumped, jump_energy=0.2 * fallen)) is None, "a twentieth"
+    without_memory = replace(jumped, lost_energy=0.0 * lost, jump_energy=0.0 * lost)
     assert find_jump_doubt(without_memory) is None
     _, _, path = followed(pushed())
     shape = SHAPE | {"springback.gripper", "moment.bench"}

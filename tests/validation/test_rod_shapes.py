@@ -108,7 +108,7 @@ def test_an_arch_snaps_through_at_its_largest_load() -> None:
     """However small the steps."""
     ways = np.linspace(0.0, 0.14, 281)
     held = arch_path(ways=ways)
-    assert held.snapped == ()
+    assert held.jump_steps == ()
     force = np.array([state.reaction_forces[2, 2] for state in held.states])
     force *= np.sign(force[-1])
     top = int(np.argmax(force[:140]))
@@ -120,7 +120,7 @@ def test_an_arch_snaps_through_at_its_largest_load() -> None:
     ):
         path = arch_path(loads)
         assert path.status == "ok"
-        (step,) = path.snapped
+        (step,) = path.jump_steps
         assert loads[step - 1] < 1.0002 * most
         assert loads[step] > 0.9998 * most
         down = path.states[0].positions[8, 2] - path.last.positions[8, 2]

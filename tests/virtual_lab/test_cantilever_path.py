@@ -27,7 +27,7 @@ def test_segments_join_without_a_jump_and_the_string_keeps_its_length() -> None:
         span = np.hypot(path.rig.anchor_x - segment.x[:, -1], rise)
         np.testing.assert_allclose(span[segment.tension > 0.0], 0.76, atol=1e-10)
         assert np.all(span <= 0.76 + 1e-10)
-    assert not solve_path(MechanicalTest(slack=None, steps_per_branch=1)).segments[0].is_still
+    assert not solve_path(MechanicalTest(slack=None, steps_per_branch=1)).segments[0].is_slack
 
 
 def test_repeated_cycles_equal_solved_ones() -> None:

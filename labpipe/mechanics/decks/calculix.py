@@ -46,25 +46,20 @@ _RECTANGLE_HALF_WIDTH = 0.55
 _QUADRANGLE_NODES = np.array([(0, 0), (2, 0), (2, 2), (0, 2), (1, 0), (2, 1), (1, 2), (0, 1)])
 """Lattice indices of the nodes of a quadrangle, relative to its first corner: four corners, then
 four mid-side nodes."""
-_PLANE_TOLERANCE = 1e-6
-"""Largest distance of a node from the plane to which it belongs, relative to the radius."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BarMesh:
-    """Nodes and bricks of the half of a bar with z >= 0.
+    """Nodes and bricks of the half with z >= 0 of a bar of unit radius and length.
 
     Parameters
     ----------
-    nodes : shape (nodes, 3), m, coordinates x, y and z
+    nodes : shape (nodes, 3), coordinates x, relative to the length, y and z, relative to the radius
     bricks : shape (bricks, 20), numbers of the nodes of each brick, counted from 1
-    length, radius : m, length and radius of the bar
     """
 
     nodes: Floats
     bricks: Ints
-    length: float
-    radius: float
 
     @property
     def node_sets(self) -> dict[str, Flags]:
@@ -73,9 +68,10 @@ class BarMesh:
         ``CLAMP`` is the clamped face x = 0, ``HINGE`` the neutral axis y = 0 of that face, ``CUT``
         the plane of symmetry z = 0, and `TIP_SET` the neutral axis of the free face.
         """
-        (x, y, z), tolerance = self.nodes.T, _PLANE_TOLERANCE * self.radius
+        tolerance = 1e-6  # largest distance of a node from the plane to which it belongs
+        x, y, z = self.nodes.T
         is_clamped, is_neutral = x < tolerance, np.abs(y) < tolerance
-        is_tip = x > self.length - tolerance
+        is_tip = x > 1.0 - tolerance
         return {
             "CLAMP": is_clamped,
             "HINGE": is_clamped & is_neutral,
@@ -84,12 +80,12 @@ class BarMesh:
         }
 
 
-def mesh_half_bar(radius: float, length: float, *, n_bricks_along: int) -> BarMesh:
-    """Mesh half a round bar.
+@lru_cache(maxsize=4)
+def mesh_half_bar(n_bricks_along: int) -> BarMesh:
+    """Mesh half a round bar of unit radius and length.
 
     Parameters
     ----------
-    radius, length : m, radius and length of the bar
     n_bricks_along : number of bricks along the bar
 
     Raises
@@ -98,13 +94,6 @@ def mesh_half_bar(radius: float, length: float, *, n_bricks_along: int) -> BarMe
         If `n_bricks_along` is less than 1.
     """
     require("n_bricks_along", n_bricks_along, "a whole number >= 1", holds=n_bricks_along >= 1)
-    nodes, bricks = _mesh_unit_half_bar(n_bricks_along)
-    return BarMesh(nodes * [length, radius, radius], bricks, length, radius)
-
-
-@lru_cache(maxsize=4)
-def _mesh_unit_half_bar(n_bricks_along: int) -> tuple[Floats, Ints]:
-    """Mesh half a bar of unit radius and length."""
     points, quadrangles = _mesh_half_disc()
     corners = np.unique(quadrangles[:, :4])
     # Stations at the middle of bricks have nodes only on the edges along the bar.
@@ -126,7 +115,7 @@ def _mesh_unit_half_bar(n_bricks_along: int) -> tuple[Floats, Ints]:
     corners, mid_sides = below[..., :4], below[..., 4:]
     faces = (corners, above[..., :4], mid_sides, above[..., 4:])
     bricks = np.concatenate([*faces, middle[..., :4]], axis=-1).reshape(-1, 20)
-    return np.concatenate(nodes), bricks
+    return BarMesh(np.concatenate(nodes), bricks)
 
 
 def _mesh_half_disc() -> tuple[Floats, Ints]:
@@ -221,11 +210,12 @@ def write_calculix_deck(
     if deflection == 0.0:
         reason = shorten_name(next(cut_reasons, "the table has no cantilever"), 120)
         return fill_template("calculix.inp", reason=reason, **facts)
-    mesh = mesh_half_bar(0.5 * diameter, table.spec.length, n_bricks_along=n_bricks_along)
+    mesh = mesh_half_bar(n_bricks_along)
+    scale = np.array([table.spec.length, 0.5 * diameter, 0.5 * diameter])
     return fill_template(
         "calculix.inp",
         tip=TIP_SET,
-        nodes=_number_rows(mesh.nodes + 0.0),
+        nodes=_number_rows(mesh.nodes * scale + 0.0),
         bricks=_number_rows(mesh.bricks),
         node_sets={
             name: (np.flatnonzero(nodes) + 1).tolist() for name, nodes in mesh.node_sets.items()

@@ -20,7 +20,7 @@ from labpipe.mechanics.decks.unloading import (
     collect_unloading_numbers,
     describe_unloading,
 )
-from labpipe.mechanics.law.loss_card import LossCard, make_table_card
+from labpipe.mechanics.law.loss_card import make_table_card
 from labpipe.mechanics.law.plays import require_positive
 from labpipe.records.arrays import Floats, Ints
 from labpipe.records.wire import WireTable
@@ -285,24 +285,28 @@ def _remove_accents(name: str) -> str:
     return "".join(item for item in characters if not unicodedata.combining(item))
 
 
-def describe_losses(card: LossCard) -> str:
-    """Describe in one line the errors of simpler laws that programs can represent.
+def describe_losses(
+    table: WireTable, unloading_rule: str = "Masing", deck_release: Release | None = None
+) -> tuple[str, str]:
+    """Describe the release of a deck, and the errors of simpler laws that programs can represent.
 
     Parameters
     ----------
-    card : loss card of the law
+    table, unloading_rule, deck_release : as for `describe_unloading`
+
+    Raises
+    ------
+    ValueError
+        As `fit_sliders`.
     """
+    card = make_table_card(table)
     sliders = ", ".join(f"{count} sliders {format_percent(error)}" for count, error in card.sliders)
-    return (
+    card_sentence = (
         f"Loss card, largest error of the moment from {card.first:.3g} to {card.last:.4g} 1/m, "
         f"each form at its best: constant stiffness {format_percent(card.constant)}, Dahl "
         f"{format_percent(card.dahl.error)}, {sliders}."
     )
-
-
-def describe_masing_losses(table: WireTable) -> tuple[str, str]:
-    """Describe unloading by Masing's rule, and the errors of simpler laws for programs."""
-    return describe_unloading(table, "Masing"), describe_losses(make_table_card(table))
+    return describe_unloading(table, unloading_rule, deck_release), card_sentence
 
 
 def format_percent(ratio: float) -> str:
@@ -341,10 +345,7 @@ def describe_deck_losses(
     line_width : largest number of characters of a line
     """
     try:
-        other_sentences: tuple[str, ...] = (
-            describe_unloading(table, unloading_rule, deck_release),
-            describe_losses(make_table_card(table)),
-        )
+        other_sentences: tuple[str, ...] = describe_losses(table, unloading_rule, deck_release)
     except ValueError as error:
         other_sentences = (f"No loss card of other forms: {error}.",)
     return tuple(

@@ -16,7 +16,7 @@ from labpipe.mechanics.decks.deck_law import (
     collect_card_numbers,
     describe_deck_losses,
     describe_loading_error,
-    describe_masing_losses,
+    describe_losses,
     fill_template,
     get_mass_per_length,
     list_facts,
@@ -138,7 +138,7 @@ def write_sliders_csv(table: WireTable) -> str:
         reason="",
         mass=get_mass_per_length(table),
         law=law,
-        losses=describe_masing_losses(table),
+        losses=describe_losses(table),
         rows=[
             "stiffness [N*m^2],slip_curvature [1/m],slip_moment [N*m]",
             f"{law.stiffness!r},inf,inf",

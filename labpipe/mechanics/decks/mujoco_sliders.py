@@ -28,7 +28,7 @@ import numpy as np
 
 from labpipe.mechanics.decks.deck_law import (
     compute_first_frequency,
-    describe_masing_losses,
+    describe_losses,
     fill_template,
     format_percent,
     get_mass_per_length,
@@ -238,7 +238,7 @@ def _write_chain(
         chain=chain,
         hinges=make_hinges(chain),
         gravity="0 0 0",
-        losses=describe_masing_losses(table),
+        losses=describe_losses(table),
         ramp=RAMP,
         rest=REST,
         check=_compute_check(chain.law, chain.length),

@@ -23,7 +23,6 @@ from labpipe.mechanics.rod.banded import (
     UnknownIndices,
     join_unknowns,
     list_block_entries,
-    number_unknowns,
     split_unknowns,
 )
 from labpipe.mechanics.rod.boundaries import (
@@ -96,7 +95,7 @@ class ImposedValues:
 
     Parameters
     ----------
-    held : shape (grips, 3), m, positions of the held nodes
+    held_positions : shape (grips, 3), m, positions of the held nodes
     clamps : shape (clamps, 4), unit quaternions of the clamps
     forces : shape (n + 1, 3), N, loads and weight at the nodes
     anchors : shape (strings, 3), m, positions of the anchors of strings
@@ -104,7 +103,7 @@ class ImposedValues:
     time : steps, with fractions; -1 for the initial shape, 0 for the first state
     """
 
-    held: Floats
+    held_positions: Floats
     clamps: Floats
     forces: Floats
     anchors: Floats
@@ -168,7 +167,7 @@ class Assembly:
 
     Parameters
     ----------
-    line : the line
+    line : line with its elements
     supports : cells and held nodes of the line
     planes : planes that the axis of the line may touch
     strings : nodes and lengths, m, of the strings
@@ -204,7 +203,7 @@ class Assembly:
         self.force = force
         self.n = len(line.lengths)
         self._has_rings = n_rings > 0
-        self.indices: UnknownIndices = number_unknowns(self.n)
+        self.indices = UnknownIndices(self.n)
         section = line.section
         self.is_rigid = not np.isfinite(section.axial_stiffness)
         self._is_coupled = section.coupling != 0.0 and not self.is_rigid
@@ -368,7 +367,7 @@ class Assembly:
         return right
 
     def _sum_at_elements(self, values: Floats) -> Floats:
-        """Return the sums of values of both sides of the cells at the elements."""
+        """Sum values of both sides of the cells, shape (cells, 2, ...), at the elements."""
         return self.supports.sum_at_frames(values)[: self.n]
 
     def compute_reactions(self, balance: Balance, imposed: ImposedValues) -> tuple[Floats, Floats]:

@@ -7,8 +7,6 @@ small blocks in a fixed order. All their entries are added to the band at once.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.linalg import lapack
 
@@ -20,32 +18,27 @@ STRETCH, TURN, FORCE = 3, 4, 7
 """Offsets of stretch, turn and force among the ten unknowns of an element."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
 class UnknownIndices:
-    """First indices of the unknowns of a line of n elements.
+    """First indices of the unknowns of a line.
 
     Parameters
+    ----------
+    n : number of elements
+
+    Attributes
     ----------
     positions : shape (n + 1,), index of the first component of each position
     stretches : shape (n,), index of each stretch
     turns, forces : shape (n,), index of the first component of each turn and force
+    total : number of unknowns
     """
 
-    positions: Ints
-    stretches: Ints
-    turns: Ints
-    forces: Ints
-
-    @property
-    def total(self) -> int:
-        """Return the number of unknowns."""
-        return int(self.positions[-1]) + 3
-
-
-def number_unknowns(n: int) -> UnknownIndices:
-    """Number the unknowns of a line of n elements."""
-    first = PER_ELEMENT * np.arange(n + 1)
-    return UnknownIndices(first, first[:-1] + STRETCH, first[:-1] + TURN, first[:-1] + FORCE)
+    def __init__(self, n: int) -> None:
+        self.positions: Ints = PER_ELEMENT * np.arange(n + 1)
+        self.stretches, self.turns, self.forces = (
+            self.positions[:-1] + offset for offset in (STRETCH, TURN, FORCE)
+        )
+        self.total = PER_ELEMENT * n + 3
 
 
 def join_unknowns(positions: Floats, stretches: Floats, turns: Floats, forces: Floats) -> Floats:

@@ -82,7 +82,7 @@ def build_stated_distribution(
     centre: float = 0.0,
     freedom: float = np.inf,
     cause: str = "",
-    draws: int = DRAWS,
+    n_draws: int = DRAWS,
     seed: int = 0,
 ) -> InputDistribution:
     """Build the distribution of an input from its standard deviation.
@@ -95,7 +95,7 @@ def build_stated_distribution(
     freedom : degrees of freedom of the deviation; if finite, Student's t replaces the normal
         distribution
     cause : name of the cause; by default that of the input
-    draws : number of draws, which are the quantiles at evenly spaced probabilities
+    n_draws : number of draws, which are the quantiles at evenly spaced probabilities
     seed : seed of the order of the draws, together with name and cause. The order must differ
         between the distributions of a line, for which different names suffice
 
@@ -108,7 +108,7 @@ def build_stated_distribution(
         facts = {"name": name, "deviation": deviation, "freedom": freedom}
         raise ValueError(format_sentence("mechanics.rod.bad_deviation", **facts))
     random = np.random.default_rng([seed, *f"{name} {cause}".encode()])
-    uniform = (random.permutation(draws) + 0.5) / draws
+    uniform = (random.permutation(n_draws) + 0.5) / n_draws
     amounts = np.asarray(
         ndtri(uniform) if np.isinf(freedom) else stdtrit(freedom, uniform), np.float64
     )
@@ -117,7 +117,7 @@ def build_stated_distribution(
 
 
 def build_uniform_distribution(
-    name: str, low: float, high: float, *, cause: str, draws: int = DRAWS, seed: int = 0
+    name: str, low: float, high: float, *, cause: str, n_draws: int = DRAWS, seed: int = 0
 ) -> InputDistribution:
     """Build the distribution of an input that is equally likely anywhere in a range.
 
@@ -126,10 +126,10 @@ def build_uniform_distribution(
     name : name of the input
     low, high : ends of the range, in the unit of the input
     cause : name of the cause
-    draws, seed : as for `build_stated_distribution`
+    n_draws, seed : as for `build_stated_distribution`
     """
     random = np.random.default_rng([seed, *f"{name} {cause}".encode()])
-    amounts = 2.0 * (random.permutation(draws) + 0.5) / draws - 1.0
+    amounts = 2.0 * (random.permutation(n_draws) + 0.5) / n_draws - 1.0
     centre, steps = np.array([0.5 * (low + high)]), np.array([[0.5 * (high - low)]])
     return InputDistribution((name,), (cause,), centre, steps, amounts[:, None])
 
@@ -139,7 +139,7 @@ def build_calibrated_distributions(
     widening: float = 1.0,
     *,
     specimen: str | None = None,
-    draws: int = DRAWS,
+    n_draws: int = DRAWS,
     seed: int = 0,
 ) -> tuple[InputDistribution, ...]:
     """Build a distribution for each solution in the 95 % set of a calibration.
@@ -150,7 +150,7 @@ def build_calibrated_distributions(
     widening : factor on the deviations of the parameters
     specimen : name of the input that is the logarithm of a factor on all moments, drawn from the
         scatter of samples; None for a line with the law of the mean sample
-    draws : number of draws, a power of two
+    n_draws : number of draws, a power of two
     seed : seed of the draws
 
     Returns
@@ -164,7 +164,7 @@ def build_calibrated_distributions(
             solution,
             widening * np.sqrt(1.0 - solution.rise / solution.limit),
             specimen=specimen,
-            draws=draws,
+            n_draws=n_draws,
             random=np.random.default_rng([seed, index]),
         )
         for index, solution in enumerate(solution for solution in solutions if solution.is_allowed)
@@ -176,7 +176,7 @@ def _build_solution_distribution(
     widening: float,
     *,
     specimen: str | None,
-    draws: int,
+    n_draws: int,
     random: np.random.Generator,
 ) -> InputDistribution:
     """Build the distribution of one solution, including the factor of the specimen if any."""
@@ -186,10 +186,10 @@ def _build_solution_distribution(
     mixture = solution.mixture
     probability_range = 1.0 - 1e-10  # keeps probabilities away from 0 and 1
     # Columns: component of the mixture, divisor of Student's t, specimen, and each parameter.
-    uniform = 0.5 + probability_range * (Sobol(3 + len(active), seed=random).random(draws) - 0.5)
+    uniform = 0.5 + probability_range * (Sobol(3 + len(active), seed=random).random(n_draws) - 0.5)
     component = np.searchsorted(np.cumsum(mixture.chance), uniform[:, 0])
     component = np.minimum(component, len(mixture.chance) - 1)
-    divisors = np.ones(draws)  # convert normal draws to draws of Student's t
+    divisors = np.ones(n_draws)  # convert normal draws to draws of Student's t
     if np.isfinite(mixture.freedom):
         divisors = np.sqrt(chdtri(mixture.freedom, uniform[:, 1]) / mixture.freedom)
     normal = ndtri(uniform[:, 2:])
@@ -270,28 +270,27 @@ class Response:
     Parameters
     ----------
     distribution : distribution of the inputs
-    value : fields at the best inputs
+    best_fields : fields at the best inputs
     max_amounts : shape (causes,), amount of each cause up to which the parabola holds
     linear_coefficients, quadratic_coefficients : fields of shape (causes, ...). An amount x of a
         cause changes the value by linear x + quadratic x^2 up to `max_amounts`, and along the
         tangent beyond
-    one_sided : names of the causes without an equilibrium for one sign of the amount; the response
-        is linear through the other solution
-    unsolved : names of the causes without an equilibrium for either sign, which have no effect on
-        the band
+    one_sided_causes : causes without an equilibrium for one sign of the amount; the response is
+        linear through the other solution
+    unsolved_causes : causes without an equilibrium for either sign, which do not change the band
     """
 
     distribution: InputDistribution
-    value: Fields
+    best_fields: Fields
     max_amounts: Floats
     linear_coefficients: Fields
     quadratic_coefficients: Fields
-    one_sided: tuple[str, ...] = ()
-    unsolved: tuple[str, ...] = ()
+    one_sided_causes: tuple[str, ...] = ()
+    unsolved_causes: tuple[str, ...] = ()
 
     def compute_draws(self, name: str) -> Floats:
         """Return draws of a field, shape (draws, ...)."""
-        value = self.value[name]
+        value = self.best_fields[name]
         all_causes = np.ones(len(self.distribution.causes), dtype=np.bool_)
         changes = self._compute_changes(name, all_causes)
         return np.asarray(value + changes.reshape(len(changes), *value.shape))
@@ -301,7 +300,7 @@ class Response:
         amounts, max_amounts = self.distribution.amounts[:, selected], self.max_amounts[selected]
         clipped = np.clip(amounts, -max_amounts, max_amounts)
         squares = clipped * (2.0 * amounts - clipped)  # the tangent beyond the largest amounts
-        shape = (len(self.distribution.causes), self.value[name].size)
+        shape = (len(self.distribution.causes), self.best_fields[name].size)
         linear = self.linear_coefficients[name].reshape(shape)[selected]
         quadratic = self.quadratic_coefficients[name].reshape(shape)[selected]
         return np.asarray(amounts @ linear + squares @ quadratic)
@@ -359,11 +358,11 @@ def compute_response(
                 linear[name][cause] = 0.5 * (increments[0] + increments[-1]) / amount
                 quadratic[name][cause] = 0.5 * (increments[0] - increments[-1]) / amount**2
     n_unsolved = np.array([sum(fields is None for fields in pair) for pair in pairs])
-    one_sided, unsolved = (
+    faulty_causes = (
         tuple(dict.fromkeys(np.array(distribution.causes)[n_unsolved == count].tolist()))
         for count in (1, 2)
     )
-    return Response(distribution, value, amounts, linear, quadratic, one_sided, unsolved)
+    return Response(distribution, value, amounts, linear, quadratic, *faulty_causes)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -398,7 +397,7 @@ def compute_band(
     The band of the quantity, see `join_bands`.
     """
     return join_bands(
-        (measure(response.value[name]), measure(response.compute_draws(name)))
+        (measure(response.best_fields[name]), measure(response.compute_draws(name)))
         for response in responses
     )
 
@@ -438,8 +437,8 @@ class StateBands:
     smallest_bend_radius : shape (), m, minimum along the line; infinite if the line is straight
     reaction_forces : shape (boundaries, 3), N
     reaction_moments : shape (boundaries, 3), N m
-    shares : fractions of the variance, summed along the line, that the causes of the best
-        distribution contribute, keyed by ``positions``, ``reaction_forces`` and
+    variance_fractions : fractions of the variance, summed along the line, that each cause of the
+        best distribution contributes, keyed by ``positions``, ``reaction_forces`` and
         ``smallest_bend_radius``, then by cause. The fractions of ``smallest_bend_radius`` are those
         of the curvature vectors of the whole line
     """
@@ -450,7 +449,7 @@ class StateBands:
     smallest_bend_radius: Band
     reaction_forces: Band
     reaction_moments: Band
-    shares: Mapping[str, Mapping[str, float]]
+    variance_fractions: Mapping[str, Mapping[str, float]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -577,7 +576,7 @@ def _compute_step_bands(responses: Sequence[Response], step: int) -> StateBands:
         smallest_bend_radius=compute_band(responses, curvatures, _compute_smallest_radius),
         reaction_forces=compute_band(responses, forces),
         reaction_moments=compute_band(responses, moments),
-        shares={name: compute_fractions(field) for name, field in fields.items()},
+        variance_fractions={name: compute_fractions(field) for name, field in fields.items()},
     )
 
 
@@ -598,11 +597,11 @@ def _find_range_notes(path: RodPath, tested_curvature: float) -> Iterator[Qualit
 
 def _find_equilibrium_notes(responses: Sequence[Response]) -> Iterator[QualityNote]:
     """Yield notes on causes without an equilibrium for one sign of their amount, or for both."""
-    one_sided = chain.from_iterable(response.one_sided for response in responses)
-    if names := ", ".join(dict.fromkeys(one_sided)):
+    one_sided_causes = chain.from_iterable(response.one_sided_causes for response in responses)
+    if names := ", ".join(dict.fromkeys(one_sided_causes)):
         yield QualityNote.of("mechanics.rod.one_sided", names, causes=names)
-    unsolved = chain.from_iterable(response.unsolved for response in responses)
-    if names := ", ".join(dict.fromkeys(unsolved)):
+    unsolved_causes = chain.from_iterable(response.unsolved_causes for response in responses)
+    if names := ", ".join(dict.fromkeys(unsolved_causes)):
         yield QualityNote.of("mechanics.rod.silent", names, causes=names)
 
 
@@ -612,7 +611,7 @@ def _find_jump_notes(groups: Sequence[Sequence[RodPath]]) -> Iterator[QualityNot
     Each group holds the paths of one distribution, that of its best inputs first. Jumps at step 0
     are ignored.
     """
-    jumps = [[[step for step in path.snapped if step > 0] for path in paths] for paths in groups]
+    jumps = [[[step for step in path.jump_steps if step > 0] for path in paths] for paths in groups]
     pairs = [(paths[0], steps) for paths in jumps for steps in paths if steps != paths[0]]
     if pairs:
         best_steps, changed_steps = (", ".join(map(str, steps)) or "none" for steps in pairs[0])

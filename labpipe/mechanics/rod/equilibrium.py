@@ -95,13 +95,14 @@ def find_equilibrium(
     min_fraction = 0.1  # of an iteration step; shorter steps do not converge
     shape, nodes = start.shape, assembly.supports.held_nodes
     # Held nodes and clamps move with the first iteration step, or the fraction of it that is taken.
-    current = replace(target, held=start.imposed.held, clamps=start.imposed.clamps)
+    before = start.imposed
+    current = replace(target, held_positions=before.held_positions, clamps=before.clamps)
     balance = _update_balance(start, target, guess)
     if balance is None or drag is not None:
         balance = assembly.compute_balance(shape, current, guess, drag)
     smallest_turn, idle_iterations = math.inf, 0
     for _ in range(max_iterations):
-        held_moves = target.held - shape.positions[nodes]
+        held_moves = target.held_positions - shape.positions[nodes]
         clamp_turns = np.zeros((len(target.clamps), 3))
         if current is not target:
             clamp_turns = to_rotation_vectors(multiply(conjugate(current.clamps), target.clamps))

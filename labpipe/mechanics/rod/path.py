@@ -83,9 +83,9 @@ class RodPath(ArrayRecord):
     status : `failed` if a step has no equilibrium; `doubtful` for another reason, such as a
         curvature beyond the range of the law
     reasons : reasons of the status, the most important first; empty if `ok`
-    snapped : steps in which the line jumped, because it snapped or was released
-    lost : shape (states,), J, energy lost in the sliders
-    lost_in_jumps : shape (states,), J, energy lost in jumps, included in `lost`
+    jump_steps : steps in which the line jumped, because it snapped or was released
+    lost_energy : shape (states,), J, energy lost in the sliders
+    jump_energy : shape (states,), J, part of `lost_energy` that is lost in jumps
     """
 
     line: Line
@@ -93,9 +93,9 @@ class RodPath(ArrayRecord):
     states: tuple[RodState, ...]
     status: Status
     reasons: tuple[Reason, ...]
-    snapped: tuple[int, ...]
-    lost: Annotated[Floats, "states"]
-    lost_in_jumps: Annotated[Floats, "states"]
+    jump_steps: tuple[int, ...]
+    lost_energy: Annotated[Floats, "states"]
+    jump_energy: Annotated[Floats, "states"]
 
     @property
     def last(self) -> RodState:
@@ -295,7 +295,7 @@ def check_reach(schedule: Schedule, grips: tuple[int, ...], step: int) -> None:
     nodes = np.array([schedule.held_nodes[k] for k in grips], dtype=np.int64)
     order = np.argsort(nodes)
     nodes = nodes[order]
-    distances = np.linalg.norm(np.diff(imposed.held[order], axis=0), axis=1)
+    distances = np.linalg.norm(np.diff(imposed.held_positions[order], axis=0), axis=1)
     lengths = np.diff(schedule.line.stations[nodes])
     min_force = min_relative_force * schedule.estimate_force()
     is_loaded = np.linalg.norm(imposed.forces, axis=1) > min_force
@@ -323,7 +323,7 @@ def check_planes(schedule: Schedule, grips: tuple[int, ...], step: int) -> None:
     ----------
     schedule, grips, step : as for `check_reach`
     """
-    held_positions = schedule.compute_imposed(float(step), grips).held
+    held_positions = schedule.compute_imposed(float(step), grips).held_positions
     line = schedule.line
     clearance = 0.5 * line.section.diameter
     for plane in schedule.planes.values() if grips else ():

@@ -11,7 +11,7 @@ decreases to zero while the energy decreases, as in the motion of a line with in
 resistance acts at each joint of two elements. A resistance to motion would instead bend the free
 end of a falling line, and the sliders would retain that bend. From an unstable equilibrium the line
 moves along its softest mode. Steps with relaxation, and steps with a release, are listed as
-`snapped`.
+`jump_steps`.
 """
 
 from __future__ import annotations
@@ -58,14 +58,12 @@ class RodSettings:
 
     Parameters
     ----------
-    min_step_fraction : smallest fraction of a step
     max_turn : rad, largest change of the angle between neighbouring elements in a fraction of a
         step; an element may rotate by twice this angle in space
     max_strain : strain beyond which the line counts as torn
     checks_stability : whether the stability of equilibria is checked
     """
 
-    min_step_fraction: float = 2.0**-12
     max_turn: float = 0.5
     max_strain: float = 0.05
     checks_stability: bool = True
@@ -118,13 +116,12 @@ class _PathSolver:
         n = len(line.lengths)
         shape = Shape(line.positions, line.frames, np.zeros(n), np.zeros((n, 3)))
         self.schedule = Schedule(line, boundaries, steps, shape)
-        self.force = self.schedule.estimate_force()
         self.states: list[RodState] = []
         self.losses: list[tuple[float, float]] = []
         self.reasons: list[Reason] = []
-        self.snapped: list[int] = []
+        self.jump_steps: list[int] = []
         self.step = 0
-        self.lost = self.lost_in_jumps = 0.0
+        self.lost_energy = self.jump_energy = 0.0
         self.has_failed = False
         rests = np.zeros((n + 1, 2, line.section.law.history_size, 2))
         contacts = np.tile(line.positions, (len(self.schedule.planes), 1, 1))
@@ -148,7 +145,7 @@ class _PathSolver:
             planes,
             (schedule.string_nodes, lengths),
             n_rings=len(schedule.rings),
-            force=self.force,
+            force=schedule.estimate_force(),
         )
         self.check = StabilityCheck(self.assembly)
         history = replace(history, rests=merge_rests(self.assembly.supports, history.rests))
@@ -164,15 +161,15 @@ class _PathSolver:
         grips, current = self.schedule.list_grips(step), self.current
         if grips == self.grips:
             return
-        self.snapped.append(step)
-        lost, lost_in_jumps = self.lost, self.lost_in_jumps
+        self.jump_steps.append(step)
+        lost_energy, jump_energy = self.lost_energy, self.jump_energy
         rests = split_sides(self.assembly.supports, current.history.rests)
         time = current.imposed.time
         self._assemble(grips, time, current.shape, replace(current.history, rests=rests))
         equilibrium = self._find_equilibrium(time)
         is_unstable = equilibrium is not None and not self._is_stable(equilibrium)
         self._accept(time, equilibrium, is_unstable=is_unstable)
-        self.lost_in_jumps = lost_in_jumps + self.lost - lost
+        self.jump_energy = jump_energy + self.lost_energy - lost_energy
 
     # ---- steps --------------------------------------------------------------------------------
 
@@ -196,10 +193,11 @@ class _PathSolver:
 
     def _advance_to(self, end: float) -> None:
         """Advance to a time, counted in steps, by fractions of steps that are halved or doubled."""
+        min_fraction = 2.0**-12  # of a step
         fraction, is_rejected = 1.0, False
         while self.current.imposed.time < end:
             time = min(end, self.current.imposed.time + fraction)
-            is_smallest = fraction <= self.settings.min_step_fraction
+            is_smallest = fraction <= min_fraction
             tries_sticking = is_smallest or not is_rejected
             equilibrium = self._find_equilibrium(time, tries_sticking=tries_sticking)
             is_unstable = equilibrium is not None and not self._is_stable(equilibrium)
@@ -252,14 +250,12 @@ class _PathSolver:
 
     def _is_near(self, equilibrium: Equilibrium) -> bool:
         """Return whether the line turns by less than the largest allowed angles."""
-        current, max_turn = self.current, self.settings.max_turn
-        start, end = (
-            current.balance.cells.rotation_vectors,
-            equilibrium.balance.cells.rotation_vectors,
-        )
-        if float(np.max(np.linalg.norm(end - start, axis=1), initial=0.0)) > max_turn:
+        start, max_turn = self.current, self.settings.max_turn
+        previous_turns = start.balance.cells.rotation_vectors
+        cell_turns = equilibrium.balance.cells.rotation_vectors - previous_turns
+        if float(np.max(np.linalg.norm(cell_turns, axis=1), initial=0.0)) > max_turn:
             return False
-        rotations = multiply(conjugate(current.shape.frames), equilibrium.shape.frames)
+        rotations = multiply(conjugate(start.shape.frames), equilibrium.shape.frames)
         turns = np.linalg.norm(to_rotation_vectors(rotations), axis=1)
         return float(np.max(turns)) < 2.0 * max_turn
 
@@ -267,7 +263,7 @@ class _PathSolver:
         """Make an equilibrium the current state, and add the energy that is lost."""
         self.current, balance = equilibrium, equilibrium.balance
         rests = equilibrium.previous_history.rests, equilibrium.history.rests
-        self.lost += compute_lost_energy(self.assembly, *rests)
+        self.lost_energy += compute_lost_energy(self.assembly, *rests)
         max_strain = self.settings.max_strain
         check_line(self.assembly, equilibrium.shape, balance, self.step, max_strain=max_strain)
         check_rings(self.schedule, balance, self.step)
@@ -277,14 +273,14 @@ class _PathSolver:
     def _relax(self, time: float, *, is_unstable: bool) -> None:
         """Relax the line to a stable equilibrium at a time."""
         perturbations = (0.0, 1e-3, 1e-2)  # relative to the length of the line, or rad
-        if self.step not in self.snapped:
-            self.snapped.append(self.step)
-        saved = self.current, self.lost
+        if self.step not in self.jump_steps:
+            self.jump_steps.append(self.step)
+        saved = self.current, self.lost_energy
         for perturbation in perturbations[1:] if is_unstable else perturbations:
             if self._relax_to_rest(time, perturbation):
-                self.lost_in_jumps += self.lost - saved[1]
+                self.jump_energy += self.lost_energy - saved[1]
                 return
-            self.current, self.lost = saved
+            self.current, self.lost_energy = saved
         if not is_unstable:
             forces = np.linalg.norm(self.current.shape.forces, axis=1)
             node = int(np.argmax(forces))
@@ -383,7 +379,7 @@ class _PathSolver:
         """Record the state of a step; add a reason if the line is bent beyond its law."""
         state = build_state(self.assembly, self.schedule, self.grips, self.current, step)
         self.states.append(state)
-        self.losses.append((self.lost, self.lost_in_jumps))
+        self.losses.append((self.lost_energy, self.jump_energy))
         curvatures, max_curvature = state.bending_curvatures, self.line.section.law.last
         node = int(np.argmax(curvatures))
         if curvatures[node] > max_curvature and not self._has_reason("beyond_law"):
@@ -407,6 +403,6 @@ class _PathSolver:
             tuple(self.states),
             Status.FAILED if self.has_failed else status,
             tuple(self.reasons),
-            tuple(self.snapped),
+            tuple(self.jump_steps),
             *losses,
         )

@@ -58,8 +58,7 @@ from labpipe.records.wire import (
     ParameterChoice,
     WireSpec,
 )
-from labpipe.report.calibration_figures import list_calibration_figures
-from labpipe.report.calibration_summary import CalibrationReport, save_calibration_workbook
+from labpipe.report import calibration_report as reports
 from labpipe.units import GRAVITY
 
 MODEL_FILE = "calibration.json"
@@ -156,24 +155,23 @@ def calibrate_tests(
     if figures:
         wire = build_sheet_wire(apply_calibration(specs[name], calibration), wires)
         curve, file = measured_curves[0], loadings_of_wire[0].file
-        max_deflection = float(np.max(curve.deflection))
-        shapes = compare_shapes(file, wire, curve.length, curve.rig, max_deflection)
+        shapes = compare_shapes(file, wire, curve.length, curve.rig, float(curve.deflection.max()))
         study = replace(study, shapes={curve.test: shapes} if shapes else {})
     wire_tables = [
         tabulate_wire(apply_calibration(specs[wire], calibration)) for wire in tested_wires
     ]
-    report = CalibrationReport(calibration, groups, study.shapes, study.comparisons)
+    report = reports.CalibrationReport(calibration, groups, study.shapes, study.comparisons)
 
     def write_others(folder: Path) -> list[Path]:
         """Write the workbook and the decks into a folder."""
-        save_calibration_workbook(report, folder / WORKBOOK_FILE)
+        reports.save_calibration_workbook(report, folder / WORKBOOK_FILE)
         return [folder / WORKBOOK_FILE, *write_decks(wire_tables, folder)]
 
     say("tables and decks")
     written_files = write_study(
         study.folder,
         {MODEL_FILE: json.dumps(build_json(study), allow_nan=False)},
-        [*list_calibration_figures(report)] if figures else (),
+        [*reports.list_calibration_figures(report)] if figures else (),
         write_others=write_others,
         say=say,
         png=png,

@@ -70,7 +70,7 @@ def collect_fields(path: RodPath) -> dict[str, Floats]:
     return {
         **collect_step_fields(path),
         RESIDUAL: compute_released_curvature(path.line.section.law, path.last.rests),
-        ENERGY_LOST: np.asarray(path.lost[-1]),
+        ENERGY_LOST: np.asarray(path.lost_energy[-1]),
     }
 
 
@@ -469,13 +469,14 @@ def find_jump_doubt(path: RodPath) -> Doubt | None:
     """
     max_fraction = 0.1  # fraction of the lost energy that is lost in jumps
     min_relative_loss = 0.1  # loss of a step that the reason names, relative to the largest loss
-    fraction = float(path.lost_in_jumps[-1] / path.lost[-1]) if path.lost[-1] > 0.0 else 0.0
-    if fraction <= max_fraction:
+    energy, jump_energy = float(path.lost_energy[-1]), float(path.jump_energy[-1])
+    if jump_energy <= max_fraction * energy:
         return None
-    losses = np.diff(path.lost_in_jumps, prepend=0.0)
+    losses = np.diff(path.jump_energy, prepend=0.0)
     steps = ", ".join(map(str, np.flatnonzero(losses > min_relative_loss * np.max(losses))))
     names = (ENERGY_LOST, RESIDUAL, MOMENT, *_list_released_numbers(path))
-    return Doubt(Reason.of("mechanics.studies.jumped", steps=steps, share=100.0 * fraction), names)
+    percentage = 100.0 * jump_energy / energy
+    return Doubt(Reason.of("mechanics.studies.jumped", steps=steps, share=percentage), names)
 
 
 def find_unloading_doubt(path: RodPath) -> Doubt | None:

@@ -185,12 +185,12 @@ def solve_harness(
     if path.status is Status.FAILED:
         return solution
     solution = replace(solution, status=Status.DOUBTFUL if reasons else Status.OK)
-    doubts = [] if is_variant else _check_convergence(solution)
+    doubts = [] if is_variant else _find_discretisation_doubts(solution)
     return replace(solution, results=_build_results(solution, doubts))
 
 
-def _check_convergence(solution: HarnessSolution) -> list[Doubt]:
-    """Find the doubts about numbers of a solved harness that depend on its discretisation."""
+def _find_discretisation_doubts(solution: HarnessSolution) -> list[Doubt]:
+    """Find the doubts about numbers that depend on the numbers of steps and elements."""
     harness, material = solution.harness, solution.material
     line = harness.line.model_copy(update={"elements": harness.line.elements // 2})
     coarse_harness, section = harness.model_copy(update={"line": line}), material.sections[0]
@@ -203,14 +203,13 @@ def _build_results(
 ) -> tuple[Result, ...]:
     """Build the results of a solved harness with their doubts and intervals."""
     material, path, intervals = solution.material, solution.path, solution.intervals
-    doubts = [*filter(None, (find_jump_doubt(path), find_unloading_doubt(path)))]
-    doubts += convergence_doubts
+    doubts = [find_jump_doubt(path), find_unloading_doubt(path), *convergence_doubts]
     names = list_unloading_numbers(path)
     if material.share_range:
         doubts += find_share_doubts(intervals, names, material.share_range)
     if material.varies_only_share:
         intervals = {name: ends for name, ends in intervals.items() if name.startswith(names)}
-    return build_results(path, solution.reasons, intervals, doubts)
+    return build_results(path, solution.reasons, intervals, [*filter(None, doubts)])
 
 
 def _collect_reasons(
@@ -267,16 +266,16 @@ def solve_sweep(
     variants = [item for item in solutions if item is not solution and item.results]
     variants.sort(key=lambda variant: variant.sharpest_bend.radius / variant.path.line.length)
     for variant in variants:
-        doubts = _check_convergence(variant)
+        doubts = _find_discretisation_doubts(variant)
         if not doubts:
             break
         results = _build_results(variant, doubts)
         solutions[solutions.index(variant)] = replace(variant, results=results)
-    return tuple(map(_select_shown_reasons, solutions))
+    return tuple(map(_keep_shown_reasons, solutions))
 
 
-def _select_shown_reasons(solution: HarnessSolution) -> HarnessSolution:
-    """Replace reasons and status of a solution by those of the results that a sweep shows."""
+def _keep_shown_reasons(solution: HarnessSolution) -> HarnessSolution:
+    """Keep the reasons of the results that a sweep shows, and set the status accordingly."""
     if solution.status is Status.FAILED:
         return solution
     shown_reasons = [
@@ -341,7 +340,7 @@ def predict_bands(
     )
     if line is None:
         return None
-    values = [_evaluate(response.value.__getitem__, line.path) for response in line.responses]
+    values = [_evaluate(response.best_fields.__getitem__, line.path) for response in line.responses]
     draws = [_evaluate(response.compute_draws, line.path) for response in line.responses]
     pairs = list(zip(values, draws, strict=True))
     bands = {

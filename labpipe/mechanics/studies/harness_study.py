@@ -229,7 +229,8 @@ def build_json(solution: HarnessSolution) -> dict[str, object]:
         # the kind of the bands, and the share of each cause in their variance
         "bands": {"kind": None, "reason": format_sentence("mechanics.studies.no_bands")}
         if bands is None
-        else {"kind": "pointwise 95 %", "shares": to_json(bands.line.states[-1].shares)},
+        else {"kind": "pointwise 95 %"}
+        | select_json(bands.line.states[-1], shares="variance_fractions"),
         "quality": [select_json(note, "code", "severity", "message") for note in material.notes],
         "units": _TABLE_UNITS,
     }

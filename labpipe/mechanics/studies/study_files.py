@@ -41,7 +41,7 @@ def write_study(
     Paths of the files: texts, other files, figures.
     """
     earlier_files = [*earlier_files, *list_pngs(pages, FIGURES_FOLDER)]
-    with lock(folder), replace_files(folder, owned=earlier_files) as temporary_folder:
+    with lock(folder), replace_files(folder, earlier_files=earlier_files) as temporary_folder:
         with map_errors(folder):
             for name, text in texts.items():
                 (temporary_folder / name).write_text(text, encoding="utf-8", newline="\n")

@@ -68,6 +68,7 @@ __all__ = ["assemble_recording", "choose_card", "read", "recognise", "recognise_
 _SEPARATOR_LINE = re.compile(r"\A\"?sep=.\"?\n")
 """Pattern of a first line that states the separator to a spreadsheet."""
 CardNames = str | Sequence[str] | None
+"""Name of the card that must fit, or names of which one must; None for any."""
 
 
 def recognise(path: Path) -> bool:
@@ -216,9 +217,9 @@ def _drop_rows_apart(table: Table, card: Card) -> Table:
 
 def _choose_part(tables: list[Table], part: str) -> list[Table]:
     """Choose the tables of a specimen or sheet, or raise ContentError if there are none."""
-    if chosen := [table for table in tables if part in {table.part, table.other_name} - {""}]:
+    if chosen := [table for table in tables if part in {table.part, table.sheet_name} - {""}]:
         return chosen
-    names = [table.part or table.other_name for table in tables if table.part or table.other_name]
+    names = [table.part or table.sheet_name for table in tables if table.part or table.sheet_name]
     nearest_names = ", ".join(f"'{name}'" for name in sort_by_likeness(part, names))
     raise ContentError.of(
         "readers.no_such_part" if nearest_names else "readers.no_parts",
@@ -269,7 +270,7 @@ def _convert_table(table: Table, card: Card, *, is_alone: bool) -> Recording:
         notes += make_clock_notes(clock, is_variable=card.variable_rate)
     if 0 < table.n_rows < MIN_TEST_ROWS:
         notes.append(QualityNote.of("readers.few_samples", f"clock {name}", rows=table.n_rows))
-    if part := table.part or table.other_name:
+    if part := table.part or table.sheet_name:
         metadata["part"] = part
     return Recording("", "", "", (clock,), tuple(channels), metadata=metadata, notes=tuple(notes))
 

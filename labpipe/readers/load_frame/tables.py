@@ -51,6 +51,7 @@ from labpipe.records.quality import QualityNote
 
 _TIME_WORD = re.compile(r"(?i)time|zeit|temps|tempo|tiempo|czas|tijd|时间|時間")
 Rows = Sequence[Sequence[str]]
+"""Cells of each row."""
 _Cells = tuple[str, ...]
 
 
@@ -253,6 +254,7 @@ _HEADER_TEXTS = {
 }
 """Rows above the numbers that a dialect requires, for messages, keyed by `Card.names`."""
 Channels = Sequence[ChannelChoice] | None
+"""Names or paths of the wanted channels; None for all."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -265,7 +267,7 @@ class Table:
     names, units : names and units of all columns
     columns : values of the columns that were read, each of shape (n_rows,) in the unit of its
         column, keyed by index of the column
-    other_name : name of the sheet if `part` may be the specimen on it, otherwise empty
+    sheet_name : name of the sheet if `part` may be the specimen on it, otherwise empty
     notes : quality notes on the rows
     first_line : number of the line of the first row in the file, counted from 1
     """
@@ -274,7 +276,7 @@ class Table:
     names: tuple[str, ...]
     units: tuple[str, ...]
     columns: Mapping[int, Floats]
-    other_name: str = ""
+    sheet_name: str = ""
     notes: tuple[QualityNote, ...] = ()
     first_line: int = 1
 
