@@ -35,7 +35,7 @@ from labpipe.mechanics.wire.wire_table import tabulate_wire
 from labpipe.protocol.load import find_shipped_folder
 from labpipe.records.arrays import Floats
 from labpipe.records.wire import PARAMETERS, Calibration, WireTable
-from labpipe.report.calibration_figures import make_profile_plot
+from labpipe.report.calibration_report import make_profile_plot
 from labpipe.report.figure_page import draw_page, use_style
 from labpipe.report.plot_records import (
     Axis,

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from labpipe.api.many_tests import PathLike, groups, parse_path, table
+from labpipe.api.data_frames import PathLike, groups, parse_path, table
 from labpipe.api.one_test import Export, Test, inspect
 from labpipe.errors import UsageError
 from labpipe.process.output_paths import RESULT_FILE, find_results, find_tests

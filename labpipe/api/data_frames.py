@@ -1,28 +1,40 @@
-"""Make pandas tables of results, curves, shapes and recordings.
+"""Make pandas tables of results, curves, shapes, recordings, and of many processed tests.
 
 Units are in ``frame.attrs["units"]``, keyed by column, or in a column ``unit``.
 """
 
 from __future__ import annotations
 
+import os
+import warnings
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from datetime import date
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 import pandas as pd
 
-from labpipe.errors import UsageError, sort_by_likeness
-from labpipe.report.wording import Scale, find_display_unit
+from labpipe.errors import (
+    LabpipeError,
+    StoreError,
+    UsageError,
+    describe_system_error,
+    sort_by_likeness,
+)
+from labpipe.process.output_paths import RESULT_FILE, find_results, list_files_below
+from labpipe.report.wording import Scale, choose_unit
 from labpipe.store.layout import UNSTATED_UNIT
+from labpipe.store.replace import is_unfinished
+from labpipe.store.summaries import SUMMARY_FILE, read_summary
 from labpipe.units import get_conversion_factor
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from labpipe.records.curve import Curve, Shape
+    from labpipe.records.curve import Curve
+    from labpipe.records.group import Group, GroupNumber
     from labpipe.records.quality import QualityNote
     from labpipe.records.recording import MarkerTracks, Recording, RigidBody
     from labpipe.records.result import Result
@@ -45,7 +57,7 @@ class Units:
         """Choose factor and unit of a result, or of a change of it."""
         if self.display is None:
             return Scale(1.0, unit)
-        return find_display_unit(name, unit, self.display)
+        return choose_unit(name, unit, self.display)
 
     def scale_quantity(self, quantity: str, unit: str) -> Scale:
         """Choose factor and unit of a quantity, such as ``force``."""
@@ -64,8 +76,7 @@ def _make_frame(columns: Mapping[str, str], rows: Iterable[Sequence[object]]) ->
     return pd.DataFrame(list(rows), columns=list(columns)).astype(dict(columns))
 
 
-_RESULT_TYPES = {
-    "name": "str",
+_VALUE_TYPES = {
     **dict.fromkeys(("value", "estimate", "lower", "upper"), "float64"),
     **dict.fromkeys(("unit", "status", "code", "reason"), "str"),
 }
@@ -92,11 +103,12 @@ def make_results_frame(results: Iterable[Result], units: Units) -> pd.DataFrame:
         factor, unit = units.scale_result(result.name, result.unit)
         ends = (result.interval.lower, result.interval.upper) if result.interval else (None, None)
         values = (result.value, result.best_estimate, *ends)
-        scaled_values = [np.nan if value is None else value * factor for value in values]
+        scaled_values = [None if value is None else value * factor for value in values]
         texts = [unit, result.status, ", ".join(result.codes), result.reason_text]
         return [result.name, *scaled_values, *texts]
 
-    return _make_frame(_RESULT_TYPES, map(make_row, results)).set_index("name")
+    types = {"name": "str", **_VALUE_TYPES}
+    return _make_frame(types, map(make_row, results)).set_index("name")
 
 
 def make_budget_frame(result: Result, units: Units) -> pd.DataFrame:
@@ -149,27 +161,23 @@ def make_curve_frame(curve: Curve, units: Units) -> pd.DataFrame:
     return frame
 
 
-def make_shape_frame(shape: Shape, units: Units) -> pd.DataFrame:
-    """Make a table of positions along the specimen.
+def make_position_frame(
+    time: np.ndarray, names: Sequence[str], positions: np.ndarray, kind: str, unit: str
+) -> pd.DataFrame:
+    """Make a table of positions.
 
     Parameters
     ----------
-    shape : shape of one test
-    units : units of the values
+    time : shape (n_frames,), s
+    names : name of each point
+    positions : shape (n_frames, n_points, 3)
+    kind : kind of the points, ``point`` or ``marker``
+    unit : unit of the positions
 
     Returns
     -------
-    Table with index ``time`` (s) and a column (point, axis) for x, y and z of the clamped end, of
-    each marker and of the pull point, in the specimen frame; NaN if a marker is missing.
+    Table with index ``time`` and columns (kind, axis) for x, y and z; NaN if a point is missing.
     """
-    factor, unit = units.scale_quantity("displacement", "m")
-    return _make_position_frame(shape.time, shape.names, factor * shape.positions, "point", unit)
-
-
-def _make_position_frame(
-    time: np.ndarray, names: tuple[str, ...], positions: np.ndarray, kind: str, unit: str
-) -> pd.DataFrame:
-    """Make a table of positions, shape (frames, names, 3), with columns (kind, axis)."""
     columns = pd.MultiIndex.from_product([names, _AXES], names=[kind, "axis"])
     index = pd.Index(time, name="time")
     frame = pd.DataFrame(positions.reshape(len(time), -1), index=index, columns=columns)
@@ -250,7 +258,7 @@ def _list_tables(
     if tracks is not None:
         name = f"{role}/markers" if recording.clocks else role
         positions = tracks.time, tracks.names, tracks.positions, "marker", "m"
-        yield name, partial(_make_position_frame, *positions)
+        yield name, partial(make_position_frame, *positions)
         for body in tracks.bodies:
             yield f"{role}/{body.name}", partial(_make_body_frame, tracks, body)
 
@@ -278,3 +286,260 @@ def _make_body_frame(tracks: MarkerTracks, body: RigidBody) -> pd.DataFrame:
     units = {name: "1" if name.startswith("q") else "m" for name in names}
     frame.attrs["units"] = {"time": "s"} | units
     return frame
+
+
+PathLike: TypeAlias = str | os.PathLike[str]
+"""Path of a file or a folder."""
+Paths: TypeAlias = PathLike | Iterable[PathLike]
+"""One path or several."""
+
+
+def parse_path(location: PathLike) -> Path:
+    """Convert a location to a path that the system accepts; it need not exist.
+
+    Parameters
+    ----------
+    location : path of a file or a folder
+
+    Raises
+    ------
+    UsageError
+        If the system refuses the path, for example because it is too long, contains a zero byte, or
+        is in a folder without access.
+    """
+    path = Path(location)
+    try:
+        path.stat()
+    except (FileNotFoundError, NotADirectoryError):
+        return path  # the caller reports missing files
+    except OSError as error:
+        raise UsageError(describe_system_error(error)) from error
+    except ValueError as error:
+        raise UsageError.about("api.no_path", repr(os.fspath(location)), found=error) from error
+    return path
+
+
+def parse_paths(locations: Paths) -> list[Path]:
+    """Convert one location or several to paths.
+
+    Parameters
+    ----------
+    locations : path of a file or a folder, or a list of paths
+
+    Raises
+    ------
+    UsageError
+        If the list is empty, or the system refuses a path.
+    """
+    location_list = [locations] if isinstance(locations, str | os.PathLike) else list(locations)
+    if not location_list:
+        raise UsageError.about("api.no_folders", "folder")
+    return [parse_path(location) for location in location_list]
+
+
+def parse_fields(by: str | Sequence[str]) -> tuple[str, ...]:
+    """Convert the name of one field, or of several, to a tuple."""
+    return (by,) if isinstance(by, str) else tuple(by)
+
+
+_TEST_COLUMNS = ("protocol", "date", "operator", "folder")
+
+
+class LeftOutWarning(UserWarning):
+    """Some tests are left out of a table because they cannot be read."""
+
+
+def table(folder: Paths, *, by: str | Sequence[str] = ()) -> pd.DataFrame:
+    """Put the results of processed tests into one table.
+
+    Parameters
+    ----------
+    folder : folder with processed tests at any depth, or several such folders
+    by : field or fields of the test sheets, which become the first columns and sort the rows
+
+    Returns
+    -------
+    Table with a row for each result of each test. Its columns are ``test``; the fields of the
+    sheets (``type``, ``spool``, ``sample``, dimensions in m as float64, texts of a bundle, labels,
+    observations; a label with the name of another column is ``label_<name>``); ``protocol``,
+    ``date`` (datetime64), ``operator``, ``folder``; ``result`` (name of the result), ``value``,
+    ``estimate``, ``lower``, ``upper`` (SI, float64, NaN if not available), ``unit``, ``status``,
+    ``code``, ``reason``. Missing fields are NaN. ``attrs["left_out"]`` has the reason for each test
+    that is left out, keyed by folder.
+
+    Raises
+    ------
+    UsageError
+        If there is no processed test, or no sheet has a field of `by`.
+    StoreError
+        If no summary can be read.
+
+    Warns
+    -----
+    LeftOutWarning
+        If some summaries cannot be read.
+
+    Examples
+    --------
+    >>> labpipe.table("processed/A2", by=["type", "length"])  # doctest: +SKIP
+    """
+    by = parse_fields(by)
+    rows, left_out = _read_summaries(_find_summaries(parse_paths(folder)))
+    fields = dict.fromkeys(name for test, _ in rows for name in test if name not in _TEST_COLUMNS)
+    sheet_fields = [name for name in fields if name != "test"]
+    for name in by:
+        if name not in sheet_fields:
+            valid = ", ".join(sort_by_likeness(name, sheet_fields))
+            raise UsageError.about("api.no_field", "by", fields=valid, found=name)
+    order = dict.fromkeys(("test", *by, *fields, *_TEST_COLUMNS))
+    columns = {name: [test.get(name) for test, _ in rows] for name in order}
+    counts = [len(results) for _, results in rows]
+    frame = pd.DataFrame({name: _make_column(name, values) for name, values in columns.items()})
+    frame = frame.loc[np.repeat(np.arange(len(rows)), counts)].reset_index(drop=True)
+    all_results = (result for _, results in rows for result in results)
+    frame = frame.join(_make_frame({"result": "str", **_VALUE_TYPES}, all_results))
+    if by:
+        frame = frame.sort_values(list(by), kind="stable", ignore_index=True)
+    frame.attrs["left_out"] = left_out
+    return frame
+
+
+def _find_summaries(folders: Sequence[Path]) -> list[Path]:
+    """Find the summaries of processed tests, which are beside result files."""
+    summaries: dict[Path, None] = {}
+    for folder in folders:
+        files = list_files_below(folder, SUMMARY_FILE) if folder.is_dir() else []
+        files = [file for file in files if (file.parent / RESULT_FILE).exists()]
+        if not files:
+            found = "none" if folder.is_dir() else "a file" if folder.exists() else "nothing there"
+            raise UsageError.about("api.no_tests", folder, found=found)
+        summaries |= dict.fromkeys(files)
+    return list(summaries)
+
+
+_Row: TypeAlias = tuple[dict[str, Any], list[list[object]]]
+"""Fields of a test, and the cells of each of its results."""
+
+
+def _read_summaries(files: Iterable[Path]) -> tuple[list[_Row], dict[str, str]]:
+    """Read summaries, and the reasons why some cannot be read, keyed by folder."""
+    rows: list[_Row] = []
+    left_out: dict[str, str] = {}
+    for file in files:
+        try:
+            rows.append(_read_row(file))
+        except LabpipeError as error:
+            left_out[str(file.parent)] = str(error)
+    if not rows:
+        raise StoreError("\n".join(left_out.values()))
+    if left_out:
+        warnings.warn("\n".join(left_out.values()), LeftOutWarning, stacklevel=3)
+    return rows, left_out
+
+
+def _read_row(file: Path) -> _Row:
+    """Read the fields and the results of a test from its summary."""
+    if is_unfinished(file.parent):
+        raise StoreError.about("api.cut_off", file, folder=file.parent)
+    content = read_summary(file)
+    try:
+        day = content.get("date")
+        test = {
+            "test": str(content["test"]),
+            **_list_fields(content["specimen"]),
+            "protocol": str(content["protocol"]),
+            "date": date.fromisoformat(day) if day else None,
+            "operator": str(content.get("operator") or ""),
+            "folder": str(file.parent),
+        }
+        return test, [_parse_result(entry) for entry in content["results"]]
+    except (AttributeError, LookupError, TypeError, ValueError) as error:
+        raise StoreError.about("api.damaged_summary", file, found=error) from error
+
+
+def _list_fields(specimen: Mapping[str, Any]) -> dict[str, Any]:
+    """List the fields of a test sheet, keyed by column, without the list of wires of a bundle."""
+    simple_fields = {name: value for name, value in specimen.items() if not isinstance(value, dict)}
+    bundle = dict(specimen.get("bundle", {}))
+    bundle_fields = {name: value for name, value in bundle.items() if not isinstance(value, list)}
+    other_columns = ("test", "result", *_TEST_COLUMNS, *_VALUE_TYPES)
+    reserved_names = {*simple_fields, *bundle_fields, *other_columns}
+    labels = {
+        f"label_{name}" if name in reserved_names else str(name): str(text)
+        for key in ("labels", "observed")
+        for name, text in dict(specimen.get(key, {})).items()
+    }
+    return simple_fields | bundle_fields | labels
+
+
+def _parse_result(entry: Mapping[str, Any]) -> list[object]:
+    """Convert a result of a summary to the cells of a row; None for a missing number."""
+    numbers = [entry[name] for name, kind in _VALUE_TYPES.items() if kind == "float64"]
+    texts = [str(entry[name]) for name, kind in _VALUE_TYPES.items() if kind == "str"]
+    return [str(entry["name"]), *(None if x is None else float(x) for x in numbers), *texts]
+
+
+def _make_column(name: str, values: Sequence[Any]) -> pd.Series:
+    """Make a column of dates, of numbers if all values are numbers, or of texts."""
+    if name == "date":
+        return pd.Series(pd.to_datetime(pd.Series(values, dtype="object")))
+    present = [value for value in values if value is not None]
+    is_number = bool(present) and all(isinstance(value, int | float) for value in present)
+    return pd.Series(values, dtype="float64" if is_number else "str")
+
+
+def groups(
+    folder: Paths, *, by: str | Sequence[str] = (), say: Callable[[str], None] = lambda _: None
+) -> pd.DataFrame:
+    """Group processed tests as ``labpipe report`` does, with means and intervals.
+
+    Parameters
+    ----------
+    folder : folder with processed tests at any depth, or several such folders
+    by : field or fields whose values make the groups; if empty, those of a report
+    say : function that is called with the name of each test when the test is read
+
+    Returns
+    -------
+    Table with a row for each result of each group. Its columns are ``group``, ``protocol``,
+    ``result``, ``mean``, ``estimate`` (mean without the contribution of noise), ``lower``,
+    ``upper`` (95 % interval of the estimate), ``deviation`` (standard deviation of the averaged
+    values; all in SI, float64), ``n`` (number of averaged values: samples, or means of spools),
+    ``tests`` (number of tests with the result), ``unit``, ``how`` (which values are averaged, and
+    why), ``reason`` (why there is no interval; otherwise empty). ``attrs["left_out"]`` has the
+    reason for each test that is left out, keyed by file.
+
+    Raises
+    ------
+    LabpipeError
+        If there is no processed test, none can be read, two have the same name, or no test sheet
+        has a field of `by`.
+    """
+    # This import takes half a second.
+    from labpipe.campaign.reporting import ReportOptions, make_campaign, read_tests
+
+    tests = read_tests(find_results(parse_paths(folder)), say)
+    campaign = make_campaign(tests, "", ReportOptions(by=parse_fields(by)))
+    rows = [_make_group_row(group, x) for group in campaign.groups for x in group.numbers]
+    frame = _make_frame(_GROUP_TYPES, rows)
+    frame.attrs["left_out"] = dict(campaign.left_out)
+    return frame
+
+
+_GROUP_TYPES = {
+    **dict.fromkeys(("group", "protocol", "result"), "str"),
+    **dict.fromkeys(("mean", "estimate", "lower", "upper", "deviation"), "float64"),
+    **dict.fromkeys(("n", "tests"), "int64"),
+    **dict.fromkeys(("unit", "how", "reason"), "str"),
+}
+
+
+def _make_group_row(group: Group, result: GroupNumber) -> list[object]:
+    """Make the row of one result of a group."""
+    mean, tests, unit = result.mean.chosen, len(result.values), result.unit
+    names = [group.name, group.protocol, result.name]
+    if not tests:
+        return [*names, *[np.nan] * 5, 0, 0, unit, "", "no test has this result"]
+    ends = (mean.interval.lower, mean.interval.upper) if mean.interval else (np.nan, np.nan)
+    values = [mean.mean, mean.middle, *ends, mean.deviation, mean.n, tests]
+    return [*names, *values, unit, str(result.mean.decision), str(mean.reason or "")]

@@ -169,7 +169,9 @@ class Test:
         shape = self._full.shape
         if shape is None:
             raise self._build_absence_error("shape")
-        return data_frames.make_shape_frame(shape, self._units)
+        factor, unit = self._units.scale_quantity("displacement", "m")
+        positions = factor * shape.positions
+        return data_frames.make_position_frame(shape.time, shape.names, positions, "point", unit)
 
     @property
     def raw(self) -> data_frames.Recordings:

@@ -48,10 +48,9 @@ from labpipe.records.group import (
 )
 from labpipe.records.quality import QualityNote
 from labpipe.records.result import Specimen, TestResult
-from labpipe.report.html_pages import render_test
-from labpipe.report.lab_report import write_report
+from labpipe.report.figures import choose_frames_at_steps, find_loading_deflection
+from labpipe.report.lab_report import render_test, write_report
 from labpipe.report.page_tables import compute_report_id, list_samples, name_page_file
-from labpipe.report.quality_figures import choose_frames_at_steps, find_loading_deflection
 from labpipe.report.wording import is_main
 from labpipe.statistics.group_samples import (
     NOT_STATED,
@@ -66,8 +65,9 @@ from labpipe.statistics.group_samples import (
     make_field_sort_key,
     make_grouping_notes,
 )
-from labpipe.statistics.groups import PoolingLimits, build_group, compare_groups
+from labpipe.statistics.groups import build_group, compare_groups
 from labpipe.statistics.lots import judge_lot
+from labpipe.statistics.means import PoolingLimits
 from labpipe.statistics.significance import judge_family, mark_outliers
 from labpipe.store.replace import lock, replace_files
 from labpipe.store.result_files import read_reported, read_result
@@ -746,6 +746,7 @@ def _make_group(
         for sample in samples
     ]
     settings, outputs = protocol.groups, list_outputs(protocol)
+    has_stroke = protocol.rig.stroke is not None
     group = build_group(
         name,
         members[0].protocol,
@@ -754,9 +755,7 @@ def _make_group(
         scaled=settings.scaled,
         signed_names={name for name, output in outputs.items() if output.can_be_negative},
         rig_names={
-            name
-            for name, output in outputs.items()
-            if output.is_set_by_stroke and protocol.rig.stroke is not None
+            name for name, output in outputs.items() if output.is_set_by_stroke and has_stroke
         },
     )
     numbers = {number.name: number for number in group.numbers}

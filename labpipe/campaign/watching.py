@@ -39,7 +39,7 @@ from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.sheet_grammar import PLAN_NAME, CampaignPlan
 from labpipe.records.quality import Severity
 from labpipe.records.result import Result, Status, TestResult
-from labpipe.report.wording import find_display_unit, is_first_cycle
+from labpipe.report.wording import choose_unit, is_first_cycle
 from labpipe.statistics.means import compute_t_quantile
 
 _MAX_RESULTS: Final = 3
@@ -172,7 +172,7 @@ def _compare_with_group(
     judged.
     """
     min_group_tests = 6  # the prediction interval of fewer tests is too wide to be of use
-    factor, unit = find_display_unit(result.name, result.unit, display)
+    factor, unit = choose_unit(result.name, result.unit, display)
     name, value = result.name, factor * (result.value or 0.0)
     values = factor * np.array(group_values.get(name, ()))
     n, text = len(values), f"{name} {value:.4g} {unit}".rstrip()

@@ -13,8 +13,7 @@ from labpipe.mechanics.studies.calibration_file import CalibrationStudy, build_j
 from labpipe.mechanics.studies.calibration_study import calibrate_tests
 from labpipe.process.output_paths import find_results
 from labpipe.records.wire import IsotropicShare
-from labpipe.report.calibration_figures import describe_agreement, describe_match
-from labpipe.report.calibration_summary import describe_calibration, write_length, write_parameter
+from labpipe.report import calibration_report as reports
 from labpipe.report.wording import write_count
 
 
@@ -53,19 +52,18 @@ def format_calibration(study: CalibrationStudy) -> str:
     a line per wire and length and per external curve with its notes, and the folder of the files.
     """
     lines = [study.calibration.wire]
-    parameters = map(write_parameter, study.calibration.parameters)
+    parameters = map(reports.write_parameter, study.calibration.parameters)
     for name, value, interval, unit, verdict in parameters:
         quantity = f"{value} {unit.removesuffix('1')}".strip()
         lines.append(f"  {name}: {quantity} (95 %: {interval}), {verdict}")
     if study.calibration.isotropic_share is not None:
         lines.append(_format_share(study.calibration.isotropic_share))
-    lines += [f"  {sentence}" for sentence in describe_calibration(study.calibration)]
+    lines += [f"  {sentence}" for sentence in reports.describe_calibration(study.calibration)]
     for group in study.groups:
-        use = "calibrated" if group.is_calibrated else "predicted"
-        texts = (f"{group.wire}, {write_length(group.length)}: {use}", *describe_agreement(group))
+        texts = [group.heading, *reports.describe_agreement(group)]
         lines.append(f"  {'; '.join(texts)}")
     for comparison in study.comparisons:
-        lines.append(f"  {'; '.join(describe_match(comparison))}")
+        lines.append(f"  {'; '.join(reports.describe_match(comparison))}")
         lines += [f"  {note.severity}: {note.where}: {note.message}" for note in comparison.notes]
     return "\n".join([*lines, f"results: {shorten_path(study.folder)}"])
 

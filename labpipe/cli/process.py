@@ -22,7 +22,7 @@ from labpipe.messages import format_sentence
 from labpipe.process.output_paths import find_tests
 from labpipe.process.run import ProcessedTest, RefusedTest
 from labpipe.records.result import Result
-from labpipe.report.wording import find_display_unit
+from labpipe.report.wording import choose_unit
 from labpipe.store.summaries import build_summary
 
 
@@ -129,7 +129,7 @@ def _format_quantity(results: list[Result], display: Mapping[str, str], width: i
     lines = [format_result(result, display, width) for result in results[:n_listed]]
     other_results = results[n_listed:]
     if values := [result.value for result in other_results if result.value is not None]:
-        factor, unit = find_display_unit(results[0].name, results[0].unit, display)
+        factor, unit = choose_unit(results[0].name, results[0].unit, display)
         range_text = f"{factor * min(values):.5g} to {factor * max(values):.5g} {unit}"
         name, n_others = f"... to {other_results[-1].name}", len(other_results)
         lines.append(f"  {name:<{width}} {range_text} ({n_others} more in summary.json)")

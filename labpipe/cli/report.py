@@ -16,7 +16,7 @@ from labpipe.records.group import GroupNumber
 from labpipe.records.quality import Reason
 from labpipe.records.result import Result, Status
 from labpipe.report.figure_page import FORMATS
-from labpipe.report.html_pages import read_logo
+from labpipe.report.lab_report import read_logo
 from labpipe.report.wording import describe_counts
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
 from labpipe.records.result import Result, Status
-from labpipe.report.wording import find_display_unit, write_number
+from labpipe.report.wording import choose_unit, write_number
 
 if TYPE_CHECKING:
     from tqdm import tqdm
@@ -101,7 +101,7 @@ def format_result(result: Result, display: Mapping[str, str], width: int) -> str
     width : width of the column of names, in characters
     """
     interval_width = 26  # characters
-    factor, unit = find_display_unit(result.name, result.unit, display)
+    factor, unit = choose_unit(result.name, result.unit, display)
     mark = _STATUS_MARKS[result.status]
     if result.value is None:
         return f"{mark} {result.name:<{width}}{'-':>12}"

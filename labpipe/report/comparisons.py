@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, groupby
-from math import nan
+from math import isfinite, nan
+from typing import NamedTuple
 
 import numpy as np
 
 from labpipe.messages import format_sentence
 from labpipe.records.curve import Interval
-from labpipe.records.group import Campaign, Difference, Group
+from labpipe.records.group import Campaign, Difference, Group, Verdict
 from labpipe.records.harness_bundle import NONE
 from labpipe.report import group_plots, wording
 from labpipe.report import plot_records as plots
 from labpipe.report.figure_page import N_COLOURS, split_pages
-from labpipe.report.issues import join_sentences
 from labpipe.report.page_tables import make_stems
 from labpipe.report.plot_records import Axis, LegendEntry, Line, Page, Plot
 from labpipe.report.table_records import Cell, Record, Table, tabulate
@@ -84,8 +85,59 @@ def list_single_field_pairs(campaign: Campaign) -> list[Pair]:
     return [Pair(groups[first], groups[second], tuple(items)) for (first, second), items in pairs]
 
 
-def find_families(campaign: Campaign) -> list[Family]:
-    """Collect groups that all differ from each other in one single field.
+class Question(NamedTuple):
+    """The comparisons of groups that differ in one and the same field.
+
+    Parameters
+    ----------
+    field : name of the field
+    pairs : at least one pair of groups
+    families : groups that all differ from each other; each pair is in at least one family
+    """
+
+    field: str
+    pairs: Sequence[Pair]
+    families: Sequence[Family]
+
+    @property
+    def answers(self) -> Table:
+        """Table of the verdicts, a row per pair."""
+        heads = ("Comparison", "Verdict", "Difference (95 %, corrected)", "n")
+        return Table(f"Verdicts: {name_field(self.field)}", heads, [*map(make_answer, self.pairs)])
+
+    @property
+    def tables(self) -> list[Table]:
+        """Table of each pair."""
+        return list(map(make_pair_table, self.pairs))
+
+    @property
+    def summary(self) -> tuple[str, str, str, str]:
+        """Question, verdict, difference and counts of the pair that differs most.
+
+        With several pairs, the question lists the values of the field, and the verdict is the count
+        of each verdict.
+        """
+        pairs = self.pairs
+        question, verdict, difference, counts = make_answer(max(pairs, key=_rank_pair))
+        if len(pairs) == 1:
+            return question.text, verdict.text, difference, counts
+        values = {value for pair in pairs for value in pair.differences[0].fields[self.field]}
+        sorted_values = sorted(values, key=lambda value: make_field_sort_key(self.field, value))
+        text = f"{name_field(self.field)}: {', '.join(sorted_values)}"
+        n_pairs = Counter(pair.differences[0].verdict for pair in pairs)
+        verdicts = [f"{str(kind).upper()} {n_pairs[kind]}" for kind in Verdict if n_pairs[kind]]
+        return text, ", ".join(verdicts), f"{difference}, largest of {len(pairs)} pairs", counts
+
+
+def _rank_pair(pair: Pair) -> tuple[bool, float]:
+    """Rank a pair: different groups are higher, then a larger difference."""
+    difference = pair.differences[0]
+    size = difference.change if difference.change is not None else difference.difference.mean
+    return difference.verdict is Verdict.DIFFERENT, abs(size) if isfinite(size) else 0.0
+
+
+def list_questions(campaign: Campaign) -> list[Question]:
+    """List the fields in which groups are compared, with their pairs and families.
 
     Parameters
     ----------
@@ -93,22 +145,22 @@ def find_families(campaign: Campaign) -> list[Family]:
 
     Returns
     -------
-    Families in the order of the comparisons. Each pair is in at least one family. A family of more
-    than `MAX_COMPARED_GROUPS` groups is split; its first group, the reference, is in each part.
+    Questions in the order of the comparisons. A family of more than `MAX_COMPARED_GROUPS` groups is
+    split; its first group, the reference, is in each part.
     """
-    families: list[Family] = []
-    for field, pairs in groupby(list_single_field_pairs(campaign), key=lambda pair: pair.field):
-        pairs_of_field = list(pairs)
-        members = [group for pair in pairs_of_field for group in (pair.first, pair.second)]
-        groups = {group.name: group for group in members}
+    questions = []
+    for field, items in groupby(list_single_field_pairs(campaign), key=lambda pair: pair.field):
+        pairs, families = list(items), list[Family]()
+        groups = {group.name: group for pair in pairs for group in (pair.first, pair.second)}
         values = {name: group.fields.get(field, "") for name, group in groups.items()}
         sorted_names = sorted(groups, key=lambda name: make_field_sort_key(field, values[name]))
-        linked_pairs = {frozenset((pair.first.name, pair.second.name)) for pair in pairs_of_field}
+        linked_pairs = {frozenset((pair.first.name, pair.second.name)) for pair in pairs}
         for names in _find_cliques(sorted_names, linked_pairs):
             reference, *other_groups = (groups[name] for name in names)
             parts = split_pages(other_groups, MAX_COMPARED_GROUPS - 1)
             families += [Family(field, (reference, *part)) for part in parts]
-    return families
+        questions.append(Question(field, pairs, families))
+    return questions
 
 
 def _find_cliques(names: Sequence[str], linked_pairs: set[frozenset[str]]) -> Iterator[list[str]]:
@@ -198,9 +250,9 @@ def make_pair_table(pair: Pair) -> Table:
     none, all else equal (19 B2, corrugated-tube)``, and its notes are the caveats of the
     comparison.
     """
-    display, rows = wording.find_display(pair.first), list[Record]()
+    display, rows = wording.get_display(pair.first), list[Record]()
     for difference in pair.differences:
-        scale = wording.find_scale(difference.name, difference.unit, display)
+        scale = wording.choose_scale(difference.name, difference.unit, display)
         margin = nan if difference.margin is None else difference.margin
         rows.append({
             "Number": wording.write_heading(difference.name, scale),
@@ -222,7 +274,7 @@ def make_answer(pair: Pair) -> tuple[Cell, Cell, str, str]:
     pair : groups that differ in one field
     """
     difference = pair.differences[0]
-    difference_text = _write_difference(difference, wording.find_display(pair.first))
+    difference_text = _write_difference(difference, wording.get_display(pair.first))
     first, second = count_values(pair)
     return (
         Cell(name_comparison(pair), describe_context((pair.first, pair.second), pair.field)),
@@ -244,7 +296,7 @@ def _write_difference(difference: Difference, display: Mapping[str, str]) -> str
     max_shown_ratio = 10.0  # a larger upper end is written as "more than +1000 %"
     ends, mean_difference, bound_text = difference.interval, difference.difference, ""
     if difference.change is None:
-        scale = wording.find_scale(difference.name, difference.unit, display)
+        scale = wording.choose_scale(difference.name, difference.unit, display)
         estimate = mean_difference.distinct_estimate
         number = wording.write_number(mean_difference.mean, ends, scale.factor, estimate=estimate)
         unit = f" {scale.unit}".rstrip()
@@ -253,7 +305,7 @@ def _write_difference(difference: Difference, display: Mapping[str, str]) -> str
             ends = Interval(min(ends.lower, max_shown_ratio), max_shown_ratio, ends.level)
             bound_text = "more than "
         number, unit = wording.write_number(difference.change, ends, 100.0), " %"
-    interval_text = join_sentences([mean_difference.reason])
+    interval_text = wording.join_sentences([mean_difference.reason])
     if number.lower:
         lower, upper = map(_add_plus_sign, (number.lower, number.upper))
         lower_text = "" if lower == upper and bound_text else f"{lower}{unit} to "
@@ -296,7 +348,7 @@ def list_family_figures(campaign: Campaign) -> Iterator[Page]:
     ----------
     campaign : groups and their differences
     """
-    families = find_families(campaign)
+    families = [family for question in list_questions(campaign) for family in question.families]
     contexts = [describe_context(family.groups, family.field) for family in families]
     pairs = list(zip(families, contexts, strict=True))
     names = make_stems(f"difference {family.field}: {context}" for family, context in pairs)
@@ -329,8 +381,8 @@ def _make_curve_plots(
     family: Family, stems: Mapping[str, str], *, is_scaled: bool = False
 ) -> Iterator[Plot]:
     """Yield the plot of the mean first loadings of the groups with their bands, if any."""
-    display = wording.find_display(family.groups[0])
-    x_scale, y_scale = wording.find_units(display, "displacement", "force")
+    display = wording.get_display(family.groups[0])
+    x_scale, y_scale = wording.get_scales(display, "displacement", "force")
     name, heading = "Force", "First loading"
     if is_scaled:
         y_scale, name, heading = plots.PLAIN_NUMBER, "Force / peak force", "Force / peak force"
@@ -359,8 +411,8 @@ def _make_curve_plots(
     yield Plot(x, y, lines, heading, legend=legend, kind="means", title=title, size=size)
 
 
-def find_main_number(family: Family) -> str:
-    """Find the number by which groups are compared: bending stiffness, or the first in common.
+def choose_main_number(family: Family) -> str:
+    """Choose the number by which groups are compared: bending stiffness, or the first in common.
 
     Parameters
     ----------
@@ -385,11 +437,11 @@ def find_main_number(family: Family) -> str:
 
 def _make_mean_plots(family: Family, stems: Mapping[str, str]) -> Iterator[Plot]:
     """Yield the plot of the main number, if any: mean, interval and samples of each group."""
-    name, groups = find_main_number(family), family.groups
+    name, groups = choose_main_number(family), family.groups
     if not name:
         return
     numbers = [next(number for number in group.numbers if number.name == name) for group in groups]
-    scale = wording.find_scale(name, numbers[0].unit, wording.find_display(groups[0]))
+    scale = wording.choose_scale(name, numbers[0].unit, wording.get_display(groups[0]))
     sample_shift = 0.22  # of a row, from the mean to its samples
     lines: list[Line] = []
     for row, (number, group) in enumerate(zip(numbers, groups, strict=True)):

@@ -22,7 +22,6 @@ from labpipe.report.plot_records import Axis, Label, Line, Page, Plot, split_at_
 from labpipe.report.wording import replace_unprintable, shorten
 
 if TYPE_CHECKING:
-    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.axis import Axis as DrawnAxis
     from matplotlib.figure import Figure
@@ -45,16 +44,16 @@ _DASHES: tuple[Any, ...] = (
 )  # fmt: skip
 
 
-def choose_dash(number: int) -> Any:
-    """Choose the dash of a line by its number, from 0; the dashes repeat."""
-    return _DASHES[number % len(_DASHES)]
+def choose_dash(index: int) -> Any:
+    """Choose the dash of a line by its index, from 0; the dashes repeat."""
+    return _DASHES[index % len(_DASHES)]
 
 
-def choose_line_look(number: int) -> dict[str, Any]:
-    """Choose colour and dash of a line by its number, from 0; the first 16 lines all differ."""
+def choose_line_look(index: int) -> dict[str, Any]:
+    """Choose colour and dash of a line by its index, from 0; the first 16 lines all differ."""
     # the dashes are shifted by one whenever the colours repeat
-    dash = choose_dash(number + number // N_COLOURS)
-    return {"color": f"C{number % N_COLOURS}", "linestyle": dash}
+    dash = choose_dash(index + index // N_COLOURS)
+    return {"color": f"C{index % N_COLOURS}", "linestyle": dash}
 
 
 def sample_colour_map(count: int, end: float = 0.85) -> list[str]:
@@ -83,8 +82,8 @@ def read_looks() -> dict[str, dict[str, Any]]:
     return looks
 
 
-def _find_settings(look: str) -> dict[str, Any]:
-    """Find the settings of a look, such as ``curve c2`` with the number of a colour."""
+def _read_settings(look: str) -> dict[str, Any]:
+    """Read the settings of a look, such as ``curve c2`` with the number of a colour."""
     kind, _, colour = look.partition(" ")
     settings = {name: value for name, value in read_looks()[kind].items() if name != "sign"}
     if colour:
@@ -191,9 +190,7 @@ def draw_plot(plot: Plot, axes: Axes, colours: Axis | None = None) -> None:
     axes : axes of matplotlib on which the plot is drawn
     colours : axis of the values that colour lines; None without such lines
     """
-    from matplotlib.legend import Legend
-
-    if plot.reason:
+    if plot.reason and not plot.lines:
         axes.set_axis_off()
         text = textwrap.fill(plot.reason, 60 if axes.get_position().width > 0.3 else 30)
         axes.annotate(text, (0.5, 0.5), xycoords="axes fraction", ha="center", va="center", c=GREY)
@@ -201,9 +198,10 @@ def draw_plot(plot: Plot, axes: Axes, colours: Axis | None = None) -> None:
     for axis_name, axis in (("x", plot.x), ("y", plot.y)):
         scale = "log" if axis.is_log else "linear"
         axes.set(**{f"{axis_name}label": axis.label, f"{axis_name}scale": scale})
-    artists = [_draw_line(line, plot, axes, colours) for line in plot.lines]
+    for line in plot.lines:
+        _draw_line(line, plot, axes, colours)
     for entry in plot.legend:
-        settings = {**_find_settings(entry.look), "label": shorten(entry.label, 100)}
+        settings = {**_read_settings(entry.look), "label": shorten(entry.label, 100)}
         (axes.fill if entry.look.startswith("band") else axes.plot)([], [], **settings)
     axes.autoscale_view()
     for axis, drawn_axis in ((plot.x, axes.xaxis), (plot.y, axes.yaxis)):
@@ -216,16 +214,12 @@ def draw_plot(plot: Plot, axes: Axes, colours: Axis | None = None) -> None:
         axes.set_axis_off()
     for label in plot.labels:
         _draw_label(label, plot, axes)
-    if plot.inner_key:
-        # `axes.legend` would remove the labels of the other lines from the key of the page
-        keyed_artists, settings = artists[-len(plot.inner_key) :], {"borderaxespad": 0.4}
-        axes.add_artist(Legend(axes, keyed_artists, plot.inner_key, loc="upper left", **settings))
 
 
-def _draw_line(line: Line, plot: Plot, axes: Axes, colours: Axis | None) -> Artist:
+def _draw_line(line: Line, plot: Plot, axes: Axes, colours: Axis | None) -> None:
     from matplotlib.collections import LineCollection, PolyCollection
 
-    settings = {"label": "", **_find_settings(line.look), **line.settings}
+    settings = {"label": "", **_read_settings(line.look), **line.settings}
     x, y = plot.x.scale.factor * line.x, plot.y.scale.factor * line.y
     is_wide, is_high = (bool(np.isinf(ends).any()) for ends in (x, y))
     if line.values is not None and colours is not None:
@@ -237,14 +231,17 @@ def _draw_line(line: Line, plot: Plot, axes: Axes, colours: Axis | None) -> Arti
         coloured_line.set(cmap=colour_map.cmap, norm=colour_map.norm)
         values = np.minimum(line.values[:-1], line.values[1:])
         coloured_line.set_array(colours.scale.factor * values)
-        return axes.add_collection(coloured_line)
-    if line.is_closed:
-        if is_high:
-            return axes.axvspan(x[0], x[1], **settings)
-        return axes.add_collection(PolyCollection(split_at_gaps(x, y), **settings))
-    if is_wide:
-        return axes.axhline(y[0], **settings)
-    return axes.axvline(x[0], **settings) if is_high else axes.plot(x, y, **settings)[0]
+        axes.add_collection(coloured_line)
+    elif line.is_closed and is_high:
+        axes.axvspan(x[0], x[1], **settings)
+    elif line.is_closed:
+        axes.add_collection(PolyCollection(split_at_gaps(x, y), **settings))
+    elif is_wide:
+        axes.axhline(y[0], **settings)
+    elif is_high:
+        axes.axvline(x[0], **settings)
+    else:
+        axes.plot(x, y, **settings)
 
 
 def _map_colours(axis: Axis) -> Any:

@@ -4,24 +4,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 from itertools import groupby
 from math import inf, nan
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats, Ints
 from labpipe.records.curve import FittedLine, Interval, SlipDecision
-from labpipe.records.group import Band, Group, GroupNumber, Sample, SampleCurve
-from labpipe.records.result import Status, find_result
+from labpipe.records.group import Band, Group, GroupNumber, SampleCurve
+from labpipe.records.result import Status
 from labpipe.report import plot_records as plots
 from labpipe.report import wording
 from labpipe.report.figure_page import N_COLOURS, read_looks
-from labpipe.report.issues import join_sentences
-from labpipe.report.page_tables import PageTests, make_key
+from labpipe.report.page_tables import GroupView, PageTest, make_figure_group
 from labpipe.report.plot_records import Axis, LegendEntry, Line, Page, Plot, join_with_gaps
 from labpipe.statistics.lots import FORCE_LIMIT, PEAK_OVER_LIMIT
 
@@ -29,111 +27,69 @@ MAX_DOT_NUMBERS, MAX_DOT_ROWS = 6, 24
 """Largest number of panels of numbers, and of samples with a row each in a panel."""
 
 
-class _DrawingLimits(NamedTuple):
-    """Largest numbers of points and shapes that are drawn for a test.
-
-    Parameters
-    ----------
-    n_loading : number of points of the first loading
-    n_other : number of points of all other branches together, but at least 8 of each
-    n_scaled : number of points of the curve of force over peak force
-    n_shapes : number of shapes
-    """
-
-    n_loading: int
-    n_other: int
-    n_scaled: int
-    n_shapes: int
-
-
-_FEW_SAMPLES, _MANY_SAMPLES = _DrawingLimits(90, 40, 24, 6), _DrawingLimits(43, 16, 10, 2)
-"""Limits on the page, by the number of samples of the group: a test takes less than 3 kB."""
-_IN_FILES = _DrawingLimits(120, 80, 120, 6)
-_MAX_DETAILED_SAMPLES = 6
 _SMALL_PLOT_SIZE = (262, 150)
 
 
-class _PlottedSample(NamedTuple):
-    """A sample with its first loading, the colour of its lines and its number on the page."""
-
-    sample: Sample
-    first_loading: SampleCurve | None
-    colour: str
-    number: int | None
-
-    def find_value(self, name: str) -> float | None:
-        result = find_result(self.sample.results, name)
-        return None if result is None else result.value
-
-
-@dataclass(frozen=True, eq=False)
-class _GroupView:
-    """A group of tests as its plots show it.
+def make_group_plots(view: GroupView) -> list[Plot]:
+    """Make the plots for which a group has data, for the page or for figures.
 
     Parameters
     ----------
-    group : group of samples; may be empty
-    stem : stem of the addresses of its links
-    tests : tests of the page; None for plots in files, with more points in a line
-    """
-
-    group: Group
-    stem: str = ""
-    tests: PageTests | None = None
-
-    def find_scale(self, quantity: str) -> wording.Scale:
-        return wording.find_unit(wording.find_display(self.group), quantity)
-
-    @property
-    def is_detailed(self) -> bool:
-        return len(self.group.samples) <= _MAX_DETAILED_SAMPLES
-
-    @property
-    def limits(self) -> _DrawingLimits:
-        page_limits = _FEW_SAMPLES if self.is_detailed else _MANY_SAMPLES
-        return _IN_FILES if self.tests is None else page_limits
-
-    def make_plot(
-        self, kind: str, axes: tuple[Axis, Axis], lines: Sequence[Line], title: str, **settings: Any
-    ) -> Plot:
-        """Make a plot of lines with their key; the setting ``mean`` is the label of the mean."""
-        legend = _make_legend(self, lines, settings.pop("mean", "mean"))
-        all_settings = {"legend": legend, "group": self.stem, "size": _SMALL_PLOT_SIZE, **settings}
-        return Plot(*axes, lines, kind=kind, title=f"{title} {self.group.name}.", **all_settings)
-
-    @cached_property
-    def plotted_samples(self) -> list[_PlottedSample]:
-        """Samples with a colour per spool, or a colour per sample for few samples of one spool."""
-        samples = self.group.samples
-        names = [sample.specimen.spool for sample in samples]
-        if len(set(names)) == 1 and self.is_detailed:
-            names = list(map(make_key, samples))
-        colours = {key: f"c{n % N_COLOURS}" for n, key in enumerate(dict.fromkeys(names))}
-        numbers = {} if self.tests is None else self.tests.numbers_by_key
-        return [
-            _PlottedSample(
-                sample, find_first_loading(sample), colours[name], numbers.get(make_key(sample))
-            )
-            for sample, name in zip(samples, names, strict=True)
-        ]
-
-
-def make_group_plots(group: Group, stem: str = "", tests: PageTests | None = None) -> list[Plot]:
-    """Make the plots for which a group has data, for the page.
-
-    Parameters
-    ----------
-    group : group of samples; may be empty
-    stem : stem of the addresses of its links
-    tests : tests of the page; None for plots in files, with more points in a line
+    view : group of samples; may be empty
 
     Returns
     -------
     The plot of force against displacement, if any sample has a curve; then smaller plots.
     """
-    view = _GroupView(group, stem, tests)
     makers = (_make_curve_plots, _make_shape_plots, _make_moment_plots, _make_scaled_plots)
     return [plot for make_plots in makers for plot in make_plots(view)]
+
+
+def _choose_point_count(view: GroupView) -> int:
+    """Choose the number of points of a first loading: on the page, a test takes under 3 kB.
+
+    All other branches together have a third of this number, but at least 8 points each.
+    """
+    if not view.stem:
+        return 240
+    return 90 if view.is_detailed else 43
+
+
+def _choose_shape_count(view: GroupView) -> int:
+    """Choose the number of shapes that are drawn for a test."""
+    return 6 if view.is_detailed or not view.stem else 2
+
+
+def _make_plot(
+    view: GroupView,
+    kind: str,
+    axes: Sequence[Axis],
+    lines: Sequence[Line],
+    title: str,
+    *,
+    mean: str = "mean",
+    hidden: Sequence[str] = (),
+    **settings: Any,
+) -> Plot:
+    """Make a plot of the lines of a group with their key, in which `mean` is the label of the mean.
+
+    The key lists spools, or tests if they are few; then other looks. In files, tests are listed
+    only if all are of one spool. On the page, an entry hides a test.
+    """
+    spools = {test.sample.specimen.spool: test.colour for test in view.tests}
+    entries = [
+        LegendEntry(f"curve {colour}", f"spool {spool}", "class", colour)
+        for spool, colour in spools.items()
+    ]
+    if view.is_detailed and (view.stem or len(spools) == 1):
+        entries = [
+            LegendEntry(f"curve {test.colour}", test.sample.test, "t", str(test.number))
+            for test in view.tests
+        ]
+    legend = [*entries, *list_key_entries(lines, "class", hidden, mean=mean)]
+    all_settings = {"legend": legend, "group": view.stem, "size": _SMALL_PLOT_SIZE, **settings}
+    x, y = axes
+    return Plot(x, y, lines, kind=kind, title=f"{title} {view.group.name}.", **all_settings)
 
 
 def make_file_plots(group: Group) -> dict[str, list[Plot]]:
@@ -148,7 +104,7 @@ def make_file_plots(group: Group) -> dict[str, list[Plot]]:
     Plots by the name of their figure: ``curves``, ``scaled`` (force over peak force), ``shapes``,
     ``moment`` and ``numbers``.
     """
-    all_plots = [*make_group_plots(group), *_make_number_plots(group)]
+    all_plots = [*make_group_plots(make_figure_group(group)), *_make_number_plots(group)]
     plots_by_kind = groupby(all_plots, key=lambda plot: plot.kind)
     return {kind: list(members) for kind, members in plots_by_kind}
 
@@ -189,44 +145,40 @@ def list_group_figures(group: Group) -> Iterator[Page]:
     title = f"{group.name}  \u00b7  {group.protocol}  \u00b7  {counts}"
     if "curves" not in figures:
         reason = "No sample has a curve." if group.samples else "No sample in this group."
-        panels, width = [plots.make_empty_plot(reason)], plots.SINGLE_COLUMN
+        panels, width = [Plot(reason=reason)], plots.SINGLE_COLUMN
         yield Page("curves", title, panels, height=40.0, width=width, caption=reason, alt=reason)
     for name, panels in figures.items():
         yield make_page(name, title, panels, 2, panels[0].caption)
 
 
-def find_first_loading(sample: Sample) -> SampleCurve | None:
-    """Find the first loading curve of a sample that has points; None if there is none."""
-    return next((curve for curve in sample.loading if len(curve.displacement)), None)
-
-
-def _make_curve_plots(view: _GroupView) -> Iterator[Plot]:
+def _make_curve_plots(view: GroupView) -> Iterator[Plot]:
     """Yield the plot of force against displacement, if any sample has a curve."""
-    group, band = view.group, view.group.band
-    if all(plotted.first_loading is None for plotted in view.plotted_samples):
+    group, band, lines = view.group, view.group.band, list(make_band_lines(view.group.band))
+    if all(test.first_loading is None for test in view.tests):
         return
-    rejected = [] if view.tests is None else view.tests.list_rejected(view.stem)
-    lines = list(make_band_lines(band))
-    for test in rejected:
-        curve = find_first_loading(test.sample)
-        if curve is not None:
-            n_points = view.limits.n_other
-            lines.append(_make_curve_line("rejected", curve, curve.force, test.number, n_points))
-    lines += [line for plotted in view.plotted_samples for line in _plot_sample(view, plotted)]
-    lines += [line for plotted in view.plotted_samples for line in _plot_fitted_lines(plotted)]
+    n_points = _choose_point_count(view)
+    for test in view.rejected:
+        if (curve := test.first_loading) is not None:
+            lines.append(
+                _make_curve_line("rejected", curve, curve.force, test.number, n_points // 3)
+            )
+    lines += [line for test in view.tests for line in _plot_sample(test, n_points)]
+    lines += [line for test in view.tests for line in _plot_fitted_lines(test)]
     lines += make_mean_lines(band)
-    lines += [line for plotted in view.plotted_samples for line in _plot_events(plotted)]
-    x = plots.make_axis("Displacement", view.find_scale("displacement"), [line.x for line in lines])
-    limit_values = (plotted.find_value(FORCE_LIMIT) for plotted in view.plotted_samples)
+    lines += [line for test in view.tests for line in _plot_events(test)]
+    x = plots.make_axis(
+        "Displacement", view.choose_scale("displacement"), [line.x for line in lines]
+    )
+    limit_values = (test.find_value(FORCE_LIMIT) for test in view.tests)
     limits = sorted(set(filter(None, limit_values)))
     lines += [plots.make_horizontal_line("limit", limit) for limit in limits]
     curves = (curve for sample in group.samples for curve in (*sample.loading, *sample.unloading))
     forces = [*(curve.force for curve in curves), np.array(limits)]
-    y = _make_force_axis("Force", view.find_scale("force"), forces, band)
+    y = _make_force_axis("Force", view.choose_scale("force"), forces, band)
     title = f"Force against displacement of {wording.write_count(len(group.samples), 'sample')}:"
-    mean, caption = f"mean of {band.n} {band.members}", join_sentences([band.reason])
+    mean, caption = f"mean of {band.n} {band.members}", wording.join_sentences([band.reason])
     size = 660, 240
-    yield view.make_plot("curves", (x, y), lines, title, mean=mean, caption=caption, size=size)
+    yield _make_plot(view, "curves", (x, y), lines, title, mean=mean, caption=caption, size=size)
 
 
 def _make_force_axis(name: str, scale: wording.Scale, forces: Sequence[Floats], band: Band) -> Axis:
@@ -243,20 +195,20 @@ def _make_force_axis(name: str, scale: wording.Scale, forces: Sequence[Floats], 
     return plots.make_axis(name, scale, [np.array([low, high])], margin=0.04)
 
 
-def _plot_sample(view: _GroupView, plotted: _PlottedSample) -> Iterator[Line]:
+def _plot_sample(test: PageTest, n_points: int) -> Iterator[Line]:
     """Yield the other branches and the first loading, also as measured if slips were repaired."""
-    sample, curve, colour, number = plotted
+    sample, curve, colour = test.sample, test.first_loading, test.colour
     branches = [branch for branch in (*sample.loading, *sample.unloading) if branch is not curve]
     other_branches = [branch for branch in branches if len(branch.displacement)]
-    n_other, n_loading = view.limits.n_other, view.limits.n_loading
     for branch in other_branches:
-        n_points = max(n_other // len(other_branches), 8)
-        yield _make_curve_line(f"unloading {colour}", branch, branch.force, number, n_points)
+        n_branch = max(n_points // 3 // len(other_branches), 8)
+        yield _make_curve_line(f"unloading {colour}", branch, branch.force, test.number, n_branch)
     if curve is None:
         return
     if any(slip.decision is SlipDecision.REPAIRED for slip in sample.slips):
-        yield _make_curve_line("measured", curve, curve.measured_force, number, n_other)
-    yield _make_curve_line(f"curve {colour}", curve, curve.force, number, n_loading)
+        force = curve.measured_force
+        yield _make_curve_line("measured", curve, force, test.number, n_points // 3)
+    yield _make_curve_line(f"curve {colour}", curve, curve.force, test.number, n_points)
 
 
 def _make_curve_line(
@@ -268,22 +220,22 @@ def _make_curve_line(
     return Line(look, x[rows], y[rows], test)
 
 
-def _plot_fitted_lines(plotted: _PlottedSample) -> Iterator[Line]:
+def _plot_fitted_lines(test: PageTest) -> Iterator[Line]:
     """Yield the fitted lines over their windows."""
     fits_by_look: dict[str, list[FittedLine]] = {}
-    for fit in plotted.sample.lines:
+    for fit in test.sample.lines:
         look = "segment" if fit.result.startswith("segment") else "window"
         fits_by_look.setdefault(look, []).append(fit)
     for look, fits in fits_by_look.items():
         numbers = np.array([(fit.start, fit.stop, fit.slope, fit.level) for fit in fits])
         start, stop, slope, height = numbers.T
         heights = join_with_gaps(height, height + slope * (stop - start))
-        yield Line(look, join_with_gaps(start, stop), heights, plotted.number)
+        yield Line(look, join_with_gaps(start, stop), heights, test.number)
 
 
-def _plot_events(plotted: _PlottedSample) -> Iterator[Line]:
+def _plot_events(test: PageTest) -> Iterator[Line]:
     """Yield slips and failure of a test as dots on its curve."""
-    sample, curve, _, number = plotted
+    sample, curve, number = test.sample, test.first_loading, test.number
     if curve is None:
         return
     is_finite = np.isfinite(curve.displacement) & np.isfinite(curve.force)
@@ -291,7 +243,7 @@ def _plot_events(plotted: _PlottedSample) -> Iterator[Line]:
     if len(slips) and is_finite.any():
         heights = np.interp(slips, curve.displacement[is_finite], curve.force[is_finite])
         yield Line("slip", join_with_gaps(slips), join_with_gaps(heights), number)
-    position, force = (plotted.find_value(f"failure_{name}") for name in ("displacement", "force"))
+    position, force = (test.find_value(f"failure_{name}") for name in ("displacement", "force"))
     if position is not None and force is not None:
         yield Line("failure", np.array([position, nan]), np.array([force, nan]), number)
 
@@ -307,7 +259,7 @@ def make_band_lines(band: Band, look: str = "", group: str = "") -> Iterator[Lin
     """
     if band.n < 2 or not band.has_area:
         return
-    rows = _find_band_rows(band, band.upper)
+    rows = _choose_band_rows(band, band.upper)
     x = band.displacement[rows]
     pointwise = plots.make_area(f"band {look}".strip(), x, band.lower[rows], band.upper[rows])
     yield replace(pointwise, group=group)
@@ -316,8 +268,8 @@ def make_band_lines(band: Band, look: str = "", group: str = "") -> Iterator[Lin
             yield Line("whole", x, edge[rows])
 
 
-def _find_band_rows(band: Band, values: Floats) -> Ints:
-    """Find the points that preserve the shape of a band or a mean."""
+def _choose_band_rows(band: Band, values: Floats) -> Ints:
+    """Choose the points that preserve the shape of a band or a mean."""
     return plots.simplify_line(band.displacement, values, max_points=28, tolerance=0.001)
 
 
@@ -330,31 +282,12 @@ def make_mean_lines(band: Band, look: str = "", group: str = "") -> Iterator[Lin
     """
     if not len(band.displacement) or (band.n < 2 and not group):
         return  # the mean of one sample is that sample
-    rows, marks = _find_band_rows(band, band.mean), band.marks
+    rows, marks = _choose_band_rows(band, band.mean), band.marks
     yield Line(f"mean {look}".strip(), band.displacement[rows], band.mean[rows], group=group)
     if len(marks):
         x = join_with_gaps(band.displacement[marks], band.displacement[marks])
         ends = join_with_gaps(band.lower[marks], band.upper[marks])
         yield Line(f"interval {look}".strip(), x, ends, group=group)
-
-
-def _make_legend(view: _GroupView, lines: Sequence[Line], mean: str = "mean") -> list[LegendEntry]:
-    """Make the key of a plot, which lists spools, or tests if they are few; then other looks.
-
-    In files, tests are listed only if all are of one spool. On the page, an entry hides a test.
-    """
-    spools = {plotted.sample.specimen.spool: plotted.colour for plotted in view.plotted_samples}
-    if view.is_detailed and (view.tests is not None or len(spools) == 1):
-        entries = [
-            LegendEntry(f"curve {plotted.colour}", plotted.sample.test, "t", str(plotted.number))
-            for plotted in view.plotted_samples
-        ]
-    else:
-        entries = [
-            LegendEntry(f"curve {colour}", f"spool {spool}", "class", colour)
-            for spool, colour in spools.items()
-        ]
-    return entries + list_key_entries(lines, "class", mean=mean)
 
 
 def list_key_entries(
@@ -379,86 +312,83 @@ def list_key_entries(
     ]
 
 
-def _make_shape_plots(view: _GroupView) -> Iterator[Plot]:
+def _make_shape_plots(view: GroupView) -> Iterator[Plot]:
     """Yield the plot of the markers at equal steps of the first loading, with equal axis scales."""
-    min_height, max_height = 88, 190
-    lines, steps = [], np.zeros(0)
-    for plotted in view.plotted_samples:
-        shapes = plotted.sample.shapes
+    lines, point_sets, steps, n_shapes = [], [], np.zeros(0), _choose_shape_count(view)
+    for test in view.tests:
+        shapes = test.sample.shapes
         if shapes is not None and np.isfinite(shapes.positions).any():
-            positions = shapes.positions[-view.limits.n_shapes :]
+            positions = shapes.positions[-n_shapes:]
             x, y = (join_with_gaps(*positions[:, :, axis].T) for axis in (0, 1))
-            lines.append(Line(f"shape {plotted.colour}", x, y, plotted.number))
+            lines.append(Line(f"shape {test.colour}", x, y, test.number))
+            point_sets.append(np.column_stack([x, y]))
             steps = max(steps, shapes.deflection, key=len)
     if not lines:
         return
-    scale, width = view.find_scale("displacement"), _SMALL_PLOT_SIZE[0]
-    x_axis = plots.make_axis("Along the specimen", scale, [line.x for line in lines])
-    y_axis = plots.make_axis("Deflection", scale, [line.y for line in lines], margin=0.06)
-    x_range, y_range = x_axis.high - x_axis.low, y_axis.high - y_axis.low
-    height = min(max(round(width * y_range / x_range), min_height), max_height)
-    length_per_point = max(x_range / width, y_range / height)
-    plotted_steps = np.round(steps[-view.limits.n_shapes :], 4) + 0.0
+    scale, width = view.choose_scale("displacement"), _SMALL_PLOT_SIZE[0]
+    names, points = ("Along the specimen", "Deflection"), np.vstack(point_sets)
+    x_axis, y_axis = plots.make_axes_to_scale(names, scale, points, min_aspect=0.3, margin=0.03)
+    length_per_point = (x_axis.high - x_axis.low) / width
+    height = math.ceil((y_axis.high - y_axis.low) / length_per_point)
+    axes = x_axis, replace(y_axis, high=y_axis.low + length_per_point * height)
+    plotted_steps = np.round(steps[-n_shapes:], 4) + 0.0
     deflections = ", ".join(f"{deflection * scale.factor:.2g}" for deflection in plotted_steps)
-    axes = _widen(x_axis, length_per_point * width), _widen(y_axis, length_per_point * height)
     caption = f"Markers at {deflections} {scale.unit} of the first loading, at equal axis scale."
     title = f"Shapes of {wording.write_count(len(lines), 'sample')} of"
     layout: dict[str, Any] = {"size": (width, height), "is_to_scale": True}
-    yield view.make_plot("shapes", axes, lines, title, caption=caption, **layout)
+    yield _make_plot(view, "shapes", axes, lines, title, caption=caption, **layout)
 
 
-def _widen(axis: Axis, width: float) -> Axis:
-    """Widen an axis about its middle to a range of `width`, SI."""
-    middle = 0.5 * (axis.low + axis.high)
-    return replace(axis, low=middle - 0.5 * width, high=middle + 0.5 * width)
-
-
-def _make_moment_plots(view: _GroupView) -> Iterator[Plot]:
+def _make_moment_plots(view: GroupView) -> Iterator[Plot]:
     """Yield the plot of the measured laws; with few samples, areas show their 95 % intervals."""
-    areas, lines = [], []
-    n_laws = sum(plotted.sample.law is not None for plotted in view.plotted_samples)
-    for plotted in view.plotted_samples:
-        law = plotted.sample.law
+    areas, lines, max_detailed_laws = [], [], 6
+    n_laws = sum(test.sample.law is not None for test in view.tests)
+    for test in view.tests:
+        law = test.sample.law
         if law is None:
             continue
-        x, colour = law.curvature, plotted.colour
-        lines.append(Line(f"curve {colour}", x, law.moment, plotted.number))
-        if n_laws <= _MAX_DETAILED_SAMPLES:
+        x, colour = law.curvature, test.colour
+        lines.append(Line(f"curve {colour}", x, law.moment, test.number))
+        if n_laws <= max_detailed_laws:
             band = plots.make_area(f"band {colour}", x, law.moment_lower, law.moment_upper)
-            areas.append(replace(band, test=plotted.number))
+            areas.append(replace(band, test=test.number))
     if not lines:
         return
     all_lines = [*areas, *lines]
-    x_axis = plots.make_axis("Curvature", view.find_scale("curvature"), [line.x for line in lines])
+    x_axis = plots.make_axis(
+        "Curvature", view.choose_scale("curvature"), [line.x for line in lines]
+    )
     moments = [line.y for line in all_lines]
-    y_axis = plots.make_axis("Bending moment", view.find_scale("moment"), moments)
-    title, legend = "Bending moment against curvature of", _make_legend(view, lines)
+    y_axis = plots.make_axis("Bending moment", view.choose_scale("moment"), moments)
+    title = "Bending moment against curvature of"
     caption = "Measured from the shapes, first loading."
     caption += " Area: 95 % interval of each sample." if areas else ""
     axes = x_axis, y_axis
-    yield view.make_plot("moment", axes, all_lines, title, legend=legend, caption=caption)
+    yield _make_plot(view, "moment", axes, all_lines, title, hidden=("band",), caption=caption)
 
 
-def _make_scaled_plots(view: _GroupView) -> Iterator[Plot]:
+def _make_scaled_plots(view: GroupView) -> Iterator[Plot]:
     """Yield the plot of force over the peak force of each sample."""
     band, curves = view.group.band_scaled, []
     if band is None:
         return
-    for plotted in view.plotted_samples:
-        peak, curve = plotted.find_value("peak_force.1"), plotted.first_loading
+    for test in view.tests:
+        peak, curve = test.find_value("peak_force.1"), test.first_loading
         if curve is not None and peak:
-            look, force_ratio = f"curve {plotted.colour}", curve.force / peak
-            n_points, number = view.limits.n_scaled, plotted.number
+            look, force_ratio = f"curve {test.colour}", curve.force / peak
+            n_points, number = _choose_point_count(view) // 4, test.number
             curves.append(_make_curve_line(look, curve, force_ratio, number, n_points))
     lines = [*list(make_band_lines(band))[:1], *curves, *make_mean_lines(band)]
     if not lines:
         return
-    x = plots.make_axis("Displacement", view.find_scale("displacement"), [line.x for line in lines])
+    x = plots.make_axis(
+        "Displacement", view.choose_scale("displacement"), [line.x for line in lines]
+    )
     force_ratios = [line.y for line in curves]
     y = _make_force_axis("Force / peak force", plots.PLAIN_NUMBER, force_ratios, band)
     mean, caption = f"mean of {band.n} {band.members}", format_sentence("report.scaled_caption")
     title = "Force over peak force against displacement of"
-    yield view.make_plot("scaled", (x, y), lines, title, mean=mean, caption=caption)
+    yield _make_plot(view, "scaled", (x, y), lines, title, mean=mean, caption=caption)
 
 
 def _make_number_plots(group: Group) -> Iterator[Plot]:
@@ -478,7 +408,7 @@ def _make_number_plots(group: Group) -> Iterator[Plot]:
             limit = 1.0 if number.name == PEAK_OVER_LIMIT else group.lot.limit
             lines.append(plots.make_vertical_line("limit", nan if limit is None else limit))
         yield Plot(
-            make_dot_axis(number.name, wording.find_number_scale(group, number), lines),
+            make_dot_axis(number.name, wording.choose_number_scale(group, number), lines),
             Axis(low=0.5 - len(rows), high=0.5, row_names=tuple(rows)),
             lines,
             legend=list_key_entries(lines, hidden=("interval",)),

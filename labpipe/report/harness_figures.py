@@ -15,7 +15,6 @@ from labpipe.records.curve import Interval
 from labpipe.records.harness_bundle import BundleModel, FrictionFit
 from labpipe.report import plot_records as plots
 from labpipe.report.figure_page import DASHED, sample_colour_map
-from labpipe.report.issues import join_sentences
 from labpipe.report.plot_records import Axis, Line, Page, Plot, make_line
 from labpipe.report.wire_report import (
     FORCE,
@@ -24,7 +23,7 @@ from labpipe.report.wire_report import (
     STIFFNESS_SCALE,
     make_curvature_axis,
 )
-from labpipe.report.wording import write_number
+from labpipe.report.wording import join_sentences, write_number
 
 FIGURE, SWEEP_FIGURE = "harness", "harness-sweep"
 """Names of the figures and their files, without the ending."""
@@ -140,7 +139,6 @@ def make_view(harness: DrawnHarness, view: str) -> Plot:
     -------
     A plot in which the line of the last step is coloured by its bend radius.
     """
-    min_aspect = 0.12  # smallest half side of the view, relative to the longest side of the lines
     axes, marks, (*earlier_shapes, last_shape) = list(_VIEWS[view]), harness.marks, harness.shapes
     positions = np.vstack([shape.positions for shape in harness.shapes])
     extent = float(np.max(np.ptp(positions, axis=0)))
@@ -159,12 +157,8 @@ def make_view(harness: DrawnHarness, view: str) -> Plot:
             lines += _plot_mark(mark, extent, axes, label)
     mark_points = [points for mark in marks for points in (mark.position[None], mark.path)]
     shown_points = np.vstack([positions, *mark_points])[:, axes]
-    middle = 0.5 * (shown_points.max(axis=0) + shown_points.min(axis=0))
-    half_sides = np.maximum(0.6 * np.ptp(shown_points, axis=0), min_aspect * extent)
-    x, y = (
-        Axis("xyz"[axis], LENGTH_SCALE, *ends)
-        for axis, *ends in zip(axes, middle - half_sides, middle + half_sides, strict=True)
-    )
+    names = ["xyz"[axis] for axis in axes]
+    x, y = plots.make_axes_to_scale(names, LENGTH_SCALE, shown_points, min_aspect=0.24)
     return Plot(x, y, lines, f"From the {view}", is_to_scale=True)
 
 
@@ -283,7 +277,7 @@ def make_sweep_page(sweep: DrawnSweep) -> Page:
             look: dict[str, Any] = {"color": colour, "linestyle": DASHED if is_doubtful else "-"}
             lines.append(make_line("line_of_length", *positions[:, axes].T, label=label, **look))
     x, y = (Axis("xyz"[axis], LENGTH_SCALE) for axis in axes)
-    reason = "" if lines else "No line was found for any length."
+    reason = "No line was found for any length."
     shape_plot = Plot(x, y, lines, f"From the {view}, by length", reason=reason, is_to_scale=True)
     title = f"{sweep.name}  ·  length against bend radius"
     panels = [shape_plot, _make_sweep_plot(sweep)]

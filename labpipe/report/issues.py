@@ -91,28 +91,10 @@ def find_issues(campaign: Campaign) -> tuple[Issue, ...]:
         issues += _list_number_issues(group)
         if not group.samples and not group.notes:
             reason = group.band.reason or Reason("empty_group", "no sample in this group")
-            text, topic = write_sentence(reason.message), "empty group"
+            text, topic = wording.write_sentence(reason.message), "empty group"
             issues.append(Issue(Kind.WARNING, group.name, (), topic, text, reason.code))
         issues += _list_note_issues(group.name, (), group.notes)
     return tuple(sorted(issues, key=lambda issue: order.index(issue.kind)))
-
-
-def write_sentence(message: str) -> str:
-    """Turn a message into a sentence; the labels of results replace their names.
-
-    Examples
-    --------
-    >>> write_sentence("the branch ends at 4.2 mm")
-    'The branch ends at 4.2 mm.'
-    """
-    text = wording.replace_names(message)
-    full_stop = "" if not text or text.endswith((".", "?", "!")) else "."
-    return text[:1].upper() + text[1:] + full_stop
-
-
-def join_sentences(reasons: Iterable[Reason | QualityNote | None]) -> str:
-    """Join the sentences of reasons or notes, each once; None is skipped."""
-    return " ".join(dict.fromkeys(write_sentence(reason.message) for reason in reasons if reason))
 
 
 def _join_codes(reasons: Iterable[Reason]) -> str:
@@ -139,9 +121,9 @@ def _list_sample_issues(group: Group, sample: Sample) -> Iterator[Issue]:
             results_by_reason.setdefault((kind, result.reasons), []).append(result)
     for (kind, reasons), results in results_by_reason.items():
         names = tuple(result.name for result in results)
-        labels, reason = "; ".join(map(wording.write_label, names)), join_sentences(reasons)
+        labels, reason = "; ".join(map(wording.write_label, names)), wording.join_sentences(reasons)
         yield Issue(kind, group.name, tests, labels, reason, _join_codes(reasons), names)
-    length, force = wording.find_units(wording.find_display(group), "displacement", "force")
+    length, force = wording.get_scales(wording.get_display(group), "displacement", "force")
     for slip in sample.slips:
         position = wording.write_number(slip.position, slip.position_interval, length.factor)
         drop = wording.write_number(slip.drop, slip.drop_interval, force.factor)
@@ -165,9 +147,9 @@ def _list_number_issues(group: Group) -> Iterator[Issue]:
         label, names = wording.write_label(number.name), (number.name,)
         for test, reasons in number.left_out.items():
             if (test, number.name) not in failed_results:
-                reason, codes = join_sentences(reasons), _join_codes(reasons)
+                reason, codes = wording.join_sentences(reasons), _join_codes(reasons)
                 yield Issue(Kind.LEFT_OUT, group.name, (test,), label, reason, codes, names)
-        scale = wording.find_number_scale(group, number)
+        scale = wording.choose_number_scale(group, number)
         for outlier in number.outliers:
             value = wording.write_number(outlier.value, None, scale.factor).value
             reason = f"{value} {scale.unit}".strip() + (
@@ -206,7 +188,7 @@ def _list_note_issues(
             group,
             tests or tuple(dict.fromkeys(test for note in members for test in note.tests)),
             "; ".join(wording.replace_names(note.where) for note in members),
-            " ".join(dict.fromkeys(write_sentence(note.message) for note in members)),
+            " ".join(dict.fromkeys(wording.write_sentence(note.message) for note in members)),
             code,
         )
 
@@ -281,7 +263,7 @@ class Cause:
         return f"{reasons[0]}{suffix}"
 
 
-def find_causes(campaign: Campaign) -> list[Cause]:
+def find_causes(campaign: Campaign) -> tuple[list[Cause], list[Cause]]:
     """Group issues by cause and rank them by their effect on a number.
 
     Parameters
@@ -290,33 +272,27 @@ def find_causes(campaign: Campaign) -> list[Cause]:
 
     Returns
     -------
-    Causes in the order of decreasing effect; causes of unknown effect are last. Causes of equal
-    effect are in the order of `Kind`. Notes without consequences are not included (`find_notes`).
+    causes : causes in the order of decreasing effect; causes of unknown effect are last. Causes of
+        equal effect are in the order of `Kind`
+    notes : notes without consequences, grouped by code, the most frequent first
     """
     groups = {group.name: group for group in campaign.groups}
-    issues = (issue for issue in find_issues(campaign) if issue.kind is not Kind.NOTE)
-    causes = _group_by_cause(issues)
-    causes = [replace(cause, effect=_find_effect(cause, groups)) for cause in causes]
-    return sorted(causes, key=lambda cause: -cause.effect.size if cause.effect else inf)
-
-
-def find_notes(campaign: Campaign) -> list[Cause]:
-    """Group the notes without consequences by code, the most frequent first.
-
-    Parameters
-    ----------
-    campaign : content of the report
-    """
-    notes = (issue for issue in find_issues(campaign) if issue.kind is Kind.NOTE)
-    return sorted(_group_by_cause(notes), key=lambda cause: len(cause.issues), reverse=True)
+    causes, notes = [], []
+    for cause in _group_by_cause(find_issues(campaign)):
+        if cause.kind is Kind.NOTE:
+            notes.append(cause)
+        else:
+            causes.append(replace(cause, effect=_find_effect(cause, groups)))
+    causes.sort(key=lambda cause: -cause.effect.size if cause.effect else inf)
+    return causes, sorted(notes, key=lambda note: len(note.issues), reverse=True)
 
 
 def _group_by_cause(issues: Iterable[Issue]) -> list[Cause]:
     """Group issues of the same kind with a common code; all slips have one cause."""
     clusters: list[tuple[Kind, set[str], list[Issue]]] = []
     for issue in issues:
-        codes = {code for code in issue.code.split(", ") if code}
-        codes |= {Kind.SLIP} if issue.kind is Kind.SLIP else set()
+        text = issue.kind if issue.kind is Kind.SLIP else issue.code
+        codes = {str(code) for code in text.split(", ") if code}
         for kind, cluster_codes, members in clusters:
             if kind is issue.kind and codes & cluster_codes:
                 cluster_codes.update(codes)

@@ -1,31 +1,32 @@
-"""Write the report of a campaign to a folder: its page, its workbook and, on request, figures."""
+"""Write the report of a campaign to a folder (page, workbook, figures), and the page of a test."""
 
 from __future__ import annotations
 
+import base64
+import hashlib
 import json
-from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import groupby
-from math import isfinite
+from importlib.resources import files
+from io import BytesIO
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from markupsafe import Markup
 
-from labpipe.records.group import Campaign, Group, GroupNumber, MeanInterval, Verdict
-from labpipe.records.result import Result
+from labpipe.errors import UsageError
+from labpipe.records.group import Campaign, Group, GroupNumber, MeanInterval
+from labpipe.records.result import Result, Status, TestResult
 from labpipe.report import comparisons, page_tables, wording
-from labpipe.report.comparisons import Pair, list_single_field_pairs
-from labpipe.report.figure_page import convert_write_errors, save_pages
-from labpipe.report.group_plots import find_first_loading, list_group_figures, make_group_plots
-from labpipe.report.html_pages import compute_hash, fill_template, make_style, read_part
+from labpipe.report import plot_records as plots
+from labpipe.report.figure_page import convert_write_errors, encode_figure, save_pages, use_style
+from labpipe.report.figures import FIGURES, is_for_journal
+from labpipe.report.group_plots import list_group_figures, make_group_plots
 from labpipe.report.issues import Cause, Kind, find_causes
-from labpipe.report.page_tables import PageTest, PageTests, compute_report_id, list_samples
-from labpipe.report.plot_records import clip_range, make_mean_strip, simplify_line, write_sparkline
+from labpipe.report.page_tables import GroupView, PageTest, compute_report_id, list_samples
 from labpipe.report.report_workbook import save_workbook
-from labpipe.report.table_records import DASH, Cell, Table
-from labpipe.statistics.group_samples import make_field_sort_key
+from labpipe.report.table_records import DASH, Cell, Record, Table, sort_notes, tabulate
+from labpipe.statistics.lots import judge_results
 
 PAGE_FILE, TABLES_FILE, FIGURES_FOLDER = "report.html", "tables.xlsx", "figures"
 SCRIPTS = ("page_tables.js", "page_plots.js", "page_decisions.js")
@@ -72,18 +73,15 @@ def write_report(
             path.write_text(wording.replace_unprintable(text), encoding="utf-8")
         save_workbook(campaign, folder / TABLES_FILE)
         if formats:
-            settings: dict[str, Any] = {
-                "png": "png" in formats,
-                "pdf": "pdf" in formats,
-                "dpi": 200,
-            }
-            figures_folder, drawn_pages = folder / FIGURES_FOLDER, _list_figures(campaign)
-            figures = save_pages(drawn_pages, figures_folder, is_journal=is_journal, **settings)
+            figures = save_pages(
+                _list_figures(campaign), folder / FIGURES_FOLDER, png="png" in formats,
+                pdf="pdf" in formats, dpi=200, is_journal=is_journal,
+            )  # fmt: skip
     page_file, *test_page_files = (folder / name for name in pages)
     return [page_file, folder / TABLES_FILE, *test_page_files, *figures]
 
 
-def _list_figures(campaign: Campaign) -> Iterator[Any]:
+def _list_figures(campaign: Campaign) -> Iterator[plots.Page]:
     """Yield the figures of each group, and those of comparisons."""
     stems = page_tables.make_stems(group.name for group in campaign.groups)
     for group, stem in zip(campaign.groups, stems, strict=True):
@@ -113,10 +111,19 @@ def render_page(
     An HTML document that needs no other file and no network. It can be read and printed without its
     script. All texts of the campaign are escaped.
     """
-    stems = page_tables.make_stems(group.name for group in campaign.groups)
-    groups, tests = dict(zip(stems, campaign.groups, strict=True)), PageTests(campaign, stems)
-    report_id, script = compute_report_id(campaign), read_page_script()
-    samples = list_samples(campaign)
+    max_answers, max_decisions, min_groups = 8, 4, 3
+    n_screen_lines, lines_per_decision = 26, 2  # on a screen of 900 pixels, below the letterhead
+    groups, tests = page_tables.arrange_tests(campaign)
+    (causes, notes), questions = find_causes(campaign), comparisons.list_questions(campaign)
+    open_decisions = find_open_decisions(causes, tests)
+    n_answers = min(len(questions), max_answers)
+    n_decisions = min(len(open_decisions), max_decisions)
+    max_group_rows = max(n_screen_lines - n_answers - lines_per_decision * n_decisions, min_groups)
+    report_id, script, samples = (
+        compute_report_id(campaign),
+        read_page_script(),
+        list_samples(campaign),
+    )
     protocols = ", ".join(sorted({group.protocol for group in campaign.groups})) or "none"
     origin = [report_id, str(campaign.made_on or ""), f"labpipe {campaign.labpipe_version}".strip()]
     facts = [
@@ -125,6 +132,7 @@ def render_page(
         ("Report", ", ".join(filter(None, origin))),
         ("Protocols", protocols),
     ]
+    footer = f"{campaign.title}  \u00b7  report {report_id}"
     return fill_template(
         "lab_report.html",
         campaign=campaign,
@@ -132,167 +140,79 @@ def render_page(
         script=script,
         script_hash=compute_hash(script),
         page_data=write_page_data(campaign, report_id=report_id),
-        **make_style(
-            f"{campaign.title}  \u00b7  report {report_id}", read_part("page_answers.css")
-        ),
+        **make_style(footer, read_part("page_answers.css")),
         pages=has_test_pages,
         logo=logo,
         facts=facts,
         protocols=protocols,
+        counts=describe_campaign(campaign, open_decisions),
         samples=samples,
         groups=groups,
+        stems={view.group.name: view.stem for view in groups},
         tests=tests,
+        questions=questions,
+        blocks=_list_key_blocks(groups, max_group_rows),
+        open_decisions=open_decisions,
+        folds={"answers": n_answers, "decisions": n_decisions},
+        causes=causes,
+        notes=notes,
         tables=page_tables,
+        comparisons=comparisons,
+        wording=wording,
         make_group_plots=make_group_plots,
-        has_bundles=any(sample.specimen.bundle is not None for sample in samples),
-        remarks_on_pairs=comparisons.list_pair_remarks(campaign),
-        **_make_first_screen(campaign, groups, tests),
     )
 
 
-def _make_first_screen(
-    campaign: Campaign, groups: Mapping[str, Group], tests: PageTests
-) -> dict[str, Any]:
-    """Return the contents of the first screen: counts, answers, numbers, decisions and causes."""
-    max_answers, max_decisions, min_groups = 8, 4, 3
-    n_screen_lines, lines_per_decision = 26, 2  # on a screen of 900 pixels, below the letterhead
-    causes, questions = find_causes(campaign), list(_list_questions(campaign, groups))
-    open_decisions = find_open_decisions(causes, tests)
-    n_answers = min(len(questions), max_answers)
-    n_decisions = min(len(open_decisions), max_decisions)
-    max_group_rows = max(n_screen_lines - n_answers - lines_per_decision * n_decisions, min_groups)
-    return {
-        "counts": describe_campaign(campaign, open_decisions),
-        "questions": questions,
-        "blocks": _limit_rows(_list_key_blocks(groups), max_group_rows),
-        "open_decisions": open_decisions,
-        "folds": {"answers": n_answers, "decisions": n_decisions},
-        "causes": causes,
-    }
+def _list_key_blocks(groups: Sequence[GroupView], max_rows: int) -> list[dict[str, Any]]:
+    """List a block for the groups whose first numbers have common headings.
 
-
-def _list_questions(campaign: Campaign, groups: Mapping[str, Group]) -> Iterator[dict[str, Any]]:
-    """Yield the comparisons of groups that differ in one field, field by field.
-
-    Yields
-    ------
-    ``field`` and its ``name``; ``question``; ``verdict``, or the count of each verdict if there are
-    several pairs; ``difference`` and ``counts`` of the pair that differs most; ``answers``, the
-    table of all pairs; ``plots``, the plots of each family with its common fields; ``tables`` and
-    ``notes`` of all pairs.
+    Returns
+    -------
+    For each block: ``heads``, the headings of the numbers; ``rows``, with the ``view`` of each
+    group, ``strip`` of the first number, ``cells`` of the first numbers, and the curve as a
+    sparkline, ``spark``; ``n_shown``, the number of rows that the page shows before it is unfolded,
+    `max_rows` in all blocks.
     """
-    families = comparisons.find_families(campaign)
-    stems = {group.name: stem for stem, group in groups.items()}
-    answer_heads = ("Comparison", "Verdict", "Difference (95 %, corrected)", "n")
-    for field, pairs_of_field in groupby(
-        list_single_field_pairs(campaign), key=lambda pair: pair.field
-    ):
-        pairs, name = list(pairs_of_field), comparisons.name_field(field)
-        answers = [comparisons.make_answer(pair) for pair in pairs]
-        pair_tables = [comparisons.make_pair_table(pair) for pair in pairs]
-        most_different = pairs.index(max(pairs, key=_compute_pair_rank))
-        question, verdict, difference, counts = answers[most_different]
-        if len(pairs) > 1:
-            values = {value for pair in pairs for value in pair.differences[0].fields[field]}
-            sorted_values = sorted(values, key=lambda value: make_field_sort_key(field, value))
-            question = Cell(f"{name}: {', '.join(sorted_values)}")
-            n_pairs = Counter(pair.differences[0].verdict for pair in pairs)
-            texts = [f"{str(kind).upper()} {n_pairs[kind]}" for kind in Verdict if n_pairs[kind]]
-            verdict = Cell(", ".join(texts))
-            difference += f", largest of {len(pairs)} pairs"
-        yield {
-            "field": field,
-            "name": name,
-            "question": question.text,
-            "verdict": verdict.text,
-            "difference": difference,
-            "counts": counts,
-            "answers": Table(f"Verdicts: {name}", answer_heads, answers),
-            "plots": [
-                (
-                    comparisons.describe_context(family.groups, field),
-                    comparisons.make_family_plots(family, stems),
-                )
-                for family in families
-                if family.field == field
-            ],
-            "tables": [replace(table, notes=()) for table in pair_tables],
-            "notes": list(dict.fromkeys(note for table in pair_tables for note in table.notes)),
-        }
-
-
-def _compute_pair_rank(pair: Pair) -> tuple[bool, float]:
-    """Compute a rank that is higher for different groups, then for a larger difference."""
-    difference = pair.differences[0]
-    size = difference.change if difference.change is not None else difference.difference.mean
-    return difference.verdict is Verdict.DIFFERENT, abs(size) if isfinite(size) else 0.0
-
-
-class KeyBlock(NamedTuple):
-    """Groups on the first screen whose numbers have common headings.
-
-    Parameters
-    ----------
-    heads : headings of the numbers; empty if each cell names its number
-    rows : row of each group: ``name``, ``stem`` of its links, number ``n`` of samples, ``strip`` of
-        the first number, ``cells`` of the first numbers, and its curve as a sparkline, ``spark``
-    """
-
-    heads: Sequence[str]
-    rows: Sequence[dict[str, Any]]
-
-
-def _list_key_blocks(groups: Mapping[str, Group]) -> list[KeyBlock]:
-    """List a block for the groups with the same numbers, and a last block for other groups."""
-    members_by_heads: dict[tuple[tuple[str, str], ...], list[tuple[Group, str]]] = {}
-    for protocol in dict.fromkeys(group.protocol for group in groups.values()):
-        members = [(group, stem) for stem, group in groups.items() if group.protocol == protocol]
-        members_by_heads.setdefault(_find_key_heads(members), []).extend(members)
-    blocks, other_rows = list[KeyBlock](), list[dict[str, Any]]()
+    members_by_heads: dict[tuple[tuple[str, str], ...], list[GroupView]] = {}
+    for protocol in dict.fromkeys(view.group.protocol for view in groups):
+        members = [view for view in groups if view.group.protocol == protocol]
+        members_by_heads.setdefault(_list_key_heads(members), []).extend(members)
+    blocks = []
     for heads, members in members_by_heads.items():
-        if len(members) > 1 or len(members_by_heads) == 1:
-            rows = _list_key_rows(members, dict(heads), has_heads=True)
-            blocks.append(KeyBlock([text for _, text in heads], rows))
-        else:
-            other_rows += _list_key_rows(members, dict(heads), has_heads=False)
-    return [*blocks, *([KeyBlock((), other_rows)] if other_rows else [])]
+        rows, n_shown = _list_key_rows(members, dict(heads)), min(len(members), max(max_rows, 0))
+        blocks.append({"heads": [text for _, text in heads], "rows": rows, "n_shown": n_shown})
+        max_rows -= n_shown + 1
+    return blocks
 
 
-def _find_key_heads(groups: Sequence[tuple[Group, str]]) -> tuple[tuple[str, str], ...]:
-    """Find names and headings of the first numbers of groups of one protocol."""
+def _list_key_heads(groups: Sequence[GroupView]) -> tuple[tuple[str, str], ...]:
+    """List names and headings of the first numbers of groups of one protocol."""
     n_numbers = 3
     heads: dict[str, str] = {}
-    for group, _ in groups:
+    for group, *_ in groups:
         for number in wording.list_key_numbers(group):
-            scale = wording.find_number_scale(group, number)
+            scale = wording.choose_number_scale(group, number)
             heads.setdefault(number.name, wording.write_heading(number.name, scale))
     return tuple(heads.items())[:n_numbers]
 
 
-def _list_key_rows(
-    groups: Sequence[tuple[Group, str]], heads: Mapping[str, str], *, has_heads: bool
-) -> list[dict[str, Any]]:
+def _list_key_rows(groups: Sequence[GroupView], heads: Mapping[str, str]) -> list[dict[str, Any]]:
     """List the rows of groups; the strips of the first number have a common scale."""
-    numbers = [_find_averaged_number(group, next(iter(heads), "")) for group, _ in groups]
+    numbers = [_find_averaged_number(view.group, next(iter(heads), "")) for view in groups]
     means = [number.mean.chosen for number in filter(None, numbers)]
     intervals = [mean.interval for mean in means if mean.interval is not None]
     ends = [end for interval in intervals for end in (interval.lower, interval.upper)]
-    strip_ends = clip_range([mean.mean for mean in means], ends, 1.0)
-    rows = []
-    for (group, stem), first_number in zip(groups, numbers, strict=True):
+    strip_ends, rows = plots.clip_range([mean.mean for mean in means], ends, 1.0), []
+    for view, first_number in zip(groups, numbers, strict=True):
         strip = None
-        if has_heads and first_number is not None:
-            interval, mean = _find_source(first_number).interval, first_number.mean.chosen.mean
-            strip = make_mean_strip(strip_ends, interval, mean)
-        cells = [_make_key_cell(group, name, has_label=not has_heads) for name in heads]
-        rows.append({
-            "name": group.name,
-            "stem": stem,
-            "n": len(group.samples),
-            "strip": strip,
-            "cells": cells,
-            "spark": _write_mean_curve(group),
-        })  # fmt: skip
+        if first_number is not None:
+            interval, mean = (
+                _choose_interval_source(first_number).interval,
+                first_number.mean.chosen.mean,
+            )
+            strip = plots.make_mean_strip(strip_ends, interval, mean)
+        cells, spark = [_make_key_cell(view.group, name) for name in heads], _write_mean_curve(view)
+        rows.append({"view": view, "strip": strip, "cells": cells, "spark": spark})
     return rows
 
 
@@ -302,51 +222,38 @@ def _find_averaged_number(group: Group, name: str) -> GroupNumber | None:
     return number if number is not None and number.values else None
 
 
-def _find_source(number: GroupNumber) -> MeanInterval | Result:
-    """Return the mean, or the result of the only test if the mean has no interval."""
+def _choose_interval_source(number: GroupNumber) -> MeanInterval | Result:
+    """Choose the mean, or the result of the only test if the mean has no interval."""
     mean = number.mean.chosen
     is_one_test = mean.interval is None and len(number.values) == 1
     return next(iter(number.values.values())) if is_one_test else mean
 
 
-def _make_key_cell(group: Group, name: str, *, has_label: bool) -> Cell:
-    """Make the cell of the mean of a number, with its label and unit if there is no heading."""
+def _make_key_cell(group: Group, name: str) -> Cell:
+    """Make the cell of the mean of a number."""
     number = _find_averaged_number(group, name)
     if number is None:
         return Cell(DASH, tip="no sample has this number")
-    mean, source = number.mean.chosen, _find_source(number)
-    scale = wording.find_number_scale(group, number)
+    mean, source = number.mean.chosen, _choose_interval_source(number)
+    scale = wording.choose_number_scale(group, number)
     tip = "" if source is mean else "one test: uncertainty of its measurement"
     if (estimate := source.distinct_estimate) is not None:
         written = wording.write_number(mean.mean, source.interval, scale.factor, estimate=estimate)
         tip += f"{'; ' * bool(tip)}interval of the estimate {written.estimate}"
-    text = wording.write_with_interval(mean.mean, source.interval, scale.factor)
-    if not has_label:
-        return Cell(text, tip=tip)
-    with_unit = f"{text} {scale.unit}".strip()
-    return Cell(with_unit, subtext=wording.write_label(name), tip=tip)
+    return Cell(wording.write_with_interval(mean.mean, source.interval, scale.factor), tip=tip)
 
 
-def _write_mean_curve(group: Group) -> str:
+def _write_mean_curve(view: GroupView) -> str:
     """Write the mean curve of a group, or its first curve without a mean, as a sparkline."""
-    x, y = group.band.displacement, group.band.mean
-    if group.band.n < 2 or not len(x):
-        curve = next(filter(None, map(find_first_loading, group.samples)), None)
+    band = view.group.band
+    x, y = band.displacement, band.mean
+    if band.n < 2 or not len(x):
+        curve = next((test.first_loading for test in view.tests if test.first_loading), None)
         if curve is None:
             return ""
         x, y = curve.displacement, curve.force
-    rows = simplify_line(x, y, max_points=24, tolerance=0.01)
-    return write_sparkline(x[rows], y[rows])
-
-
-def _limit_rows(blocks: Iterable[KeyBlock], max_rows: int) -> list[tuple[KeyBlock, int]]:
-    """Return each block with the number of its rows that the page shows before it is unfolded."""
-    limited_blocks = []
-    for block in blocks:
-        n_rows = min(len(block.rows), max(max_rows, 0))
-        limited_blocks.append((block, n_rows))
-        max_rows -= n_rows + 1
-    return limited_blocks
+    rows = plots.simplify_line(x, y, max_points=24, tolerance=0.01)
+    return plots.write_sparkline(x[rows], y[rows])
 
 
 class OpenDecision(NamedTuple):
@@ -356,7 +263,7 @@ class OpenDecision(NamedTuple):
     tests: tuple[PageTest, ...]
 
 
-def find_open_decisions(causes: Iterable[Cause], tests: PageTests) -> list[OpenDecision]:
+def find_open_decisions(causes: Iterable[Cause], tests: Iterable[PageTest]) -> list[OpenDecision]:
     """Find the causes that require a decision: failed, doubtful or marked as outliers.
 
     Parameters
@@ -368,7 +275,7 @@ def find_open_decisions(causes: Iterable[Cause], tests: PageTests) -> list[OpenD
     -------
     The causes in the same order, each with at least one test that has no decision.
     """
-    decisions, tests_by_name = [], {test.sample.test: test for test in tests.all_tests}
+    decisions, tests_by_name = [], {test.sample.test: test for test in tests}
     for cause in causes:
         names = dict.fromkeys(name for issue in cause.issues for name in issue.tests)
         affected_tests = filter(None, map(tests_by_name.get, names))
@@ -422,3 +329,218 @@ def write_page_data(campaign: Campaign, *, report_id: str) -> Markup:
     # JSON is escaped to ASCII, because a name may contain a lone surrogate
     text = json.dumps(data, separators=(",", ":")).replace("&", r"\u0026")
     return Markup(text.replace("<", r"\u003c").replace(">", r"\u003e"))
+
+
+def fill_template(template: str, **values: Any) -> str:
+    """Fill the template of a page; all texts except `Markup` are escaped.
+
+    Parameters
+    ----------
+    template : name of the file, or the text of a template, which contains a brace
+    values : values of all variables of the template
+    """
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+    environment = Environment(
+        loader=FileSystemLoader(Path(__file__).parent),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+    )
+    is_text = "{" in template
+    page = environment.from_string(template) if is_text else environment.get_template(template)
+    return page.render(**values)
+
+
+def read_part(name: str) -> str:
+    """Read a style or a script of pages."""
+    return (files("labpipe.report") / name).read_text(encoding="utf-8")
+
+
+def make_style(footer: str, extra_rules: str = "") -> dict[str, Markup]:
+    """Make the style sheet of a page, and its SHA-256 for the security policy.
+
+    Parameters
+    ----------
+    footer : text at the foot of each printed sheet
+    extra_rules : rules of this page only
+
+    Returns
+    -------
+    ``style`` and ``style_hash`` for the template of the page.
+    """
+    rules = read_part("page_looks.css").replace("var(--footer)", write_css_string(footer))
+    rules += extra_rules
+    return {"style": Markup(rules), "style_hash": compute_hash(rules)}
+
+
+def compute_hash(text: str) -> Markup:
+    """Compute the SHA-256 of a style or a script for the security policy of the page.
+
+    Parameters
+    ----------
+    text : text of the style or the script, as it is in the page
+    """
+    digest = hashlib.sha256(wording.replace_unprintable(text).encode()).digest()
+    return Markup(f"'sha256-{base64.b64encode(digest).decode()}'")
+
+
+def write_css_string(text: str) -> str:
+    """Write a text as an escaped string of a style sheet.
+
+    Parameters
+    ----------
+    text : any text; ASCII letters and digits are kept, all other characters are escaped
+    """
+    escaped = (
+        letter if letter.isascii() and letter.isalnum() else f"\\{ord(letter):x} "
+        for letter in wording.replace_unprintable(text)
+    )
+    return f'"{"".join(escaped)}"'
+
+
+def allow_own_server(page: str) -> str:
+    """Allow a page to connect to the server that sent it.
+
+    Parameters
+    ----------
+    page : HTML page of a report, whose policy forbids connections
+
+    Returns
+    -------
+    The page with a policy that allows connections to its own server. A page without a policy is
+    unchanged; its script saves decisions as a file.
+    """
+    head, policy, remainder = page.partition("connect-src 'none'")
+    return page if "<body" in head or not policy else f"{head}connect-src 'self'{remainder}"
+
+
+def read_logo(path: Path) -> str:
+    """Read the logo of a report.
+
+    Parameters
+    ----------
+    path : path of a PNG or JPEG file
+
+    Returns
+    -------
+    The picture as a ``data:`` address.
+
+    Raises
+    ------
+    UsageError
+        If the file cannot be read, has another format, is damaged or larger than 200 kB.
+    """
+    from PIL import Image, UnidentifiedImageError
+
+    max_kilobytes = 200
+    size = path.stat().st_size if path.is_file() else None
+    fault = "no file" if size is None else f"{size} bytes"
+    try:
+        if size is not None and size <= 1000 * max_kilobytes:
+            content = path.read_bytes()
+            picture = Image.open(BytesIO(content), formats=("PNG", "JPEG"))
+            picture.load()
+            kind = str(picture.format).lower()
+            return f"data:image/{kind};base64,{base64.b64encode(content).decode()}"
+    except UnidentifiedImageError:
+        fault = "a file of another format"
+    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+        fault = f"a file that cannot be read ({error})"
+    raise UsageError.about("report.logo", path, "", kilobytes=max_kilobytes, fault=fault)
+
+
+def render_test(result: TestResult, *, report: str = "") -> str:
+    """Render the page of a test: facts, numbers, figures, notes and exports.
+
+    Parameters
+    ----------
+    result : result of the test, with the names of the figures to draw
+    report : identifier of the report that links to the page; empty if there is none
+
+    Returns
+    -------
+    A self-contained HTML document without scripts.
+    """
+    exports = [(source.role, source.file, source.sha256) for source in result.inputs]
+    with use_style(is_journal=is_for_journal(result)):
+        figures = [
+            (encode_figure(FIGURES[name](result)), f"{name} of {result.test}")
+            for name in result.figures
+            if name in FIGURES
+        ]
+    return fill_template(
+        "single_test.html",
+        result=result,
+        report=report,
+        facts=_list_facts(result),
+        numbers=_make_number_table(result),
+        figures=figures,
+        notes=_make_note_table(result),
+        exports=Table("Exports", ("Role", "File", "SHA-256"), exports),
+        **make_style(" \u00b7 ".join(filter(None, [result.test, report and f"report {report}"]))),
+    )
+
+
+def _list_facts(result: TestResult) -> list[tuple[str, str]]:
+    specimen, length = result.specimen, wording.get_scale(result.display, "displacement")
+    sizes = specimen.dimensions.items()
+    texts = {name: f"{length.factor * size:.4g} {length.unit}" for name, size in sizes}
+    texts |= specimen.labels
+    dimensions = [f"{name.replace('_', ' ')} {text}" for name, text in texts.items()]
+    observations = [f"{name.replace('_', ' ')}: {text}" for name, text in specimen.observed.items()]
+    verdict = judge_results(result.results)
+    instruments = ", ".join(
+        f"{instrument.channel} {instrument.certificate} (calibrated {instrument.calibrated},"
+        f" {f'due {instrument.due}' if instrument.due else 'no due date'})"
+        for instrument in result.instruments
+    )
+    tested = f"{result.date or 'date not stated'} by {result.operator or 'operator not stated'}"
+    return [
+        ("Specimen", f"{specimen.type}, spool {specimen.spool}, sample {specimen.sample}"),
+        *([] if verdict is None else [("Verdict", verdict.text)]),
+        *([("Observed", "; ".join(observations))] if observations else []),
+        ("Dimensions", ", ".join(dimensions) or DASH),
+        ("Tested", tested),
+        ("Instruments", instruments or "no calibration certificate stated in the protocol"),
+        ("Protocol", result.protocol),
+        ("Run", f"{result.run[:16] or DASH}, labpipe {result.labpipe_version}"),
+    ]
+
+
+def _make_number_table(result: TestResult) -> Table:
+    rows: list[Record] = []
+    reason_above = ""
+    for number in result.results:
+        scale = wording.choose_scale(number.name, number.unit, result.display)
+        value = wording.write_result(number, scale.factor)
+        reason = wording.join_sentences(number.reasons)
+        rows.append({
+            "Number": Cell(wording.write_heading(number.name, scale), tip=number.name),
+            "Value, 95 %": Cell(value, mark="?" if number.status is Status.DOUBTFUL else ""),
+            "State": Cell(str(number.status), tip=", ".join(number.codes)),
+            "Why": "As above." if reason and reason == reason_above else reason,
+            "Largest causes of the interval": _list_largest_causes(number),
+        })  # fmt: skip
+        reason_above = reason
+    return tabulate("Numbers of this test", rows)
+
+
+def _list_largest_causes(number: Result) -> str:
+    """List up to three causes of at least 1 % of the variance, with their shares."""
+    n_causes, min_share = 3, 0.01
+    shares = sorted(zip(number.shares, number.budget, strict=True), key=lambda pair: -pair[0])
+    largest = [(share, entry) for share, entry in shares[:n_causes] if share >= min_share]
+    return "; ".join(f"{entry.cause} {100 * share:.0f} %" for share, entry in largest)
+
+
+def _make_note_table(result: TestResult) -> Table:
+    rows: list[Record] = [
+        {
+            "Where": Cell(wording.replace_names(note.where), tip=note.code),
+            "Kind": str(note.severity),
+            "Note": wording.write_sentence(note.message),
+        }
+        for _, note in sort_notes(("", note) for note in result.quality)
+    ]
+    return tabulate("Notes", rows, ("Where", "Kind", "Note"))

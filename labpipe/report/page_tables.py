@@ -6,78 +6,135 @@ import hashlib
 import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from functools import cached_property
 from math import isfinite, isnan, nan
-from typing import Any
+from typing import Any, NamedTuple
 from urllib.parse import quote
 
 from labpipe.messages import format_sentence
 from labpipe.records.causes import IS_COMMON
-from labpipe.records.group import Campaign, Group, GroupNumber, Lot, Sample
+from labpipe.records.group import Campaign, Group, GroupNumber, Lot, Sample, SampleCurve
 from labpipe.records.quality import Reason, Severity
 from labpipe.records.result import Instrument, Result, Status, find_result
-from labpipe.report import quality_figures, wording
-from labpipe.report.figure_page import split_pages
-from labpipe.report.issues import DECISIONS, Cause, find_notes, join_sentences
+from labpipe.report import budgets, wording
+from labpipe.report.figure_page import N_COLOURS, split_pages
+from labpipe.report.issues import DECISIONS, Cause
 from labpipe.report.plot_records import MeanStrip, clip_range, make_mean_strip
 from labpipe.report.table_records import DASH, Cell, Record, Table, tabulate
 from labpipe.statistics.group_samples import NOT_STATED, SPOOL, list_fields
 from labpipe.statistics.lots import FORCE_LIMIT, write_percent
+from labpipe.statistics.means import summarise_budget
+
+REJECTED = "rejected"
+"""State of a test that a person has rejected."""
 
 
-@dataclass(frozen=True, slots=True)
-class PageTest:
-    """A test on the page.
+class PageTest(NamedTuple):
+    """A test on the page of a report, or in a figure of its group.
 
     Parameters
     ----------
-    number : position in the table of tests, from 0
+    number : position in the table of tests, from 0; None in a figure
     sample : specimen and results of the test
-    stem : stem of the file names of its group; empty for a rejected test that matches no group
     state : ``ok``, ``doubtful``, ``failed`` or ``rejected``
+    group : group of the test; None for a rejected test that matches no group
+    stem : stem of the file names of the group; empty without a group
+    colour : class of the colour of its lines, such as ``c2``; empty for a rejected test
     rejection : reason, person and day of a rejection; empty for other tests
     """
 
-    number: int
+    number: int | None
     sample: Sample
-    stem: str
     state: str
+    group: Group | None = None
+    stem: str = ""
+    colour: str = ""
     rejection: str = ""
 
+    @property
+    def first_loading(self) -> SampleCurve | None:
+        """First loading curve that has points; None if there is none."""
+        return next((curve for curve in self.sample.loading if len(curve.displacement)), None)
 
-class PageTests:
-    """Tests of a report in the order of their numbers: group by group, rejected tests last.
+    def find_value(self, name: str) -> float | None:
+        """Find the value of a result; None if there is none."""
+        result = find_result(self.sample.results, name)
+        return None if result is None else result.value
+
+
+class GroupView(NamedTuple):
+    """A group on the page of a report, or in a figure.
+
+    Parameters
+    ----------
+    group : group of samples; may be empty
+    stem : stem of the addresses of its links; empty in a figure
+    tests : tests of the samples
+    rejected : rejected tests that match the group
+    """
+
+    group: Group
+    stem: str
+    tests: Sequence[PageTest]
+    rejected: Sequence[PageTest] = ()
+
+    @property
+    def is_detailed(self) -> bool:
+        """Whether each sample is distinguished in the plots of the group."""
+        max_detailed_samples = 6
+        return len(self.tests) <= max_detailed_samples
+
+    def choose_scale(self, quantity: str) -> wording.Scale:
+        """Get the display unit of a quantity in the group."""
+        return wording.get_scale(wording.get_display(self.group), quantity)
+
+
+def make_figure_group(group: Group) -> GroupView:
+    """Make the group of a figure, with a colour per spool, or per sample for few of one spool.
+
+    Parameters
+    ----------
+    group : group of samples; may be empty
+    """
+    page_group = GroupView(group, "", [PageTest(None, sample, "") for sample in group.samples])
+    spools = [sample.specimen.spool for sample in group.samples]
+    is_one_spool = len(set(spools)) == 1 and page_group.is_detailed
+    keys = range(len(spools)) if is_one_spool else spools
+    colours = {key: f"c{index % N_COLOURS}" for index, key in enumerate(dict.fromkeys(keys))}
+    pairs = zip(page_group.tests, keys, strict=True)
+    return page_group._replace(tests=[test._replace(colour=colours[key]) for test, key in pairs])
+
+
+def arrange_tests(campaign: Campaign) -> tuple[list[GroupView], list[PageTest]]:
+    """Arrange the tests of a report in groups and number them; rejected tests are last.
 
     Parameters
     ----------
     campaign : content of the report
-    stems : stem of the file names of each group
+
+    Returns
+    -------
+    The groups, and all tests in the order of their numbers.
     """
-
-    def __init__(self, campaign: Campaign, stems: Sequence[str]) -> None:
-        groups = list(zip(campaign.groups, stems, strict=True))
-        samples = [(sample, stem) for group, stem in groups for sample in group.samples]
-        included = [
-            PageTest(number, sample, stem, find_state(sample))
-            for number, (sample, stem) in enumerate(samples)
-        ]
-        stems_by_group = {group.name: stem for group, stem in groups}
-        rejected = []
-        for number, sample in enumerate(campaign.rejected_samples, start=len(included)):
-            stem = stems_by_group.get(find_group_of_rejected(sample, campaign), "")
-            rejection = campaign.rejected.get(sample.source, sample.decision)
-            rejected.append(PageTest(number, sample, stem, "rejected", rejection))
-        self.all_tests = (*included, *rejected)
-
-    @cached_property
-    def numbers_by_key(self) -> Mapping[str, int]:
-        """Positions of the tests in the table of tests, by the keys of `make_key`."""
-        return {make_key(test.sample): test.number for test in self.all_tests}
-
-    def list_rejected(self, stem: str) -> list[PageTest]:
-        """List the rejected tests of the group with this stem."""
-        return [test for test in self.all_tests if test.state == "rejected" and test.stem == stem]
+    stems = make_stems(group.name for group in campaign.groups)
+    stems_by_group = {group.name: stem for group, stem in zip(campaign.groups, stems, strict=True)}
+    tests: list[PageTest] = []
+    for group, stem in zip(campaign.groups, stems, strict=True):
+        for test in make_figure_group(group).tests:
+            state = combine_states(test.sample)
+            tests.append(test._replace(number=len(tests), state=state, group=group, stem=stem))
+    for sample in campaign.rejected_samples:
+        match = find_group_of_rejected(sample, campaign)
+        rejection = campaign.rejected.get(sample.source, sample.decision)
+        stem = "" if match is None else stems_by_group[match.name]
+        test = PageTest(len(tests), sample, REJECTED, match, stem, rejection=rejection)
+        tests.append(test)
+    groups = []
+    for group, stem in zip(campaign.groups, stems, strict=True):
+        members = [test for test in tests if test.stem == stem]
+        included = [test for test in members if test.state != REJECTED]
+        rejected = [test for test in members if test.state == REJECTED]
+        groups.append(GroupView(group, stem, included, rejected))
+    return groups, tests
 
 
 def make_stems(names: Iterable[str]) -> list[str]:
@@ -91,20 +148,15 @@ def make_stems(names: Iterable[str]) -> list[str]:
     stems: list[str] = []
     for name in names:
         ascii_name = re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")[:60] or "group"
-        stem, number = ascii_name, 1
+        stem, count = ascii_name, 1
         while stem in stems:
-            number += 1
-            stem = f"{ascii_name}-{number}"
+            count += 1
+            stem = f"{ascii_name}-{count}"
         stems.append(stem)
     return stems
 
 
-def make_key(sample: Sample) -> str:
-    """Make a key of a sample that is unique in a report, of its source file and test."""
-    return f"{sample.source}\n{sample.test}"
-
-
-def find_group_of_rejected(sample: Sample, campaign: Campaign) -> str:
+def find_group_of_rejected(sample: Sample, campaign: Campaign) -> Group | None:
     """Find the group to which a rejected test would belong.
 
     Parameters
@@ -114,22 +166,26 @@ def find_group_of_rejected(sample: Sample, campaign: Campaign) -> str:
 
     Returns
     -------
-    Name of the group; empty if there is none. Test and group have the same protocol, and the same
-    values of the fields by which the campaign is grouped, except the spool. If several groups
-    qualify, the one with the most fields in common is returned.
+    The group; None if there is none. Test and group have the same protocol, and the same values of
+    the fields by which the campaign is grouped, except the spool. If several groups qualify, the
+    one with the most fields in common is returned.
     """
     fields = list_fields(sample.specimen)
-    common_field_counts = {
-        group.name: sum(fields.get(name) == value for name, value in group.fields.items())
+    matches = [
+        group
         for group in campaign.groups
         if group.protocol == sample.protocol
         and all(fields.get(name) == group.fields.get(name) for name in campaign.by if name != SPOOL)
-    }
-    return max(common_field_counts, key=lambda name: common_field_counts[name], default="")
+    ]
+
+    def count_common_fields(group: Group) -> int:
+        return sum(fields.get(name) == value for name, value in group.fields.items())
+
+    return max(matches, key=count_common_fields, default=None)
 
 
-def find_state(sample: Sample) -> str:
-    """Find the worst status of the results of a test: ``ok``, ``doubtful`` or ``failed``."""
+def combine_states(sample: Sample) -> str:
+    """Combine the states of the results of a test to the worst of them, such as ``doubtful``."""
     statuses = {result.status for result in sample.results}
     worst_first = (Status.FAILED, Status.DOUBTFUL)
     return next((str(status) for status in worst_first if status in statuses), str(Status.OK))
@@ -177,8 +233,7 @@ def describe_testing(samples: Sequence[Sample]) -> str:
     return f"{period} by {names}"
 
 
-@dataclass(frozen=True, slots=True)
-class InstrumentLine:
+class InstrumentLine(NamedTuple):
     """An instrument of a report.
 
     Parameters
@@ -255,7 +310,7 @@ def make_number_table(group: Group) -> Table:
     columns = group.samples if len(group.samples) <= MAX_SAMPLE_COLUMNS else ()
     rows = []
     for row, number in enumerate(group.numbers):
-        scale = wording.find_number_scale(group, number)
+        scale = wording.choose_number_scale(group, number)
         rows.append([
             Cell(wording.write_heading(number.name, scale), tip=number.name),
             Cell("", drawing=_draw_strip(number) if row < n_plots and number.values else None),
@@ -333,7 +388,7 @@ def _list_table_notes(group: Group) -> Iterator[str]:
             labels_by_reason.setdefault(reason, []).append(wording.write_label(number.name))
     for reason, labels in labels_by_reason.items():
         numbers = "all numbers" if len(labels) == len(group.numbers) else "; ".join(labels)
-        why = join_sentences([reason])
+        why = wording.join_sentences([reason])
         yield format_sentence("report.no_mean_interval", why=why, numbers=numbers)
     if any(not number.mean.is_pooled and number.mean.chosen.n == 2 for number in averaged_numbers):
         yield format_sentence("report.two_spool_means")
@@ -348,7 +403,7 @@ def _list_mark_notes(group: Group) -> Iterator[str]:
         for result in sample.results:
             if result.name in names and result.status is not Status.OK:
                 mark = DASH if result.status is Status.FAILED else "?"
-                reason = f"{mark} {join_sentences(result.reasons)}"
+                reason = f"{mark} {wording.join_sentences(result.reasons)}"
                 tests_by_reason.setdefault(reason, {})[sample.test] = None
     for reason, tests in tests_by_reason.items():
         yield f"{reason} ({', '.join(tests)})"
@@ -361,31 +416,31 @@ def _list_mark_notes(group: Group) -> Iterator[str]:
         yield format_sentence("report.outlier_in_mean", test=test, numbers="; ".join(labels))
 
 
-def make_sample_tables(group: Group, tests: PageTests) -> list[Table]:
+def make_sample_tables(page_group: GroupView) -> list[Table]:
     """Make tables with a row per sample and up to eight numbers each.
 
     Parameters
     ----------
-    group : group of tests, with or without samples
-    tests : tests of the page
+    page_group : group of tests, with or without samples
 
     Returns
     -------
     The tables; empty if `make_number_table` shows the samples.
     """
-    max_numbers_per_table, tables = 8, list[Table]()
+    max_numbers_per_table, tables, group = 8, list[Table](), page_group.group
     if len(group.samples) <= MAX_SAMPLE_COLUMNS:
         return tables
     main_numbers = [number for number in group.numbers if wording.is_main(number.name)]
     for numbers in split_pages(main_numbers, max_numbers_per_table):
         rows = []
-        for sample in group.samples:
+        for test in page_group.tests:
+            sample = test.sample
             row: Record = {"Test": sample.test}
             if not tables:
-                link = f"#t{tests.numbers_by_key[make_key(sample)]}"
+                link = f"#t{test.number}"
                 row = {"Test": Cell(sample.test, link=link), "Spool": sample.specimen.spool}
             for number in numbers:
-                scale = wording.find_number_scale(group, number)
+                scale = wording.choose_number_scale(group, number)
                 head = wording.write_heading(number.name, scale)
                 row[head] = _make_sample_cell(number, sample, scale.factor)
             rows.append(row)
@@ -394,7 +449,7 @@ def make_sample_tables(group: Group, tests: PageTests) -> list[Table]:
     return tables
 
 
-def make_budget_bars(group: Group) -> tuple[list[quality_figures.BudgetBar], Mapping[str, Any]]:
+def make_budget_bars(group: Group) -> tuple[list[budgets.BudgetBar], Mapping[str, Any]]:
     """Make the bars of the uncertainty budgets of a group.
 
     Parameters
@@ -406,17 +461,27 @@ def make_budget_bars(group: Group) -> tuple[list[quality_figures.BudgetBar], Map
     Up to five bars, of the first means with intervals or, without any, of the single tests; and
     ``colour`` and ``is_common`` of each of their causes.
     """
-    n_bars = 5
-    mean_bars = quality_figures.make_group_bars(group, of_means=True)
-    test_bars = quality_figures.make_group_bars(group, of_means=False)
-    n = max((len(number.values) for number in group.numbers), default=0)
-    text = "one test" if n == 1 else f"{n} tests"
-    bars = [bar for bar in mean_bars if bar.shares]
-    bars = (bars or [bar._replace(text=text) for bar in test_bars])[:n_bars]
-    shares = quality_figures.sort_shares([bar.shares for bar in bars])
+    n_bars, display = 5, wording.get_display(group)
+    numbers = [number for number in group.numbers if budgets.has_budget_bar(number.name)]
+    all_budgets = ((number, summarise_budget(number)) for number in numbers)
+    numbered_budgets = [(number, budget) for number, budget in all_budgets if budget.test_shares]
+    bars = [
+        budgets.make_budget_bar(number, budget.mean_shares, number.mean.chosen.interval, display)
+        for number, budget in numbered_budgets
+        if budget.mean_shares
+    ]
+    if not bars:
+        n = max((len(number.values) for number in group.numbers), default=0)
+        text = "one test" if n == 1 else f"{n} tests"
+        bars = [
+            budgets.make_budget_bar(number, budget.test_shares, None, display)._replace(text=text)
+            for number, budget in numbered_budgets
+        ]
+    bars = bars[:n_bars]
+    shares = budgets.sort_shares([bar.shares for bar in bars])
     cause_looks = {
-        name: {"colour": quality_figures.find_cause_colour(name), "is_common": IS_COMMON.get(name)}
-        for name in quality_figures.list_drawn_causes(shares)
+        name: {"colour": budgets.get_cause_colour(name), "is_common": IS_COMMON.get(name)}
+        for name in budgets.list_drawn_causes(shares)
     }
     bars = [bar._replace(shares=part) for bar, part in zip(bars, shares, strict=True)]
     return bars, cause_looks
@@ -429,7 +494,7 @@ def make_spool_table(group: Group) -> Table | None:
     for number in group.numbers:
         if not number.values:
             continue
-        scale, decision = wording.find_number_scale(group, number), number.mean.decision
+        scale, decision = wording.choose_number_scale(group, number), number.mean.decision
         row: Record = {"Number": wording.write_heading(number.name, scale)}
         for spool in spools:
             mean = number.mean.spool_means.get(spool)
@@ -449,7 +514,7 @@ def make_spool_table(group: Group) -> Table | None:
 
 def make_slip_table(group: Group) -> Table | None:
     """Make the table of the slips of a group; None without slips."""
-    length, force = wording.find_units(wording.find_display(group), "displacement", "force")
+    length, force = wording.get_scales(wording.get_display(group), "displacement", "force")
     write, rows = wording.write_with_interval, list[Record]()
     for sample in group.samples:
         for slip in sample.slips:
@@ -463,14 +528,14 @@ def make_slip_table(group: Group) -> Table | None:
     return tabulate(f"{group.name}: slips in the grips", rows) if rows else None
 
 
-def find_lot_scale(group: Group, lot: Lot) -> wording.Scale:
-    """Return the display scale of the ratio of a force to the limit of a lot.
+def choose_lot_scale(group: Group, lot: Lot) -> wording.Scale:
+    """Choose the display scale of the ratio of a force to the limit of a lot.
 
     The ratio is shown as a force, or as it is if the samples have several limits.
     """
     if lot.limit is None:
         return wording.Scale(1.0, "")
-    force = wording.find_scale("", "N", wording.find_display(group))
+    force = wording.choose_scale("", "N", wording.get_display(group))
     return force._replace(factor=force.factor * lot.limit)
 
 
@@ -487,18 +552,18 @@ def describe_observations(samples: Sequence[Sample]) -> str:
     return ", ".join(f"{answer} {count}" for answer, count in counts.most_common())
 
 
-def make_lot_table(groups: Mapping[str, Group]) -> Table | None:
+def make_lot_table(groups: Iterable[GroupView]) -> Table | None:
     """Make the table of the lots and their acceptance; None if no protocol states a limit.
 
     Parameters
     ----------
-    groups : groups of the report, keyed by the stems of their links
+    groups : groups of the report
     """
     rows, rules = list[Record](), set[str]()
-    for stem, group in groups.items():
+    for group, stem, *_ in groups:
         if (lot := group.lot) is None:
             continue
-        scale = find_lot_scale(group, lot)
+        scale = choose_lot_scale(group, lot)
         limit, bound, smallest = (
             f"{wording.write_number(ratio, None, scale.factor).value} {scale.unit}".strip()
             if isfinite(ratio)
@@ -509,7 +574,7 @@ def make_lot_table(groups: Mapping[str, Group]) -> Table | None:
         rows.append({
             "Lot": Cell(group.name, link=f"#group-{stem}"),
             "Answer": str(lot.answer).upper(),
-            "Why": join_sentences(lot.reasons),
+            "Why": wording.join_sentences(lot.reasons),
             "Limit": no_common_limit if lot.limit is None else limit,
             "Bound": bound,
             "Smallest": smallest,
@@ -532,7 +597,7 @@ def make_verdict_table(group: Group) -> Table | None:
     """
     if group.lot is None:
         return None
-    force = wording.find_scale("", "N", wording.find_display(group))
+    force = wording.choose_scale("", "N", wording.get_display(group))
     sheets = [sample.specimen.observed for sample in group.samples]
     questions = dict.fromkeys(question for sheet in sheets for question in sheet)
     rows = []
@@ -553,9 +618,9 @@ def make_verdict_table(group: Group) -> Table | None:
     return tabulate(f"{group.name}: verdict on each sample", rows)
 
 
-def find_stiffness_scale(campaign: Campaign) -> wording.Scale:
-    """Return the display scale of bending stiffness of the first group; it serves all groups."""
-    return wording.find_unit(wording.find_display(campaign.groups[0]), "bending_stiffness")
+def choose_stiffness_scale(campaign: Campaign) -> wording.Scale:
+    """Choose the display scale of bending stiffness, that of the first group for all groups."""
+    return wording.get_scale(wording.get_display(campaign.groups[0]), "bending_stiffness")
 
 
 def make_bounds_table(campaign: Campaign) -> Table | None:
@@ -571,7 +636,7 @@ def make_bounds_table(campaign: Campaign) -> Table | None:
     """
     if not campaign.bounded_stiffnesses:
         return None
-    scale, rows = find_stiffness_scale(campaign), list[Record]()
+    scale, rows = choose_stiffness_scale(campaign), list[Record]()
     for stiffness in campaign.bounded_stiffnesses:
         all_slip, wires_slip, nothing_slips, smallest, largest = (
             wording.write_number(bound, None, scale.factor, digits=3).value
@@ -592,7 +657,7 @@ def make_bounds_table(campaign: Campaign) -> Table | None:
             scale.label("All slips"): all_slip,
             scale.label("Wires slip"): wires_slip,
             scale.label("Nothing slips"): Cell(nothing_slips, directions),
-            "Share of the range": Cell(share, join_sentences(stiffness.reasons)),
+            "Share of the range": Cell(share, wording.join_sentences(stiffness.reasons)),
         })  # fmt: skip
     notes = format_sentence("report.bounds_of_bundles"), format_sentence("report.share_of_the_way")
     return tabulate("Between slipping and sticking", rows, notes=notes)
@@ -611,7 +676,7 @@ def make_cause_table(cause: Cause) -> Table:
     return tabulate(f"{cause.kind} ({len(cause.issues)})", rows)
 
 
-def make_note_table(campaign: Campaign) -> Table | None:
+def make_note_table(notes: Iterable[Cause]) -> Table | None:
     """Make the table of the notes without consequences, a row per code; None without notes."""
     rows: list[Record] = [
         {
@@ -619,7 +684,7 @@ def make_note_table(campaign: Campaign) -> Table | None:
             "Number": str(len(note.issues)),
             "Where": note.subject,
         }
-        for note in find_notes(campaign)
+        for note in notes
     ]
     return tabulate("Notes without consequences", rows) if rows else None
 
@@ -643,28 +708,26 @@ def make_method_tables(campaign: Campaign) -> list[Table]:
     return tables
 
 
-def make_test_rows(groups: Mapping[str, Group], tests: PageTests) -> list[dict[str, Any]]:
+def make_test_rows(tests: Iterable[PageTest]) -> list[dict[str, Any]]:
     """Make the rows of the table of tests.
 
     Parameters
     ----------
-    groups : groups of the report, keyed by the stems of their links
     tests : tests of the page
 
     Returns
     -------
-    For each ``test``: its ``group``, the ``first_cell`` with its first main number, the
-    ``decision`` (``accept``, ``reject`` or empty) with its ``grounds``, the file ``page`` and its
-    ``address``, and the ``reason`` why the test is doubtful, failed or rejected.
+    For each ``test``: the ``first_cell`` with its first main number, the ``decision`` (``accept``,
+    ``reject`` or empty) with its ``grounds``, the file ``page`` and its ``address``, and the
+    ``reason`` why the test is doubtful, failed or rejected.
     """
     rows = []
-    for test in tests.all_tests:
+    for test in tests:
         page = name_page_file(test.sample.label or test.sample.test)
-        group = groups.get(test.stem)
+        numbers = () if test.group is None else test.group.numbers
         rows.append({
             "test": test,
-            "group": group.name if group else "",
-            "first_cell": _make_first_number_cell(test.sample, group.numbers if group else ()),
+            "first_cell": _make_first_number_cell(test.sample, numbers),
             "decision": "reject" if test.rejection else "accept" if test.sample.decision else "",
             "grounds": test.rejection or test.sample.decision,
             "page": page,
@@ -695,7 +758,7 @@ def _make_first_number_cell(sample: Sample, numbers: Sequence[GroupNumber]) -> C
     result = find_result(sample.results, name)
     if result is None:
         return Cell(DASH)
-    scale = wording.find_scale(name, result.unit, sample.display)
+    scale = wording.choose_scale(name, result.unit, sample.display)
     cell = make_result_cell(result, scale.factor)
     return cell._replace(subtext=wording.write_heading(name, scale), sort_value=result.value)
 
@@ -710,10 +773,10 @@ def describe_problems(test: PageTest) -> str:
     if test.rejection:
         return f"Rejected: {test.rejection}"
     results = [result for result in test.sample.results if result.status is not Status.OK]
-    return join_sentences(reason for result in results for reason in result.reasons)
+    return wording.join_sentences(reason for result in results for reason in result.reasons)
 
 
-def make_source_table(tests: PageTests) -> Table:
+def make_source_table(tests: Iterable[PageTest]) -> Table:
     """Make the table of the recorded files of each test with their SHA-256.
 
     Parameters
@@ -721,7 +784,7 @@ def make_source_table(tests: PageTests) -> Table:
     tests : tests of the page
     """
     rows = []
-    for test in tests.all_tests:
+    for test in tests:
         files = [f"{source.file}: {source.sha256}" for source in test.sample.inputs]
         rows.append((test.sample.test, "; ".join(files) or DASH))
     return Table("Sources of the numbers", ("Test", "Recorded files with SHA-256"), rows)

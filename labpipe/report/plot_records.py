@@ -19,8 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from labpipe.records.arrays import Flags, Floats, Ints
 from labpipe.records.curve import Interval
-from labpipe.records.result import TestResult
-from labpipe.report.wording import Scale, write_footnote, write_title
+from labpipe.report.wording import Scale
 
 GRID_SIZE = 65535
 """Largest integer coordinate between the ends of an axis on the page of a report."""
@@ -59,8 +58,8 @@ class Axis:
         """Values at the ends, in the unit of the axis."""
         return self.scale.factor * self.low, self.scale.factor * self.high
 
-    def find_ticks(self, max_steps: int) -> list[tuple[float, str]]:
-        """Find round numbers for the ticks of the axis.
+    def choose_ticks(self, max_steps: int) -> list[tuple[float, str]]:
+        """Choose round numbers for the ticks of the axis.
 
         Parameters
         ----------
@@ -78,7 +77,7 @@ class Axis:
 
         Examples
         --------
-        >>> [text for _, text in Axis("Force", Scale(1.0, "N"), -0.4, 10.4).find_ticks(6)]
+        >>> [text for _, text in Axis("Force", Scale(1.0, "N"), -0.4, 10.4).choose_ticks(6)]
         ['0', '2', '4', '6', '8', '10']
         """
         tolerance = 1e-12  # of a step, so that rounding loses no tick at an end
@@ -282,8 +281,7 @@ class Plot:
     heading : heading of the panel, for a figure of several panels
     labels : texts in the panel of a figure
     legend : entries of the legend; without any, a figure lists the labels of the looks of its lines
-    reason : reason why a figure shows nothing here; empty if it shows something
-    inner_key : labels of the last lines, for a key inside the panel; not on the page of a report
+    reason : reason why there are no lines, which a figure shows instead of them
     is_to_scale : whether both axes of a figure have the same scale
     has_frame : whether a figure shows axes and labels
     kind : on a report: ``curves`` (force over displacement), ``means`` (mean curves of groups),
@@ -295,14 +293,13 @@ class Plot:
     size : width and height of the area between the axes, points
     """
 
-    x: Axis
-    y: Axis
+    x: Axis = Axis()
+    y: Axis = Axis()
     lines: Sequence[Line] = ()
     heading: str = ""
     labels: Sequence[Label] = ()
     legend: Sequence[LegendEntry] = ()
     reason: str = ""
-    inner_key: Sequence[str] = ()
     is_to_scale: bool = False
     has_frame: bool = True
     kind: str = ""
@@ -354,30 +351,6 @@ class Page:
     alt: str = ""
 
 
-def make_empty_plot(reason: str) -> Plot:
-    """Make a plot that gives the reason why it shows nothing."""
-    return Plot(Axis(), Axis(), reason=reason)
-
-
-def make_test_page(
-    result: TestResult, name: str, plots: Sequence[Plot], note: str = "", **settings: Any
-) -> Page:
-    """Make a page of a test.
-
-    Parameters
-    ----------
-    result : result of the test, for the title and the footnote
-    name : name of the files of the page
-    plots : panels of the page
-    note : start of the footnote
-    settings : fields of `Page` for size and layout; a page that shows nothing is small
-    """
-    if all(plot.reason for plot in plots):
-        settings = {"height": 40.0}
-    footnote = " ".join(filter(None, [note, write_footnote(result)]))
-    return Page(name, write_title(result), plots, footnote, **settings)
-
-
 def make_axis(name: str, scale: Scale, values: Iterable[Floats], *, margin: float = 0.03) -> Axis:
     """Make an axis that shows all values, with a margin at both ends.
 
@@ -388,13 +361,34 @@ def make_axis(name: str, scale: Scale, values: Iterable[Floats], *, margin: floa
         shows 0 to 1
     margin : margin at each end, as a fraction of the range of the values
     """
-    low, high = _find_range(np.concatenate([np.zeros(0), *values]))
+    low, high = _compute_range(np.concatenate([np.zeros(0), *values]))
     margin_width = margin * ((high - low) or abs(high) or 1.0)
     return Axis(name, scale, low - margin_width, high + margin_width)
 
 
-def _find_range(values: ArrayLike) -> tuple[float, float]:
-    """Find the lowest and the highest finite value; 0 and 1 without any."""
+def make_axes_to_scale(
+    names: Sequence[str], scale: Scale, points: Floats, *, min_aspect: float, margin: float = 0.06
+) -> tuple[Axis, ...]:
+    """Make axes that show all points at one scale.
+
+    Parameters
+    ----------
+    names : typeset name of each axis
+    scale : unit of the axes
+    points : shape (n, n_axes), m; points that are not finite are ignored
+    min_aspect : smallest length of an axis before the margin, relative to the longest axis
+    margin : margin at each end, as a fraction of the longest axis
+    """
+    ends = np.array([_compute_range(column) for column in points.T])
+    half_ranges = 0.5 * np.ptp(ends, axis=1)
+    longest = float(half_ranges.max()) or 0.5 / scale.factor
+    half_ranges = np.maximum(half_ranges, min_aspect * longest) + 2.0 * margin * longest
+    columns = zip(names, ends.mean(axis=1).tolist(), half_ranges.tolist(), strict=True)
+    return tuple(Axis(name, scale, middle - half, middle + half) for name, middle, half in columns)
+
+
+def _compute_range(values: ArrayLike) -> tuple[float, float]:
+    """Compute the lowest and the highest finite value; 0 and 1 without any."""
     finite = np.extract(np.isfinite(values), values)
     return (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 1.0)
 
@@ -414,9 +408,9 @@ def clip_range(
     max_extension : largest extension of the range beyond the values at each end, as a fraction of
         the range of the values. It does not apply if all values are equal
     """
-    low, high = _find_range(values)
+    low, high = _compute_range(values)
     extension = max_extension * (high - low) if high > low else inf
-    lowest, highest = _find_range(np.append(interval_ends, [low, high]))
+    lowest, highest = _compute_range(np.append(interval_ends, [low, high]))
     return max(lowest, low - extension), min(highest, high + extension)
 
 
@@ -478,36 +472,25 @@ def find_extremes(values: Floats, *, n_bins: int) -> Ints:
     Parameters
     ----------
     values : shape (n,), in the order of drawing
-    n_bins : number of bins, which have equal numbers of samples; at least 1
+    n_bins : largest number of bins, which have equal numbers of samples
 
     Returns
     -------
     Sorted indices: the lowest and the highest sample of each bin, the first NaN of each bin, and
     both ends of the line. All samples if there are at most four per bin.
-
-    Raises
-    ------
-    ValueError
-        If `n_bins` is less than 1.
     """
-    if n_bins < 1:
-        message = f"n_bins: expected at least 1, found {n_bins}"
-        raise ValueError(message)
     count = len(values)
     if count <= 4 * n_bins:
         return np.arange(count, dtype=np.int64)
-    starts = np.linspace(0, count, n_bins + 1).astype(np.int64)
-    bin_number = np.repeat(np.arange(n_bins), np.diff(starts))
-    # samples are sorted by bin, then by value, so that NaN is last within each bin
-    sorted_samples = np.lexsort((values, bin_number))
-    lowest = sorted_samples[starts[:-1]]
-    is_missing = np.isnan(values)
-    n_present = np.add.reduceat(~is_missing, starts[:-1])
-    highest = sorted_samples[starts[:-1] + np.maximum(n_present - 1, 0)]
-    missing = np.flatnonzero(is_missing)
-    first_missing = missing[np.unique(bin_number[missing], return_index=True)[1]]
-    ends = [0, count - 1]
-    return np.unique(np.concatenate([lowest, highest, first_missing, ends]))
+    width = -(-count // n_bins)
+    padding = np.repeat(values[-1:], -count % width)
+    bins = np.append(values, padding).reshape(-1, width)
+    is_missing, starts = np.isnan(bins), width * np.arange(len(bins))
+    lowest = starts + np.where(is_missing, inf, bins).argmin(axis=1)
+    highest = starts + np.where(is_missing, -inf, bins).argmax(axis=1)
+    first_missing = (starts + is_missing.argmax(axis=1))[is_missing.any(axis=1)]
+    rows = np.concatenate([lowest, highest, first_missing, [0, count - 1]])
+    return np.unique(np.minimum(rows, count - 1))
 
 
 def simplify_line(

@@ -19,7 +19,7 @@ from labpipe.records.group import (
 from labpipe.records.quality import join_reasons
 from labpipe.records.result import Status
 from labpipe.report import comparisons, page_tables, wording
-from labpipe.report.issues import find_causes, find_notes, join_sentences
+from labpipe.report.issues import find_causes
 from labpipe.report.table_records import (
     Record,
     Table,
@@ -76,7 +76,7 @@ def _list_tables(campaign: Campaign) -> Iterator[Table | None]:
     """Yield the sheets in order, or None for a sheet that is omitted because it has no rows."""
     pairs = comparisons.list_single_field_pairs(campaign)
     sorted_groups = sorted(campaign.groups, key=lambda group: group.protocol)
-    displays = {group.name: wording.find_display(group) for group in campaign.groups}
+    displays = {group.name: wording.get_display(group) for group in campaign.groups}
     # differences in a single field are first
     differences = sorted(campaign.differences, key=lambda difference: not difference.family)
     first_displays = (displays[difference.first] for difference in differences)
@@ -103,7 +103,7 @@ def _tabulate_unless_empty(title: str, records: Iterator[Record]) -> Table | Non
 
 
 def _make_lot_record(group: Group, lot: Lot) -> Record:
-    scale = page_tables.find_lot_scale(group, lot)
+    scale = page_tables.choose_lot_scale(group, lot)
     forces = {
         "limit": 1.0, "mean": lot.mean, "standard deviation": lot.deviation,
         "smallest": lot.smallest, "tolerance bound": lot.bound,
@@ -119,14 +119,14 @@ def _make_lot_record(group: Group, lot: Lot) -> Record:
         "coverage (%)": 100.0 * lot.coverage,
         "confidence (%)": 100.0 * lot.confidence,
         "observed": page_tables.describe_observations(group.samples),
-        "reason": join_sentences(lot.reasons),
+        "reason": wording.join_sentences(lot.reasons),
     }
 
 
 def _make_answer_record(pair: comparisons.Pair) -> Record:
     """Make the record of the verdict on the first number of a pair."""
     difference = pair.differences[0]
-    record = _make_difference_record(difference, wording.find_display(pair.first))
+    record = _make_difference_record(difference, wording.get_display(pair.first))
     n_first, n_second = comparisons.count_values(pair)
     return {
         "comparison": comparisons.name_comparison(pair),
@@ -154,7 +154,7 @@ def _make_key_record(group: Group) -> Record:
         "group": group.name, "protocol": group.protocol, "samples": len(group.samples)
     }  # fmt: skip
     for number in wording.list_key_numbers(group)[:n_numbers]:
-        scale = wording.find_number_scale(group, number)
+        scale = wording.choose_number_scale(group, number)
         cells = _make_mean_cells(number.mean.chosen, scale)
         for suffix, cell in zip(("", ", lower", ", upper"), cells.values(), strict=True):
             record[scale.label(f"{wording.write_label(number.name)}{suffix}")] = cell
@@ -185,7 +185,7 @@ def _make_mean_record(
 
     The mean of a spool leaves the columns on all samples empty.
     """
-    scale, nested_mean = wording.find_number_scale(group, number), number.mean
+    scale, nested_mean = wording.choose_number_scale(group, number), number.mean
     record: Record = {
         "group": group.name, "number": wording.write_label(number.name), "over": set_name,
         "unit": scale.unit, **_make_mean_cells(mean, scale),
@@ -241,13 +241,13 @@ def _make_test_record(group: str, sample: Sample, lot: Lot | None) -> Record:
              for name, size in specimen.dimensions.items()}  # fmt: skip
     numbers: Record = {}
     for result in main_results:
-        scale = wording.find_scale(result.name, result.unit, sample.display)
+        scale = wording.choose_scale(result.name, result.unit, sample.display)
         cell = make_number_cell(result.value, result.interval, scale.factor)
         numbers[wording.write_heading(result.name, scale)] = cell
     return {
         "test": sample.test,
         "group": group,
-        "state": page_tables.find_state(sample) if group else "rejected",
+        "state": page_tables.combine_states(sample) if group else "rejected",
         "type": specimen.type,
         "spool": specimen.spool,
         "sample": specimen.sample,
@@ -269,7 +269,7 @@ def _list_results(campaign: Campaign) -> Iterator[Record]:
     for group in campaign.groups:
         for sample in group.samples:
             for result in sample.results:
-                scale = wording.find_scale(result.name, result.unit, sample.display)
+                scale = wording.choose_scale(result.name, result.unit, sample.display)
                 yield {
                     "group": group.name,
                     "test": sample.test,
@@ -293,8 +293,8 @@ _BAND_COLUMNS = {
 
 def _tabulate_curves(campaign: Campaign, *, is_scaled: bool) -> Table:
     """Make the sheet of the mean curves of all groups in common units; charts are per protocol."""
-    display = next((wording.find_display(group) for group in campaign.groups if group.samples), {})
-    x, y = wording.find_units(display, "displacement", "force")
+    display = next((wording.get_display(group) for group in campaign.groups if group.samples), {})
+    x, y = wording.get_scales(display, "displacement", "force")
     title = "Mean force"
     if is_scaled:
         y, title = wording.Scale(1.0, ""), "Mean force over peak force"
@@ -323,7 +323,7 @@ def _list_band_records(group: str, band: Band, x: wording.Scale, y: wording.Scal
 def _make_difference_record(difference: Difference, display: Mapping[str, str]) -> Record:
     """Make the record of the difference of two groups in one number."""
     mean_difference, ends = difference.difference, difference.interval
-    scale = wording.find_scale(difference.name, difference.unit, display)
+    scale = wording.choose_scale(difference.name, difference.unit, display)
     interval_in_unit, relative_ends = (ends, None) if difference.change is None else (None, ends)
     corrected = make_interval_cells(mean_difference.mean, interval_in_unit, scale.factor)
     differing_fields = (
@@ -363,7 +363,7 @@ def _list_budgets(campaign: Campaign) -> Iterator[Record]:
     rows: list[tuple[Record, Mapping[str, float]]] = []
     for group in campaign.groups:
         for number in group.numbers:
-            budget, scale = summarise_budget(number), wording.find_number_scale(group, number)
+            budget, scale = summarise_budget(number), wording.choose_number_scale(group, number)
             interval = number.mean.chosen.interval
             kinds = (
                 ("mean of the group", interval, budget.mean_shares),
@@ -389,7 +389,7 @@ def _list_budgets(campaign: Campaign) -> Iterator[Record]:
 def _list_bounds(campaign: Campaign) -> Iterator[Record]:
     """Yield the bending stiffnesses of bundles with their bounds."""
     for stiffness in campaign.bounded_stiffnesses:
-        scale = page_tables.find_stiffness_scale(campaign)
+        scale = page_tables.choose_stiffness_scale(campaign)
         bounds = {
             "all slips": stiffness.low,
             "wires slip": stiffness.free,
@@ -414,8 +414,8 @@ def _list_bounds(campaign: Campaign) -> Iterator[Record]:
 
 def _list_issues(campaign: Campaign) -> Iterator[Record]:
     """Yield the issues, cause by cause; notes without consequences have no rank."""
-    ranked = [*enumerate(find_causes(campaign), start=1)]
-    for rank, cause in [*ranked, *((None, note) for note in find_notes(campaign))]:
+    causes, notes = find_causes(campaign)
+    for rank, cause in [*enumerate(causes, start=1), *((None, note) for note in notes)]:
         for issue in cause.issues:
             yield {
                 "rank": rank,

@@ -22,7 +22,7 @@ from labpipe.records.curve import Interval
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.report.figure_page import convert_write_errors
 from labpipe.report.plot_records import MeanStrip
-from labpipe.report.wording import find_last_place, replace_unprintable, shorten
+from labpipe.report.wording import compute_last_place, replace_unprintable, shorten
 
 DASH = "\u2013"
 
@@ -138,6 +138,12 @@ def make_records(common_cells: Record, columns: Mapping[str, Floats | Ints]) -> 
     return [{**common_cells, **dict(zip(columns, row, strict=True))} for row in rows]
 
 
+def sort_notes(notes: Iterable[tuple[str, QualityNote]]) -> list[tuple[str, QualityNote]]:
+    """Sort pairs of a subject and its note, the most severe note first."""
+    severity_order = list(reversed(Severity))
+    return sorted(notes, key=lambda pair: severity_order.index(pair[1].severity))
+
+
 def make_note_records(head: str, notes: Iterable[tuple[str, QualityNote]]) -> list[Record]:
     """Make a record per note, the most severe first.
 
@@ -146,7 +152,6 @@ def make_note_records(head: str, notes: Iterable[tuple[str, QualityNote]]) -> li
     head : heading of the subjects of the notes
     notes : pairs of the subject of a note and the note
     """
-    severity_order = list(reversed(Severity))
     return [
         {
             head: subject,
@@ -155,7 +160,7 @@ def make_note_records(head: str, notes: Iterable[tuple[str, QualityNote]]) -> li
             "what": note.message,
             "code": note.code,
         }
-        for subject, note in sorted(notes, key=lambda pair: severity_order.index(pair[1].severity))
+        for subject, note in sort_notes(notes)
     ]
 
 
@@ -210,7 +215,7 @@ def make_number_cell(
     """
     if value is None or not math.isfinite(value):
         return None
-    last_place = find_last_place(value, interval, factor)
+    last_place = compute_last_place(value, interval, factor)
     return NumberCell(factor * value, choose_number_format(factor * value, last_place))
 
 
@@ -232,7 +237,9 @@ def make_interval_cells(
     """
     cells: Record = {name: make_number_cell(value, interval, factor), "lower": None, "upper": None}
     if interval is not None:
-        last_place = find_last_place(interval.lower if value is None else value, interval, factor)
+        last_place = compute_last_place(
+            interval.lower if value is None else value, interval, factor
+        )
         ends = sorted((factor * interval.lower, factor * interval.upper))
         for head, end in zip(("lower", "upper"), ends, strict=True):
             cells[head] = NumberCell(end, choose_number_format(end, last_place))
@@ -280,8 +287,8 @@ def _format_decimals(count: int) -> str:
     return f"0.{'0' * min(count, 15)}" if count > 0 else "0"
 
 
-def find_column_place(column: Sequence[Value]) -> int | None:
-    """Find the power of ten of the last displayed digit of a column's numbers without a format.
+def compute_column_place(column: Sequence[Value]) -> int | None:
+    """Compute the power of ten of the last displayed digit of a column's numbers without a format.
 
     Parameters
     ----------
@@ -293,7 +300,7 @@ def find_column_place(column: Sequence[Value]) -> int | None:
     than zero.
     """
     sizes = [abs(cell) for cell in column if isinstance(cell, float) and math.isfinite(cell)]
-    return find_last_place(max(sizes), None, digits=5) if any(sizes) else None
+    return compute_last_place(max(sizes), None, digits=5) if any(sizes) else None
 
 
 def format_in_column(value: float | NumberCell, column_place: int | None) -> NumberCell:
@@ -302,7 +309,7 @@ def format_in_column(value: float | NumberCell, column_place: int | None) -> Num
     Parameters
     ----------
     value : number, or a cell with a format, which is kept
-    column_place : power of ten of the last digit of the column, from `find_column_place`
+    column_place : power of ten of the last digit of the column, from `compute_column_place`
     """
     min_digits = 3  # a number that would have fewer digits gets a format of its own
     if isinstance(value, NumberCell):
@@ -310,7 +317,7 @@ def format_in_column(value: float | NumberCell, column_place: int | None) -> Num
     if isinstance(value, int) or column_place is None:
         return NumberCell(value, "0")
     is_small = 0.0 < abs(value) < 10.0 ** (column_place + min_digits - 1)
-    last_place = find_last_place(value, None, digits=min_digits) if is_small else column_place
+    last_place = compute_last_place(value, None, digits=min_digits) if is_small else column_place
     return NumberCell(value, choose_number_format(value, last_place))
 
 
@@ -356,8 +363,8 @@ def save_tables(
     layouts = {table.title: description["sheets"].get(table.title, {}) for table in all_tables}
     writer = _WorkbookWriter(memory, title, footer or title)
     writer.add_read_me([title, *facts, *description["about"]], layouts)
-    for number, table in enumerate(all_tables):
-        writer.add_table(table, layouts[table.title], is_first=not number)
+    for index, table in enumerate(all_tables):
+        writer.add_table(table, layouts[table.title], is_first=not index)
     writer.book.close()
     with convert_write_errors(path, "a workbook"):
         path.write_bytes(memory.getvalue())
@@ -419,17 +426,17 @@ class _WorkbookWriter:
         heads = make_unique_heads(table.heads or ["no rows"])
         if is_first:
             sheet.activate()
-        for number, width in enumerate(_find_widths(table, wrapped_heads)):
-            sheet.set_column(number, number, width)
+        for index, width in enumerate(_compute_widths(table, wrapped_heads)):
+            sheet.set_column(index, index, width)
         columns = [{"header": head, "header_format": self.head_format} for head in heads]
         if table.rows:
             table_options = {"columns": columns, "style": "Table Style Light 1"}
             sheet.add_table(0, 0, len(table.rows), len(heads) - 1, table_options)
-        for number, head in enumerate(() if table.rows else heads):
-            _write_text(sheet, 0, number, head, self.head_format)
-        for number, column in enumerate(zip(*table.rows, strict=True)):
-            is_wrapped = table.heads[number] in wrapped_heads
-            self.write_column(sheet, number, column, is_wrapped=is_wrapped)
+        for index, head in enumerate(() if table.rows else heads):
+            _write_text(sheet, 0, index, head, self.head_format)
+        for index, column in enumerate(zip(*table.rows, strict=True)):
+            is_wrapped = table.heads[index] in wrapped_heads
+            self.write_column(sheet, index, column, is_wrapped=is_wrapped)
         sheet.freeze_panes(1, layout.get("frozen", 0))
         sheet.repeat_rows(0)
         self.place_charts(sheet, table)
@@ -440,7 +447,7 @@ class _WorkbookWriter:
         """Write the cells of a column."""
         formula_starts = "=+-@#"  # such a text becomes a formula when a person edits it
         layout = {"text_wrap": True} if is_wrapped else {"align": "left", "indent": 1}
-        column_place, text_format = find_column_place(values), self.get_format(**layout)
+        column_place, text_format = compute_column_place(values), self.get_format(**layout)
         for row, value in enumerate(values, start=1):
             if isinstance(value, Cell):
                 text = replace_unprintable(value.text)
@@ -465,8 +472,8 @@ class _WorkbookWriter:
         if table.charts and len(table.rows) > max_rows_above:
             top, left = 1, len(table.heads) + 1
             sheet.print_area(0, 0, len(table.rows), len(table.heads) - 1)
-        for number, chart in enumerate(table.charts):
-            row, column = divmod(number, 2)
+        for index, chart in enumerate(table.charts):
+            row, column = divmod(index, 2)
             chart_object = _draw_chart(self.book, table, chart)
             chart_object.set_size({"width": width - gap, "height": height - gap})
             offset = {"x_offset": column * width, "y_offset": row * height, "object_position": 3}
@@ -478,10 +485,10 @@ def make_unique_heads(heads: Sequence[str]) -> list[str]:
     unique_heads: dict[str, str] = {}
     for head in heads:
         printable_head = replace_unprintable(head)[:250] or "column"
-        name, number = printable_head, 1
+        name, count = printable_head, 1
         while name.casefold() in unique_heads:
-            number += 1
-            name = f"{printable_head} {number}"
+            count += 1
+            name = f"{printable_head} {count}"
         unique_heads[name.casefold()] = name
     return list(unique_heads.values())
 
@@ -490,8 +497,8 @@ def _write_text(sheet: Any, row: int, column: int, text: str, cell_format: Any) 
     sheet.write_string(row, column, replace_unprintable(text), cell_format)
 
 
-def _find_widths(table: Table, wrapped_heads: Sequence[str]) -> list[int]:
-    """Find the width of each column for its longest text, within limits, in characters."""
+def _compute_widths(table: Table, wrapped_heads: Sequence[str]) -> list[int]:
+    """Compute the width of each column for its longest text, within limits, in characters."""
     button_width, max_wrapped_width, max_width = 3, 46, 34
     widths = [max(8, *map(len, head.split(" "))) + button_width for head in table.heads]
     for row in table.rows:
@@ -507,9 +514,9 @@ def _draw_chart(book: Any, table: Table, chart: Chart) -> Any:
     """Draw a chart of a table for a workbook."""
     chart_object = book.add_chart({"type": "scatter", "subtype": "straight"})
     x, y = (table.heads.index(head) for head in (chart.x, chart.y))
-    for number, (name, (first, last)) in enumerate(list(chart.lines.items())[:12]):
-        dash = _CHART_DASHES[number // len(_CHART_COLOURS) % len(_CHART_DASHES)]
-        colour = _CHART_COLOURS[number % len(_CHART_COLOURS)]
+    for index, (name, (first, last)) in enumerate(list(chart.lines.items())[:12]):
+        dash = _CHART_DASHES[index // len(_CHART_COLOURS) % len(_CHART_DASHES)]
+        colour = _CHART_COLOURS[index % len(_CHART_COLOURS)]
         chart_object.add_series({
             "name": _escape_formula(name),
             "categories": [table.title, first + 1, x, last + 1, x],

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from math import isfinite
 from typing import TYPE_CHECKING, NamedTuple
@@ -13,14 +12,14 @@ from typing import TYPE_CHECKING, NamedTuple
 from labpipe.protocol.grammar import SI_UNITS
 from labpipe.records.curve import Interval
 from labpipe.records.group import MeanInterval
-from labpipe.records.quality import Severity
-from labpipe.records.result import Result, Status, TestResult
+from labpipe.records.result import Result
 from labpipe.results import KINDS
 from labpipe.statistics.lots import FORCE_LIMIT
 from labpipe.units import get_conversion_factor
 
 if TYPE_CHECKING:
     from labpipe.records.group import Group, GroupNumber
+    from labpipe.records.quality import QualityNote, Reason
 
 
 class Scale(NamedTuple):
@@ -32,21 +31,6 @@ class Scale(NamedTuple):
     def label(self, quantity: str) -> str:
         """Write the label of an axis or a column, such as ``Displacement (mm)``."""
         return f"{quantity} ({self.unit})" if self.unit else quantity
-
-
-def write_title(result: TestResult) -> str:
-    """Write the names of a test, its specimen and its protocol in one line."""
-    specimen = result.specimen
-    specimen_text = f"{specimen.type}, spool {specimen.spool}, sample {specimen.sample}"
-    return f"{result.test}  ·  {specimen_text}  ·  {result.protocol}"
-
-
-def write_footnote(result: TestResult) -> str:
-    """Write the numbers of doubtful and failed results of a test; empty if there are none."""
-    counts = Counter(entry.status for entry in result.results)
-    counted_statuses = (Status.DOUBTFUL, Status.FAILED)
-    texts = [f"{counts[status]} {status}" for status in counted_statuses if counts[status]]
-    return f"Of {len(result.results)} results: {', '.join(texts)}." if texts else ""
 
 
 _UNPRINTABLE = re.compile(
@@ -83,21 +67,15 @@ def shorten(name: str, max_length: int) -> str:
     return f"{name[: max_length - 1 - end]}…{name[len(name) - end :]}"
 
 
-def write_count(number: int, noun: str) -> str:
+def write_count(count: int, noun: str) -> str:
     """Write a count, such as ``1 sample`` or ``3 samples``."""
-    return f"{number} {noun}{'s' * (number != 1)}"
+    return f"{count} {noun}{'s' * (count != 1)}"
 
 
 def describe_counts(group: Group) -> str:
     """Write the numbers of samples and spools, such as ``6 samples from 2 spools``."""
     spools = {sample.specimen.spool for sample in group.samples}
     return f"{write_count(len(group.samples), 'sample')} from {write_count(len(spools), 'spool')}"
-
-
-def explain_missing(result: TestResult, content: str) -> str:
-    """Explain why a test has no data to draw: name the missing data and the first error."""
-    errors = (note.message for note in result.quality if note.severity is Severity.ERROR)
-    return " ".join([f"There is no {content} to draw.", *list(errors)[:1]])
 
 
 _RESULT_LABELS: Mapping[str, str] = {
@@ -186,6 +164,24 @@ def replace_names(sentence: str) -> str:
     return _RESULT_NAME.sub(write_label_of, sentence)
 
 
+def write_sentence(message: str) -> str:
+    """Turn a message into a sentence; the labels of results replace their names.
+
+    Examples
+    --------
+    >>> write_sentence("the branch ends at 4.2 mm")
+    'The branch ends at 4.2 mm.'
+    """
+    text = replace_names(message)
+    full_stop = "" if not text or text.endswith((".", "?", "!")) else "."
+    return text[:1].upper() + text[1:] + full_stop
+
+
+def join_sentences(reasons: Iterable[Reason | QualityNote | None]) -> str:
+    """Join the sentences of reasons or notes, each once; None is skipped."""
+    return " ".join(dict.fromkeys(write_sentence(reason.message) for reason in reasons if reason))
+
+
 def is_main(name: str) -> bool:
     """Return whether a result describes the specimen, not a slip, the clocks or a limit."""
     return not name.startswith(("slip_", "clock_", FORCE_LIMIT))
@@ -202,8 +198,8 @@ def list_key_numbers(group: Group) -> list[GroupNumber]:
     return [number for number in measured_numbers if is_first_cycle(number.name)]
 
 
-def find_display_unit(name: str, unit: str, display: Mapping[str, str]) -> Scale:
-    """Find the display unit of a result.
+def choose_unit(name: str, unit: str, display: Mapping[str, str]) -> Scale:
+    """Choose the display unit of a result.
 
     Parameters
     ----------
@@ -224,24 +220,24 @@ def find_display_unit(name: str, unit: str, display: Mapping[str, str]) -> Scale
     return Scale(1.0 / get_conversion_factor(display_unit, unit), display_unit)
 
 
-def find_display(group: Group) -> Mapping[str, str]:
-    """Return the display units of the first sample of a group, which are those of the group."""
+def get_display(group: Group) -> Mapping[str, str]:
+    """Get the display units of a group, which are those of its first sample."""
     return group.samples[0].display if group.samples else {}
 
 
-def find_scale(name: str, unit: str, display: Mapping[str, str]) -> Scale:
-    """Find the display unit of a result as `find_display_unit` does, with a typeset name."""
-    scale = find_display_unit(name, unit, display)
+def choose_scale(name: str, unit: str, display: Mapping[str, str]) -> Scale:
+    """Choose the display unit of a result as `choose_unit` does, with a typeset name."""
+    scale = choose_unit(name, unit, display)
     return scale._replace(unit=typeset_unit(scale.unit))
 
 
-def find_number_scale(group: Group, number: GroupNumber) -> Scale:
-    """Find the display unit of a number in its group, with a typeset name."""
-    return find_scale(number.name, number.unit, find_display(group))
+def choose_number_scale(group: Group, number: GroupNumber) -> Scale:
+    """Choose the display unit of a number in its group, with a typeset name."""
+    return choose_scale(number.name, number.unit, get_display(group))
 
 
-def find_unit(display: Mapping[str, str], quantity: str) -> Scale:
-    """Find the display unit of a quantity.
+def get_scale(display: Mapping[str, str], quantity: str) -> Scale:
+    """Get the display unit of a quantity.
 
     Parameters
     ----------
@@ -262,9 +258,9 @@ def find_unit(display: Mapping[str, str], quantity: str) -> Scale:
     return Scale(1.0 / get_conversion_factor(unit, SI_UNITS[quantity]), typeset_unit(unit))
 
 
-def find_units(display: Mapping[str, str], *quantities: str) -> list[Scale]:
-    """Find the display units of several quantities with `find_unit`."""
-    return [find_unit(display, quantity) for quantity in quantities]
+def get_scales(display: Mapping[str, str], *quantities: str) -> list[Scale]:
+    """Get the display units of several quantities with `get_scale`."""
+    return [get_scale(display, quantity) for quantity in quantities]
 
 
 def typeset_unit(unit: str) -> str:
@@ -344,7 +340,7 @@ def write_number(
     >>> write_number(1234.567, None).value
     '1235'
     """
-    last_place = find_last_place(value, interval, factor, digits)
+    last_place = compute_last_place(value, interval, factor, digits)
     if not math.isfinite(value):
         return WrittenNumber("\u2013")
     numbers = [value] if interval is None else [value, interval.lower, interval.upper]
@@ -352,10 +348,10 @@ def write_number(
     return WrittenNumber(*_round_together([factor * number for number in numbers], last_place))
 
 
-def find_last_place(
+def compute_last_place(
     value: float, interval: Interval | None, factor: float = 1.0, digits: int = _DEFAULT_DIGITS
 ) -> int:
-    """Find the power of ten of the last digit with which a number is written.
+    """Compute the power of ten of the last digit with which a number is written.
 
     Parameters
     ----------
@@ -366,20 +362,20 @@ def find_last_place(
 
     Examples
     --------
-    >>> find_last_place(0.052284, Interval(0.046271, 0.058296), 1e3)
+    >>> compute_last_place(0.052284, Interval(0.046271, 0.058296), 1e3)
     -1
     """
     if interval is None:
-        return _compute_last_place(abs(factor * value), digits)
+        return _compute_digit_place(abs(factor * value), digits)
     numbers = [factor * number for number in (value, interval.lower, interval.upper)]
     half_width = (max(numbers[1:]) - min(numbers[1:])) / 2.0
     if not all(map(math.isfinite, numbers)) or not half_width > 0.0:
         largest = max(map(abs, filter(math.isfinite, numbers)), default=0.0)
-        return _compute_last_place(largest, digits)
-    return _compute_last_place(half_width, 2)
+        return _compute_digit_place(largest, digits)
+    return _compute_digit_place(half_width, 2)
 
 
-def _compute_last_place(size: float, digits: int) -> int:
+def _compute_digit_place(size: float, digits: int) -> int:
     """Compute the power of ten of the last significant digit of a positive number."""
     if size == 0.0 or not math.isfinite(size):
         return -digits
@@ -440,7 +436,7 @@ def write_with_interval(
         return f"{written.value} ({written.interval})"
     half_width = float(f"{abs(factor) * longer:.1e}")  # two digits
     numbers = [factor * number for number in (value, interval.lower, interval.upper)]
-    last_place = find_last_place(value, interval, factor)
+    last_place = compute_last_place(value, interval, factor)
     number, *_, half_text = _round_together([*numbers, half_width], last_place)
     number, times, power = number.partition(" \u00d7 ")
     text = f"{number} \u00b1 {half_text.partition(times)[0] if times else half_text}"

@@ -1,6 +1,6 @@
 """List all kinds of results of a protocol, each of which is one record.
 
-A new kind is a dataclass in the module of its subject. Grammar, checks, JSON Schema, descriptions
+A new kind is a class in the module of its subject. Grammar, checks, JSON Schema, descriptions
 and the reference page derive from `KINDS`.
 """
 

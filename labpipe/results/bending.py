@@ -206,7 +206,6 @@ class Roller:
 _CORRECTION_ORDER = ("large-deflection", "roller-radius", "roller-friction")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class BendingStiffness(DerivedKind):
     """``<name>`` (N m^2): bending stiffness EI of a beam, from a stiffness and its length."""
 
@@ -236,19 +235,13 @@ class BendingStiffness(DerivedKind):
         """Find corrections of a cantilever, and those without an input or 'large-deflection'."""
         names = self.corrections
         if names and self.support == "cantilever":
-            expected = "corrections for 'three-point' alone"
-            yield Fault(("corrections",), expected, "'cantilever'", "Remove them.")
+            yield Fault.of("results.corrected_cantilever", ("corrections",))
             return
         for name, key in (("roller-radius", "diameter"), ("roller-friction", "friction")):
-            if name not in names:
-                continue
-            if "large-deflection" not in names:
-                remedy = "Add 'large-deflection' to the corrections."
-                expected = f"'large-deflection' beside {name!r}"
-                yield Fault(("corrections",), expected, "none", remedy)
-            if getattr(self.roller, key, None) is None:
-                remedy = f"Add 'roller: {{{key}: ...}}'."
-                yield Fault(("corrections",), f"'roller.{key}' for {name!r}", "none", remedy)
+            if name in names and "large-deflection" not in names:
+                yield Fault.of("results.no_large_deflection", ("corrections",), name=name)
+            if name in names and getattr(self.roller, key, None) is None:
+                yield Fault.of("results.no_roller", ("corrections",), name=name, key=key)
 
     def list_methods(self, test: ReducedTest) -> tuple[str]:
         """Return the formula, with the key of its length."""
@@ -263,21 +256,19 @@ class BendingStiffness(DerivedKind):
             is_span = self.length == "span"
             raise UnavailableError.of("results.no_span" if is_span else "results.no_length")
         self._compute_ratio(sizes, stiffness.window)
-        compute = partial(self._compute_rigidity, window=stiffness.window)
-        return test.measure_one(combine_numbers(compute, stiffness.decide))
+
+        def compute_rigidity(trace: Trace, slope: Floats) -> Floats:
+            """Compute bending stiffnesses, N m^2, NaN if an elastic beam would slip through."""
+            ratio = return_failure(self._compute_ratio)(trace.sizes, stiffness.window)
+            rigidity = slope * compute_beam_factor(trace.sizes[self.length], self.support)
+            return np.asarray(rigidity / (np.nan if isinstance(ratio, Failure) else ratio[0]))
+
+        return test.measure_one(combine_numbers(compute_rigidity, stiffness.decide))
 
     def collect_context(self, test: ReducedTest, stiffness: Stiffness) -> dict[str, Any]:
         """Return a remark on the corrections and their sizes."""
         ratio = return_failure(self._compute_ratio)(test.setup.sizes, stiffness.window)
         return {"remark": "" if isinstance(ratio, Failure) else ratio[1]}
-
-    def _compute_rigidity(
-        self, trace: Trace, stiffness: Floats, *, window: tuple[float, float]
-    ) -> Floats:
-        """Compute bending stiffnesses, N m^2, NaN if an elastic beam would slip through."""
-        ratio = return_failure(self._compute_ratio)(trace.sizes, window)
-        beam_stiffness = stiffness * compute_beam_factor(trace.sizes[self.length], self.support)
-        return np.asarray(beam_stiffness / (np.nan if isinstance(ratio, Failure) else ratio[0]))
 
     def _compute_ratio(
         self, sizes: Mapping[str, float], window: tuple[float, float]
@@ -288,9 +279,7 @@ class BendingStiffness(DerivedKind):
             return 1.0, ""
         ratio, radius, friction, effects = 1.0, 0.0, 0.0, list[str]()
         roller = self.roller or Roller()
-        for name in _CORRECTION_ORDER:
-            if name not in self.corrections:
-                continue
+        for name in sorted(self.corrections, key=_CORRECTION_ORDER.index):
             if name == "roller-radius":
                 radius = 0.5 * ((roller.diameter or 0.0) + sizes.get("outer_diameter", 0.0))
             if name == "roller-friction":
@@ -350,7 +339,6 @@ _MIN_REST_FRAMES, _MIN_TIP_FRAMES, _N_FIRST_FRAMES = 8, 16, 5
 """Numbers of frames: needed at rest, needed with a tip, averaged for the first position."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class TipTravel(Kind):
     """``tip_travel`` (m): largest distance of the tip from its first position."""
 
@@ -375,7 +363,6 @@ class TipTravel(Kind):
         yield self.make_result(test, Estimate(float(distances.max()), error, len(tip)))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class MomentCurvature(Kind):
     """``<name>`` (N m^2): bending stiffness by the measured moment-curvature law."""
 
@@ -442,16 +429,11 @@ class MomentCurvature(Kind):
             return
         own_moment = 0.5 * GRAVITY * limits.unstated_mass * shape.length**2
         if own_moment > limits.weight_share * moment:
-            yield Reason.of(
-                "results.weight_matters",
-                mass=1e3 * limits.unstated_mass,
-                moment=1e6 * own_moment,
-                share=limits.weight_share,
-                at=self.at,
-            )
+            mass, own = 1e3 * limits.unstated_mass, 1e6 * own_moment
+            weight_facts = {"mass": mass, "moment": own, "share": limits.weight_share}
+            yield Reason.of("results.weight_matters", **weight_facts, at=self.at)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class MidSpan(RangeKind):
     """``mid_span_bending_stiffness`` (N m^2) and ``mid_span_curvature`` (1/m): of a bent span."""
 
@@ -557,13 +539,12 @@ class _SpanFrames:
         cuts: list[int] = np.searchsorted(self.time, ends).tolist()
         smooth = [fit_smooth_curve(self.time, signal, cuts, branch_intervals) for signal in signals]
         deviations = [np.nanstd(x - curve) for x, curve in zip(signals, smooth, strict=True)]
-        scales = [deviations[0] / x if x > 0.0 else 0.0 for x in deviations]
-        scaled = [scale * signal for scale, signal in zip(scales, signals, strict=True)]
-        smooth = [scale * curve for scale, curve in zip(scales, smooth, strict=True)]
+        scales = np.array([deviations[0] / x if x > 0.0 else 0.0 for x in deviations])[:, None]
+        scaled, smooth_scaled = scales * np.array(signals), scales * np.array(smooth)
         pieces = [slice(start, stop) for start, stop in pairwise(cuts)]
         noise = estimate_noise(
             [signal[piece] for signal in scaled for piece in pieces],
-            [curve[piece] for curve in smooth for piece in pieces],
+            [curve[piece] for curve in smooth_scaled for piece in pieces],
             [signal[: cuts[0]] for signal in scaled],
             [signal[cuts[-1] :] for signal in scaled],
             n_signals=len(signals),
@@ -605,7 +586,6 @@ def _measure_at_turn(
     return Estimate(value, float(errors.std()), len(time_from_turn), interval)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Twist(Kind):
     """``twist`` (rad): rotation of the section at mid-span about the axis."""
 

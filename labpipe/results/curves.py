@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from itertools import pairwise
-from typing import Literal, TypeAlias
+from typing import TYPE_CHECKING, Literal, TypeAlias
 
 import numpy as np
 
@@ -32,11 +32,13 @@ from labpipe.uncertainty.replicates import (
     Input,
     Replicates,
     Trace,
-    choose_max_intervals,
     draw_replicates,
-    fit_smooth_curve,
+    fit_smooth_trace,
     make_generator,
 )
+
+if TYPE_CHECKING:
+    from labpipe.results.slack_and_slips import LoadDrop
 
 
 def require_samples(count: int, needed: int, where: str = " in the stretch") -> None:
@@ -429,10 +431,13 @@ def replicate_curves(test: ReducedTest) -> Replicates | None:
     if curve is None or unfiltered is None or not curve.branches:
         return None
     measured = make_trace(test)
-    corners = _list_corners(test)
+    corners = [end for branch in curve.branches for end in (branch.start, branch.stop)]
+    corners += [end for slip in test.slips for end in (slip.start + 1, slip.stop)]
+    corners += [] if measured.failed_at is None else [measured.failed_at + 1]
+    corners = sorted({corner for corner in corners if 0 < corner < len(curve.time)})
     starts = _find_block_starts(corners, curve)
     averaged = _move_to_grid(measured, starts)
-    cuts = [int(np.searchsorted(starts, corner)) for corner in corners]
+    cuts: list[int] = np.searchsorted(starts, corners).tolist()
     records, filters = [], []
     for name, (filtered, raw) in (
         (test.signals.displacement, _read_displacements(test, curve)),
@@ -440,21 +445,16 @@ def replicate_curves(test: ReducedTest) -> Replicates | None:
     ):
         grid_filters = _make_grid_filters(test, name, averaged.time)
         record = filtered if have_no_filter_effect(grid_filters) else raw
-        records.append(_average_blocks(record, starts))
+        records.append(average_between(record, starts))
         filters.append(partial(_filter_records, filters=grid_filters, cuts=cuts))
     grid = replace(averaged, displacement=records[0], force=records[1])
-
-    def smooth(change: Floats) -> Floats:
-        """Smooth the effect of an input, whose noise would raise the largest of many samples."""
-        max_intervals = choose_max_intervals(grid)
-        return fit_smooth_curve(grid.time, change, cuts, max_intervals, branches=grid.branches)
-
+    inputs = tuple(_list_inputs(test, starts, partial(fit_smooth_trace, grid, cuts=cuts)))
     return draw_replicates(
         measured,
         grid,
         cuts,
         (filters[0], filters[1]),
-        tuple(_list_inputs(test, starts, smooth)),
+        inputs,
         seed=test.seed,
         compliance=test.compliance,
         averaged=averaged,
@@ -495,16 +495,6 @@ def select_first_loading(trace: Trace) -> slice:
     return slice(start, max(start, stop))
 
 
-def _list_corners(test: ReducedTest) -> list[int]:
-    """List the samples at which a new piece of the record begins: turns, failure, slips."""
-    curve, failure = test.required_curve, test.failure
-    cuts = [end for branch in curve.branches for end in (branch.start, branch.stop)]
-    if isinstance(failure, FailurePoint):
-        cuts.append(failure.sample + 1)
-    cuts += [end for slip in test.slips for end in (slip.start + 1, slip.stop)]
-    return sorted({cut for cut in cuts if 0 < cut < len(curve.time)})
-
-
 def _find_block_starts(corners: Sequence[int], curve: Curve) -> Ints:
     """Find the first samples of the blocks of a grid, none of which crosses a corner.
 
@@ -520,11 +510,6 @@ def _find_block_starts(corners: Sequence[int], curve: Curve) -> Ints:
     pieces = pairwise([0, *corners, count])
     starts = [np.arange(start, max(stop - size, start) + 1, size) for start, stop in pieces]
     return np.concatenate(starts)
-
-
-def _average_blocks(values: Floats, starts: Ints) -> Floats:
-    """Average values over the blocks of a grid."""
-    return values if len(starts) == len(values) else average_between(values, starts)
 
 
 def find_piece_starts(clocks: Clocks, ends: Sequence[float], signal: Signal) -> list[int]:
@@ -549,9 +534,9 @@ def _move_to_grid(trace: Trace, starts: Ints) -> Trace:
         branches.append(replace(branch, start=start, stop=stop))
     return replace(
         trace,
-        time=_average_blocks(trace.time, starts),
-        displacement=_average_blocks(trace.displacement, starts),
-        force=_average_blocks(trace.force, starts),
+        time=average_between(trace.time, starts),
+        displacement=average_between(trace.displacement, starts),
+        force=average_between(trace.force, starts),
         branches=tuple(branches),
         failed_at=failed_at and int(np.searchsorted(starts, failed_at, side="right")) - 1,
     )
@@ -634,74 +619,65 @@ def _list_inputs(
 ) -> Iterator[Input]:
     """Yield the uncertain inputs of the whole record."""
     yield from _list_scales(test)
-    yield from _list_levels(test, starts)
-    displacement, time = test.displacement, test.required_curve.time
+    displacement, curve, time = test.displacement, test.required_curve, test.required_curve.time
+    drift = test.raw_force.zero_drift * float(np.nanmax(np.abs(curve.force)))
+    time_from_zero = np.abs(average_between(time, starts) - _find_zero_time(test))
+    for index, mode in enumerate(compute_drift_modes(time_from_zero, drift), start=1):
+        add_drift = partial(_add_force, change=mode, compliance=test.compliance)
+        yield Input(causes.DRIFT_OF_ZERO, add_drift, stream=f"{causes.DRIFT_OF_ZERO} {index}")
     for cause, signal in displacement.perturbed.items():
-        change = _average_blocks(signal - displacement.values, starts)
+        change = average_between(signal - displacement.values, starts)
+        # The noise of such a change would raise the largest of many samples.
         change = smooth(change) if cause in _CAUSES_BY_FRAME else change
         distribution: Distribution = "uniform" if cause == causes.SHAPE else "normal"
-        yield Input(cause, partial(shift_displacement_by, by=change), distribution=distribution)
+        yield Input(cause, partial(shift_displacement_by, change=change), distribution=distribution)
     for cause, clocks in test.clocks.perturbed.items():
         delay = clocks.to_force_times(time) - test.clocks.to_force_times(time)
-        yield Input(cause, partial(_delay_force, by=_average_blocks(delay, starts)))
-    for name, by in test.setup.uncertainties.items():
+        yield Input(cause, partial(_delay_force, delay=average_between(delay, starts)))
+    for name, uncertainty in test.setup.uncertainties.items():
         cause = name if name in (causes.LENGTH, causes.SPAN) else causes.SECTION
-        yield Input(cause, partial(_change_size, name=name, by=by), moves_curve=False, stream=name)
+        change_size = partial(_change_size, name=name, change=uncertainty)
+        yield Input(cause, change_size, moves_curve=False, stream=name)
     curve_step = len(starts) / len(time)  # in steps of the grid
 
     def delay_end(trace: Trace, x: float) -> Trace:
         return replace(trace, steps_beyond=x * curve_step)
 
     yield Input(causes.STEP, delay_end, distribution="step", moves_curve=False)
-    for number, slip in enumerate(_list_repaired(test), start=1):
+    for index, slip in enumerate(_list_repaired(test), start=1):
         is_after_slip = np.arange(len(starts)) >= np.searchsorted(starts, slip.stop)
         error = np.where(is_after_slip, slip.drop_interval.standard_error, 0.0)
-        add_drop = partial(_add_force, by=error)
-        yield Input(causes.REPAIRED_SLIPS, add_drop, stream=f"{causes.REPAIRED_SLIPS} {number}")
+        add_drop = partial(_add_force, change=error)
+        yield Input(causes.REPAIRED_SLIPS, add_drop, stream=f"{causes.REPAIRED_SLIPS} {index}")
 
 
 def _list_scales(test: ReducedTest) -> Iterator[Input]:
-    """Yield the uncertain scales and zeros of force and displacement."""
+    """Yield the uncertain scales, zeros and resolutions of force and displacement."""
     force, displacement, compliance = test.raw_force, test.displacement, test.compliance
+    add_force = partial(_add_force, compliance=compliance)
 
-    def scale_force(trace: Trace, x: float) -> Trace:
-        return _add_force(trace, x, by=force.relative_error * trace.force, compliance=compliance)
+    def scale_force(trace: Trace, x: float, change: float) -> Trace:
+        return add_force(trace, x, change=change * trace.force)
 
-    def scale_displacement(trace: Trace, x: float) -> Trace:
+    def scale_displacement(trace: Trace, x: float, change: float) -> Trace:
         machine_displacement = trace.displacement + compliance * np.nan_to_num(trace.force)
-        change = x * displacement.relative_error
-        return shift_displacement_by(trace, change, by=machine_displacement)
+        return shift_displacement_by(trace, x, change * machine_displacement)
 
-    shift_force = partial(_add_force, by=force.zero_error, compliance=compliance)
-    shift_displacement = partial(shift_displacement_by, by=displacement.zero_error)
     for cause, error, perturb in (
         (causes.SCALE_OF_FORCE, force.relative_error, scale_force),
-        (causes.ZERO_OF_FORCE, force.zero_error, shift_force),
+        (causes.ZERO_OF_FORCE, force.zero_error, add_force),
         (causes.SCALE_OF_DISPLACEMENT, displacement.relative_error, scale_displacement),
-        (causes.ZERO_OF_DISPLACEMENT, displacement.zero_error, shift_displacement),
+        (causes.ZERO_OF_DISPLACEMENT, displacement.zero_error, shift_displacement_by),
     ):
         if error:
-            yield Input(cause, perturb)
-
-
-def _list_levels(test: ReducedTest, starts: Ints) -> Iterator[Input]:
-    """Yield the resolutions of force and displacement, and the modes of the drift of the zero."""
-    curve, add_force = test.required_curve, partial(_add_force, compliance=test.compliance)
+            yield Input(cause, partial(perturb, change=error))
+    raw_displacement = test.signals.raw.get(test.signals.displacement)
     for cause, signal, add in (
         (causes.RESOLUTION_OF_FORCE, test.unfiltered, add_force),
-        (
-            causes.RESOLUTION_OF_DISPLACEMENT,
-            test.signals.raw.get(test.signals.displacement),
-            shift_displacement_by,
-        ),
+        (causes.RESOLUTION_OF_DISPLACEMENT, raw_displacement, shift_displacement_by),
     ):
         if signal is not None and (step := _estimate_converter_step(signal.values)):
-            yield Input(cause, partial(add, by=step / np.sqrt(12.0)), distribution="uniform")
-    drift = test.raw_force.zero_drift * float(np.nanmax(np.abs(curve.force)))
-    time_from_zero = np.abs(_average_blocks(curve.time, starts) - _find_zero_time(test))
-    for number, mode in enumerate(compute_drift_modes(time_from_zero, drift), start=1):
-        stream = f"{causes.DRIFT_OF_ZERO} {number}"
-        yield Input(causes.DRIFT_OF_ZERO, partial(add_force, by=mode), stream=stream)
+            yield Input(cause, partial(add, change=step / np.sqrt(12.0)), distribution="uniform")
 
 
 def _list_repaired(test: ReducedTest) -> list[Slip]:
@@ -709,13 +685,13 @@ def _list_repaired(test: ReducedTest) -> list[Slip]:
     return [slip for slip in test.slips if slip.decision is SlipDecision.REPAIRED]
 
 
-def add_slips_back(force: Floats, slips: Sequence[Slip]) -> Floats:
+def add_slips_back(force: Floats, slips: Sequence[Slip | LoadDrop]) -> Floats:
     """Add the losses of slips back to a force.
 
     Parameters
     ----------
     force : shape (n,), N
-    slips : slips with the sample numbers of `force`
+    slips : slips with indices of samples of `force`
 
     Returns
     -------
@@ -766,31 +742,31 @@ def _find_zero_time(test: ReducedTest) -> float:
     return first if first - time[0] < time[-1] - last else last
 
 
-def _add_force(trace: Trace, x: float, *, by: float | Floats, compliance: float = 0.0) -> Trace:
+def _add_force(trace: Trace, x: float, *, change: float | Floats, compliance: float = 0.0) -> Trace:
     """Add a multiple of a force to a trace, and subtract the displacement of the frame."""
-    shift = x * compliance * np.nan_to_num(by)
-    return replace(trace, force=trace.force + x * by, displacement=trace.displacement - shift)
+    shift = x * compliance * np.nan_to_num(change)
+    return replace(trace, force=trace.force + x * change, displacement=trace.displacement - shift)
 
 
-def shift_displacement_by(trace: Trace, x: float, *, by: float | Floats) -> Trace:
+def shift_displacement_by(trace: Trace, x: float, change: float | Floats) -> Trace:
     """Shift the displacement of a trace by a multiple of a length.
 
     Parameters
     ----------
     trace : one or many curves
     x : factor of the length
-    by : m, the length, or one for each sample
+    change : m, one length, or one for each sample
     """
-    return replace(trace, displacement=trace.displacement + x * by)
+    return replace(trace, displacement=trace.displacement + x * change)
 
 
-def _change_size(trace: Trace, x: float, *, name: str, by: float) -> Trace:
+def _change_size(trace: Trace, x: float, *, name: str, change: float) -> Trace:
     """Add a multiple of a length to a size of a trace, if it has this size."""
     if name not in trace.sizes:
         return trace
-    return replace(trace, sizes={**trace.sizes, name: trace.sizes[name] + x * by})
+    return replace(trace, sizes={**trace.sizes, name: trace.sizes[name] + x * change})
 
 
-def _delay_force(trace: Trace, x: float, *, by: Floats) -> Trace:
+def _delay_force(trace: Trace, x: float, *, delay: Floats) -> Trace:
     """Delay the force of a trace by a multiple of a time for each sample."""
-    return replace(trace, force=np.interp(trace.time + x * by, trace.time, trace.force))
+    return replace(trace, force=np.interp(trace.time + x * delay, trace.time, trace.force))

@@ -11,7 +11,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from labpipe.records.arrays import Flags, Floats, Ints, convert_to_slice, divide
+from labpipe.records.arrays import Flags, Floats, Ints, convert_to_slice, divide, drop_missing
 from labpipe.records.curve import Branch, Curve, Direction
 from labpipe.records.declarations import CURVE_QUANTITIES, Force, Output
 from labpipe.records.estimates import UnavailableError, return_failure
@@ -141,11 +141,8 @@ def find_unloading_end(
     if kind is None and has_reached_zero and _is_resting(t, d, f, is_after_zero, limit):
         kind = "at rest"
     if kind == "at rest" and is_after_zero.any():
-        samples = convert_to_slice(finite[is_after_zero])
-        count = int(is_after_zero.sum())
-        return UnloadingEnd(
-            kind, limit, count, lambda d, _: np.asarray(d[..., samples].mean(axis=-1))
-        )
+        rest, count = convert_to_slice(finite[is_after_zero]), int(is_after_zero.sum())
+        return UnloadingEnd(kind, limit, count, lambda d, _: np.mean(d[..., rest], axis=-1))
     count = int(((t >= zero_time - _TIME_BEFORE_ZERO) & (t <= zero_time)).sum())
     if count < _MIN_CROSSING_SAMPLES:
         raise UnavailableError.of("results.few_before_zero", count=count, zero=zero_time)
@@ -250,8 +247,7 @@ def find_last_flagged(flags: Flags) -> Ints:
     return np.where(flags.any(axis=-1), last, -1)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PerCycle(Kind):
+class CycleKind(Kind):
     """A kind of result with one number for each cycle of the curve."""
 
     n_complete_branches: ClassVar[int] = 0
@@ -263,52 +259,45 @@ class PerCycle(Kind):
     """Quantity whose largest sample the number depends on."""
 
     @abstractmethod
-    def choose(self, test: ReducedTest, trace: Trace, number: int) -> Reading:
+    def choose(self, test: ReducedTest, trace: Trace, cycle: int) -> Reading:
         """Choose the samples of a cycle on a curve.
 
         Parameters
         ----------
         test : reduced test, for facts that do not depend on the curve
         trace : one curve
-        number : number of the cycle, from 1
+        cycle : number of the cycle, from 1
         """
 
     def list_doubts(self, test: ReducedTest, branches: list[Branch]) -> tuple[Reason, ...]:
-        """Return further doubts about the number of a cycle: a missing sample at its peak."""
-        peak = self.peak_quantity
-        return () if peak is None else _find_gap_at_peak(test, branches, peak)
+        """List further doubts about the number of a cycle: a missing sample next to its peak."""
+        if self.peak_quantity is None:
+            return ()
+        curve, values = test.required_curve, getattr(test.required_curve, self.peak_quantity)
+        cycle_values = values[find_cycle_samples(curve, branches[0].cycle)]
+        signed_values = find_loading_sign(curve, values) * cycle_values
+        top = int(np.argmax(np.nan_to_num(signed_values, nan=-np.inf)))
+        is_gap = np.isnan(cycle_values[max(top - 1, 0) : top + 2])
+        if is_gap.all() or not is_gap.any():
+            return ()
+        return (Reason.of("results.gap_at_peak", quantity=self.peak_quantity),)
 
     def measure(self, test: ReducedTest) -> Iterator[Part]:
         """Measure the number of each cycle."""
         for branches in test.require(test.cycles or None):
-            number, complete = branches[0].cycle, branches[: self.n_complete_branches]
-            decide = partial(self.choose, test, number=number)
+            cycle, complete = branches[0].cycle, branches[: self.n_complete_branches]
+            decide = partial(self.choose, test, cycle=cycle)
             outcome = return_failure(test.measure_one)(decide)
             doubts = find_truncation(test, complete, self.outputs[0].depends_on)
             doubts += self.list_doubts(test, branches)
-            period, suffix = _find_period(branches, *self.read_range), f".{number}"
+            period, suffix = _find_period(branches, *self.read_range), f".{cycle}"
             yield self.make_result(test, outcome, period=period, doubts=doubts, suffix=suffix)
-
-
-def _find_gap_at_peak(
-    test: ReducedTest, branches: list[Branch], quantity: curves.Quantity
-) -> tuple[Reason, ...]:
-    """Find a doubt that a larger sample is missing next to the largest one of a cycle."""
-    curve = test.required_curve
-    values: Floats = getattr(curve, quantity)
-    cycle_values = values[find_cycle_samples(curve, branches[0].cycle)]
-    if np.isnan(cycle_values).all():
-        return ()
-    top = int(np.nanargmax(find_loading_sign(curve, values) * cycle_values))
-    if not np.isnan(cycle_values[max(top - 1, 0) : top + 2]).any():
-        return ()
-    return (Reason.of("results.gap_at_peak", quantity=quantity),)
 
 
 def _find_period(branches: list[Branch], start: float, stop: float) -> Stretch | None:
     """Return the first and last time of a part of a cycle; None if the cycle has no such branch.
 
-    The part goes from `start` to `stop`, see `PerCycle.read_range`.
+    The part goes from `start` to `stop`, see `CycleKind.read_range`.
     """
     if start >= len(branches):
         return None
@@ -342,27 +331,22 @@ def find_truncation(
         return ()
     if isinstance(failure, kinds.FailurePoint) and last.start <= failure.sample < last.stop:
         return ()  # the specimen broke, so the record is complete
-    if quantities == ("force",) and _is_past_peak(test, last):
-        return ()
+    if quantities == ("force",):
+        force = find_loading_sign(curve, curve.force) * curve.force[last.start : last.stop]
+        force = drop_missing(force)
+        if len(force) and force[-3:].max() < 0.9 * force.max():
+            return ()
     end_text = f"{end:.3f} s" if curve.time_unit == "s" else f"sample {round(end) + 1}"
     return (Reason.of("results.partial_cycle", end=end_text, direction=last.direction),)
 
 
-def _is_past_peak(test: ReducedTest, branch: Branch) -> bool:
-    """Check whether the force has fallen below 90 % of its peak where the record ends."""
-    curve = test.required_curve
-    values = (find_loading_sign(curve, curve.force) * curve.force)[branch.start : branch.stop]
-    values = values[~np.isnan(values)]
-    return len(values) > 0 and bool(values[-3:].max() < 0.9 * values.max())
-
-
-def find_cycle_samples(curve: Curve | Trace, number: int) -> slice:
+def find_cycle_samples(curve: Curve | Trace, cycle: int) -> slice:
     """Find the samples of a cycle from its first turn to its last one, both included.
 
     A rest between two cycles is divided at the extreme displacement of the rest. A last loading
     without unloading includes the hold after it, up to the last sample with a force.
     """
-    indices = [index for index, branch in enumerate(curve.branches) if branch.cycle == number]
+    indices = [index for index, branch in enumerate(curve.branches) if branch.cycle == cycle]
     first, last_branch = indices[0], curve.branches[indices[-1]]
     start = _find_turn_before(curve, first) if first else curve.branches[first].start
     if indices[-1] + 1 < len(curve.branches):
@@ -396,40 +380,36 @@ def find_loading_sign(curve: Curve | Trace, values: Floats) -> float:
     return kinds.compute_loading_sign(values[branch.start : branch.stop])
 
 
-def select_cycle(trace: Trace, number: int) -> list[Branch]:
+def select_cycle(trace: Trace, cycle: int) -> list[Branch]:
     """Return the branches of a cycle of a curve, in order.
 
     Parameters
     ----------
     trace : one or many curves
-    number : number of the cycle, from 1
+    cycle : number of the cycle, from 1
     """
-    return [branch for branch in trace.branches if branch.cycle == number]
+    return [branch for branch in trace.branches if branch.cycle == cycle]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Energy(PerCycle):
+WORK_QUANTITIES = (*CURVE_QUANTITIES, "start")
+"""Quantities on which the work up to a point of the curve depends."""
+
+
+class Energy(CycleKind):
     """``energy.<cycle>`` (J): energy dissipated in one cycle."""
 
     result: ClassVar = "energy"
     outputs: ClassVar = (
-        Output(
-            "energy",
-            "J",
-            "Energy dissipated",
-            (*CURVE_QUANTITIES, "start"),
-            first=1,
-            is_raised_by_slips=True,
-        ),
+        Output("energy", "J", "Energy dissipated", WORK_QUANTITIES, 1, is_raised_by_slips=True),
     )
     n_complete_branches: ClassVar = 2
     method: ClassVar = "integral of force, trapezoids"
 
-    def choose(self, test: ReducedTest, trace: Trace, number: int) -> Reading:
+    def choose(self, test: ReducedTest, trace: Trace, cycle: int) -> Reading:
         """Choose the samples for the integral of the force over a cycle."""
         del test
-        require_unloading(select_cycle(trace, number))
-        return choose_work_samples(trace, find_cycle_samples(trace, number))
+        require_unloading(select_cycle(trace, cycle))
+        return choose_work_samples(trace, find_cycle_samples(trace, cycle))
 
 
 def require_unloading(branches: list[Branch]) -> Branch:
@@ -470,8 +450,7 @@ def choose_work_samples(trace: Trace, samples: slice) -> Reading:
     return Reading(read_part(integrate_energy, samples), len(force), sampling_correction=correction)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ResidualDisplacement(PerCycle):
+class ResidualDisplacement(CycleKind):
     """``residual_displacement.<cycle>`` (m): displacement at zero force after unloading."""
 
     result: ClassVar = "residual-displacement"
@@ -487,16 +466,16 @@ class ResidualDisplacement(PerCycle):
         "displacement once the force is back at zero, within {force_below:g} N or less"
     )
 
-    def choose(self, test: ReducedTest, trace: Trace, number: int) -> Reading:
+    def choose(self, test: ReducedTest, trace: Trace, cycle: int) -> Reading:
         """Choose the samples at the end of unloading; a smooth curve ends as the measured one."""
-        measured_end = self._find_end(curves.make_trace(test), number) if trace.is_smooth else None
-        end, part = self._find_end(trace, number, measured_end), select_cycle(trace, number)[1]
+        measured_end = self._find_end(curves.make_trace(test), cycle) if trace.is_smooth else None
+        end, part = self._find_end(trace, cycle, measured_end), select_cycle(trace, cycle)[1]
         return Reading(read_part(end.compute, slice(part.start, part.stop)), end.n)
 
     def _find_end(
-        self, trace: Trace, number: int, measured_end: UnloadingEnd | None = None
+        self, trace: Trace, cycle: int, measured_end: UnloadingEnd | None = None
     ) -> UnloadingEnd:
-        record = cut_branch(trace, require_unloading(select_cycle(trace, number)))
+        record = cut_branch(trace, require_unloading(select_cycle(trace, cycle)))
         return find_unloading_end(*record, force_below=self.force_below, measured_end=measured_end)
 
 
@@ -549,7 +528,7 @@ def estimate_rise_beyond_top(values: Floats, travel: Floats) -> float:
 
 
 def choose_peak_sample(
-    test: ReducedTest, trace: Trace, number: int, quantity: curves.Quantity = "force"
+    test: ReducedTest, trace: Trace, cycle: int, quantity: curves.Quantity = "force"
 ) -> Reading:
     """Choose the largest sample of a cycle in the direction of loading.
 
@@ -557,7 +536,7 @@ def choose_peak_sample(
     ----------
     test : reduced test with all samples of the quantity
     trace : one curve
-    number : number of the cycle, from 1
+    cycle : number of the cycle, from 1
     quantity : quantity whose largest sample is chosen
 
     Raises
@@ -566,7 +545,7 @@ def choose_peak_sample(
         ``no_sample`` if all samples are NaN.
     """
     values: Floats = getattr(trace, quantity)
-    sign, samples = find_loading_sign(trace, values), find_cycle_samples(trace, number)
+    sign, samples = find_loading_sign(trace, values), find_cycle_samples(trace, cycle)
     signed_values = sign * values[samples]
     if np.isnan(signed_values).all():
         raise UnavailableError.of("results.no_sample")
@@ -596,8 +575,7 @@ def choose_peak_sample(
     return Reading(compute_peak, int((~np.isnan(signed_values)).sum()), compute_with_noise)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PeakForce(PerCycle):
+class PeakForce(CycleKind):
     """``peak_force.<cycle>`` (N): the largest force of a cycle."""
 
     result: ClassVar = "peak-force"
@@ -609,12 +587,12 @@ class PeakForce(PerCycle):
     peak_quantity: ClassVar = "force"
     method: ClassVar = "largest force of the cycle after the filter, in the sense of loading"
 
-    def choose(self, test: ReducedTest, trace: Trace, number: int) -> Reading:
+    def choose(self, test: ReducedTest, trace: Trace, cycle: int) -> Reading:
         """Choose the largest sample of the force, from its own signal if that has another clock."""
-        reading, signal = choose_peak_sample(test, trace, number), test.force
+        reading, signal = choose_peak_sample(test, trace, cycle), test.force
         if signal.clock == test.clocks.curve or trace.is_smooth:
             return reading
-        samples = find_cycle_samples(trace, number)
+        samples = find_cycle_samples(trace, cycle)
         ends = trace.time[[samples.start, min(samples.stop, len(trace.time)) - 1]]
         part = np.searchsorted(signal.time, test.clocks.from_curve(ends, signal.clock))
         sign = find_loading_sign(trace, trace.force)
@@ -622,15 +600,13 @@ class PeakForce(PerCycle):
         return replace(reading, values=(sign * float(largest),))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PeakDisplacement(PerCycle):
+class PeakDisplacement(CycleKind):
     """``peak_displacement.<cycle>`` (m): the largest displacement of a cycle."""
 
     result: ClassVar = "peak-displacement"
     outputs: ClassVar = (
         Output(
-            *("peak_displacement", "m", "Displacement at the peak", ("displacement",)),
-            first=1,
+            *("peak_displacement", "m", "Displacement at the peak", ("displacement",), 1),
             is_set_by_stroke=True,
         ),
     )
@@ -639,6 +615,6 @@ class PeakDisplacement(PerCycle):
     peak_quantity: ClassVar = "displacement"
     method: ClassVar = "largest displacement of the cycle, in the sense of loading"
 
-    def choose(self, test: ReducedTest, trace: Trace, number: int) -> Reading:
+    def choose(self, test: ReducedTest, trace: Trace, cycle: int) -> Reading:
         """Choose the largest sample of the displacement."""
-        return choose_peak_sample(test, trace, number, "displacement")
+        return choose_peak_sample(test, trace, cycle, "displacement")

@@ -20,7 +20,6 @@ from labpipe.errors import Fault
 from labpipe.records.arrays import Flags, Floats, Ints
 from labpipe.records.curve import Branch, Curve, Direction, Interval
 from labpipe.records.declarations import (
-    CURVE_QUANTITIES,
     Area,
     Force,
     FromCard,
@@ -34,7 +33,7 @@ from labpipe.records.result import Result, Status
 from labpipe.records.signals import Stretch
 from labpipe.results import cycles
 from labpipe.results.curves import Quantity, SampleNoise, find_finite_samples
-from labpipe.results.cycles import PeakForce, PerCycle
+from labpipe.results.cycles import WORK_QUANTITIES, CycleKind, PeakForce
 from labpipe.results.kinds import FailurePoint, Kind, Part, ReducedTest
 from labpipe.statistics.lots import FORCE_LIMIT, PEAK_OVER_LIMIT, judge_sample
 from labpipe.uncertainty.autocorrelation import estimate_fast_noise
@@ -48,11 +47,11 @@ class LossOfForce:
 
     Parameters
     ----------
-    force_below : share of the largest force below which the specimen has failed
-    loss : smallest sudden loss, as a share of the largest force
+    force_below : fraction of the largest force below which the specimen has failed
+    loss : smallest sudden loss, as a fraction of the largest force
     within : longest duration of a sudden loss, s; one sampling step if that is longer
-    at_end_below : share of the largest force; a record that ends below it ends with the break. None
-        if the end of a record is never the break
+    at_end_below : fraction of the largest force; a record that ends below it ends with the break.
+        None if the end of a record is never the break
     """
 
     force_below: float
@@ -119,7 +118,7 @@ def find_slow_loss(displacement: Floats, force: Floats, criteria: LossOfForce) -
 
     Returns
     -------
-    Index of the sample. None if the force is not below this share at the end, or if the motion
+    Index of the sample. None if the force is not below this fraction at the end, or if the motion
     stops or reverses during the loss, as for a specimen that relaxes.
     """
     finite = find_finite_samples(displacement, force)
@@ -133,9 +132,9 @@ def find_slow_loss(displacement: Floats, force: Floats, criteria: LossOfForce) -
     return int(finite[last_above]) if is_longer and is_forward else None
 
 
-def find_last_above(force: Floats, share: float) -> Ints:
-    """Find the last sample with at least a share of the largest force, per row of (..., n)."""
-    return cycles.find_last_flagged(force >= share * np.max(force, axis=-1, keepdims=True))
+def find_last_above(force: Floats, fraction: float) -> Ints:
+    """Find the last sample with at least a fraction of the largest force, per row of (..., n)."""
+    return cycles.find_last_flagged(force >= fraction * np.max(force, axis=-1, keepdims=True))
 
 
 def _find_first_of_loss(t: Floats, f: Floats, last: int, criteria: LossOfForce, peak: float) -> int:
@@ -164,7 +163,7 @@ def measure_earlier_loss(time: Floats, force: Floats, criteria: LossOfForce) -> 
 
     Returns
     -------
-    The loss as a share of the largest force; 0 without a loss that meets the criteria.
+    The loss as a fraction of the largest force; 0 without a loss that meets the criteria.
     """
     is_finite = ~np.isnan(force) & ~np.isnan(time)
     time, force = time[is_finite], force[is_finite]
@@ -177,7 +176,6 @@ def measure_earlier_loss(time: Floats, force: Floats, criteria: LossOfForce) -> 
     return largest_share if largest_share >= criteria.loss else 0.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class FailureResult(Kind):
     """``failure_displacement`` (m) and ``failure_force`` (N), at which the specimen fails."""
 
@@ -218,7 +216,7 @@ def _choose_failure_samples(test: ReducedTest, trace: Trace) -> Reading:
     sample = test.require(trace.failed_at)
     failure = test.require(test.failure)
     if failure.slow_below is not None:
-        select = partial(find_last_above, share=failure.slow_below)
+        select = partial(find_last_above, fraction=failure.slow_below)
         finite = np.flatnonzero(~np.isnan(trace.force))
         return _choose_by_force(test, trace, sample, finite, select, is_break=True)
     draw_noise = _make_noise_function(test, trace, sample)
@@ -264,9 +262,7 @@ def _choose_by_force(
         index = np.asarray(select(sign * force))[..., np.newaxis]
         step = np.gradient(displacement, axis=-1)
         displacement = displacement + step * trace.steps_beyond * is_break
-        return tuple(
-            np.take_along_axis(values, index, axis=-1)[..., 0] for values in (displacement, force)
-        )
+        return tuple(np.take_along_axis(x, index, axis=-1)[..., 0] for x in (displacement, force))
 
     def compute_with_noise(noisy_trace: Trace) -> tuple[Floats, ...]:
         noise = draw_noise("force", noisy_trace.force.shape)
@@ -343,8 +339,7 @@ def find_loading_before(curve: Curve | Trace, sample: int) -> Branch:
     return ([loading for loading in loadings if loading.start <= sample] or loadings[:1])[-1]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PeakForceDisplacement(PerCycle):
+class PeakForceDisplacement(CycleKind):
     """``displacement_at_peak_force.<cycle>`` (m), at the largest force of a cycle."""
 
     result: ClassVar = "displacement-at-peak-force"
@@ -359,13 +354,13 @@ class PeakForceDisplacement(PerCycle):
         " the first and the last of several equal ones"
     )
 
-    def choose(self, test: ReducedTest, trace: Trace, number: int) -> Reading:
+    def choose(self, test: ReducedTest, trace: Trace, cycle: int) -> Reading:
         """Choose the displacement at the largest force.
 
         With noise, a neighbouring sample may have the largest force. If the specimen breaks there,
         the peak lies within one sampling step after the sample.
         """
-        rows = cycles.find_cycle_samples(trace, number)
+        rows = cycles.find_cycle_samples(trace, cycle)
         finite = rows.start + find_finite_samples(trace.displacement[rows], trace.force[rows])
         if not len(finite):
             raise UnavailableError.of("results.no_sample")
@@ -380,19 +375,12 @@ class PeakForceDisplacement(PerCycle):
         return replace(reading, n=len(finite))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class EnergyToBreak(Kind):
     """``energy_to_break`` (J): work done up to the failure."""
 
     result: ClassVar = "energy-to-break"
     outputs: ClassVar = (
-        Output(
-            "energy_to_break",
-            "J",
-            "Energy to break",
-            (*CURVE_QUANTITIES, "start"),
-            is_raised_by_slips=True,
-        ),
+        Output("energy_to_break", "J", "Energy to break", WORK_QUANTITIES, is_raised_by_slips=True),
     )
     needs: ClassVar = Needs(branches=True, correction="failure")
 
@@ -453,7 +441,6 @@ class LimitCard:
         return tuple(dict.fromkeys(name for row in self.rows for name in row.limits))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class ForceLimit(Kind):
     """``force_limit`` (N) and ``peak_over_limit`` (1): largest force over the smallest allowed."""
 
@@ -543,12 +530,12 @@ def _parse_section(conductor: str) -> tuple[str, float]:
 
 def _find_row(card: LimitCard, conductor: str) -> CardRow:
     """Find the row of a section; a section between two rows is an error."""
-    unit, number = _parse_section(conductor)
+    unit, size = _parse_section(conductor)
     sizes = {row.awg if unit == "AWG" else 1e6 * row.section: row for row in card.rows}
-    for size, row in sizes.items():
-        if isclose(size, number, rel_tol=MAX_SECTION_DEVIATION):
+    for row_size, row in sizes.items():
+        if isclose(row_size, size, rel_tol=MAX_SECTION_DEVIATION):
             return row
     ordered = sorted(sizes)
-    above = bisect(ordered, number)
-    rows = " and ".join(str(sizes[size]) for size in ordered[max(above - 1, 0) : above + 1])
+    above = bisect(ordered, size)
+    rows = " and ".join(str(sizes[x]) for x in ordered[max(above - 1, 0) : above + 1])
     raise UnavailableError.of("results.section_not_in_card", conductor=conductor, rows=rows)

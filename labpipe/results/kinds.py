@@ -1,6 +1,6 @@
 """Define what a kind of result is, and the test that it is measured on.
 
-A kind of result is a frozen dataclass: its fields are the settings of its entry in a protocol, its
+A kind of result is a class: its fields are the settings of its entry in a protocol, its
 class variables are its name, outputs, needs and methods. `measure` yields the numbers of a test,
 stiffnesses for later entries, lines and notes. Grammar, cross-checks, JSON Schema, descriptions and
 the reference page derive from the list `labpipe.results.KINDS`.
@@ -11,7 +11,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias, TypeVar, dataclass_transform
 
 import numpy as np
 
@@ -49,11 +49,11 @@ class FailurePoint:
 
     Parameters
     ----------
-    sample : number of the sample: the last one before a sudden loss, or above `slow_below` in a
+    sample : index of the sample: the last one before a sudden loss, or above `slow_below` in a
         slow loss; if only the end of the record shows the loss, the last one with a force
-    lost_before : largest share of the peak that was suddenly and permanently lost earlier, by a
+    lost_before : largest fraction of the peak that was suddenly and permanently lost earlier, by a
         specimen that failed in steps; else 0
-    slow_below : share of the peak below which the force finally falls in a slow loss; None for a
+    slow_below : fraction of the peak below which the force finally falls in a slow loss; None for a
         sudden loss
     """
 
@@ -274,8 +274,8 @@ class ReducedTest:
     def cycles(self) -> list[list[Branch]]:
         """Return the branches of the curve by cycle."""
         branches = self.curve.branches if self.curve else ()
-        numbers = sorted({branch.cycle for branch in branches})
-        return [[branch for branch in branches if branch.cycle == number] for number in numbers]
+        cycles = sorted({branch.cycle for branch in branches})
+        return [[branch for branch in branches if branch.cycle == cycle] for cycle in cycles]
 
     @property
     def first_loading(self) -> Branch | None:
@@ -327,13 +327,15 @@ class ReducedTest:
     def _overlaps(self, doubt: Doubt, period: Stretch | None) -> bool:
         if doubt.period is None or period is None:
             return True
-        start, stop = (self.clocks.to_curve(edge, doubt.clock) for edge in doubt.period)
-        stretches, signals = [period], self.signals
+        stretches, signals = [(*period, self.clocks.curve)], self.signals
         for name, zero in {**signals.moving_zero_stretches, **signals.zero_stretches}.items():
             if signals.quantities.get(name) == doubt.quantity:
-                first, last = (self.clocks.to_curve(x, signals.raw[name].clock) for x in zero)
-                stretches.append((first, last))
-        return any(start <= end and begin <= stop for begin, end in stretches)
+                stretches.append((*zero, signals.raw[name].clock))
+        start, stop = (self.clocks.to_curve(edge, doubt.clock) for edge in doubt.period)
+        return any(
+            start <= self.clocks.to_curve(end, clock) and self.clocks.to_curve(begin, clock) <= stop
+            for begin, end, clock in stretches
+        )
 
 
 def compute_loading_sign(values: Floats) -> float:
@@ -367,9 +369,12 @@ Errors: TypeAlias = Mapping[str, float]
 """Standard errors from outside the fit, in the unit of the number, by cause."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass_transform(frozen_default=True, kw_only_default=True)
+@dataclass(frozen=True, kw_only=True)
 class Kind(ABC):
     """A kind of result; its fields are the settings of an entry in a protocol.
+
+    Subclasses become frozen dataclasses without a decorator.
 
     ``method`` describes how the outputs are measured, ``methods`` each of them if they differ. It
     may have settings as fields; ``over_mm`` is the setting ``over`` in millimetres.
@@ -380,6 +385,10 @@ class Kind(ABC):
     needs: ClassVar[Needs] = Needs(branches=True)
     method: ClassVar[str] = ""
     methods: ClassVar[tuple[str, ...]] = ()
+
+    def __init_subclass__(cls) -> None:
+        """Make a frozen dataclass of a subclass."""
+        dataclass(frozen=True, kw_only=True)(cls)
 
     @abstractmethod
     def measure(self, test: ReducedTest) -> Iterator[Part]:
@@ -412,20 +421,20 @@ class Kind(ABC):
         except UnavailableError as error:
             suffixes = ["" if x.first is None else f".{x.first}" for x in self.outputs]
             return [
-                self.make_result(test, error.failure, output=number, suffix=suffix)
-                for number, suffix in enumerate(suffixes)
+                self.make_result(test, error.failure, output=index, suffix=suffix)
+                for index, suffix in enumerate(suffixes)
             ]
 
     def compute_results(self, test: ReducedTest) -> list[Result]:
         """Compute the results of a test as `compute`, without stiffnesses, lines and notes."""
-        return [number for number in self.compute(test) if isinstance(number, Result)]
+        return [part for part in self.compute(test) if isinstance(part, Result)]
 
     def make_results(
         self, test: ReducedTest, outcomes: Iterable[Outcome], *, first: int = 0, **common: Any
     ) -> Iterator[Result]:
         """Make the results of several outputs in order, from the `first`, as `make_result`."""
-        for number, outcome in enumerate(outcomes, start=first):
-            yield self.make_result(test, outcome, output=number, **common)
+        for index, outcome in enumerate(outcomes, start=first):
+            yield self.make_result(test, outcome, output=index, **common)
 
     def make_result(
         self,
@@ -566,13 +575,10 @@ def find_pause(test: ReducedTest, stretch: tuple[float, float]) -> tuple[Reason,
         return ()
     start, stop = edges[long[0]], edges[long[-1] + 1]
     size = (stop - start) // 10
-    change = float(force[edges[-1]] - force[edges[0]])
-    first, last = (
-        np.nanmean(force[start : start + size]),
-        np.nanmean(force[stop - 2 * size : stop - size]),
-    )
-    fall = float(first - last) / change if change else 0.0
-    error = estimate_noise_level(force) / np.sqrt(size) / abs(change) if change else 0.0
+    change = float(force[edges[-1]] - force[edges[0]]) or np.inf
+    first, last = force[start : start + size], force[stop - 2 * size : stop - size]
+    fall = float(np.nanmean(first) - np.nanmean(last)) / change
+    error = estimate_noise_level(force) / np.sqrt(size) / abs(change)
     if not fall > max(min_fall, n_errors * error):
         return ()
     place, duration = 1e3 * float(path[start]), float(time[stop] - time[start])
@@ -604,14 +610,13 @@ def find_machine_compliance(test: ReducedTest, stiffness: float) -> tuple[Reason
     stiffness : measured stiffness, N/m
     """
     limits = test.setup.limits
-    share = limits.machine_compliance * stiffness
-    if test.setup.compliance_stated or not share > limits.machine_share:
+    fraction = limits.machine_compliance * stiffness
+    if test.setup.compliance_stated or not fraction > limits.machine_share:
         return ()
     usual = 1e6 * limits.machine_compliance
-    return (Reason.of("results.machine_compliance", usual=usual, share=share),)
+    return (Reason.of("results.machine_compliance", usual=usual, share=fraction),)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class ClockResult(Kind):
     """``clock_offset`` (s), ``clock_drift`` (1): clock of the force against that of the motion."""
 

@@ -238,14 +238,8 @@ def require_bend(segments: tuple[Measured, ...], hinges: Hinges) -> None:
     middle, smallest = np.nanquantile(deviations, [0.5, 0.975 if bend < 0.0 else 0.025]).tolist()
     error = abs(smallest - middle) / NORMAL_95
     if not abs(bend) > min_bend_errors * error:
-        raise UnavailableError.of(
-            "results.no_bend",
-            first=first.value,
-            second=second.value,
-            bend=abs(bend),
-            needed=min_bend_errors,
-            error=error,
-        )
+        slopes = {"first": first.value, "second": second.value, "bend": abs(bend)}
+        raise UnavailableError.of("results.no_bend", **slopes, needed=min_bend_errors, error=error)
     low, high = hinges.to_displacement(hinges.candidates[[2, -3]])
     errors = break_point.deviations[~np.isnan(break_point.deviations)]
     for breaks in (break_point.value + errors, break_point.value - errors):
@@ -273,12 +267,12 @@ def require_kink(segments: tuple[Measured, ...], hinges: Hinges) -> None:
     if no_bend is not None:
         why = no_bend.message
         raise UnavailableError.of("results.no_kink", rms=rms, start=start, stop=stop, why=why)
-    place, first, second = 1e3 * segments[0].value, segments[1].value, segments[2].value
+    break_mm, first, second = 1e3 * segments[0].value, segments[1].value, segments[2].value
     if second >= first:
-        raise UnavailableError.of("results.slope_rises", first=first, second=second, place=place)
+        raise UnavailableError.of("results.slope_rises", first=first, second=second, place=break_mm)
     margin = 0.05 * (stop - start)  # a break closer to an end may be that of the end itself
-    if not start + margin <= place <= stop - margin:
-        raise UnavailableError.of("results.kink_at_end", place=place, start=start, stop=stop)
+    if not start + margin <= break_mm <= stop - margin:
+        raise UnavailableError.of("results.kink_at_end", place=break_mm, start=start, stop=stop)
 
 
 def find_break_doubts(interval: Interval, hinges: Hinges) -> tuple[Reason, ...]:
@@ -310,9 +304,12 @@ def find_contact_doubts(segments: tuple[Measured, ...], hinges: Hinges) -> tuple
     the force at the break are almost zero.
     """
     min_force_fraction, min_slope_ratio = 0.05, 0.02
-    place, first, second, level = (number.value for number in segments)
+    break_point, first, second, level = (x.value for x in segments)
     start, stop = hinges.ends
-    start_force, end_force = level - first * (place - start), level + second * (stop - place)
+    start_force, end_force = (
+        level - first * (break_point - start),
+        level + second * (stop - break_point),
+    )
     is_flat = abs(first) < min_slope_ratio * abs(second)
     is_unloaded = is_flat and abs(level) < abs(min_force_fraction * end_force)
     if start_force / end_force >= -min_force_fraction and not is_unloaded:
@@ -320,7 +317,6 @@ def find_contact_doubts(segments: tuple[Measured, ...], hinges: Hinges) -> tuple
     return (Reason.of("results.late_contact", start=1e3 * start),)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class _TwoLineKind(RangeKind):
     """A kind of result from two lines through a range of the first loading."""
 
@@ -387,14 +383,13 @@ def _make_lines(
     segments: tuple[Measured, ...], hinges: Hinges, names: tuple[str, str]
 ) -> tuple[FittedLine, ...]:
     """Make the named lines before and after a break."""
-    (place, first, second, level), (start, stop) = (x.value for x in segments), hinges.ends
+    (break_point, first, second, level), (start, stop) = (x.value for x in segments), hinges.ends
     return (
-        FittedLine(names[0], first, level - first * (place - start), start, place),
-        FittedLine(names[1], second, level, place, stop),
+        FittedLine(names[0], first, level - first * (break_point - start), start, break_point),
+        FittedLine(names[1], second, level, break_point, stop),
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class TwoSegments(_TwoLineKind):
     """``segment_stiffness_first``, ``segment_stiffness_second``, ``break_point``: two lines."""
 
@@ -426,7 +421,6 @@ class TwoSegments(_TwoLineKind):
         yield from _make_lines(segments, hinges, names)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Kink(_TwoLineKind):
     """``kink_displacement`` (m) and ``kink_force`` (N): where the first loading gets less steep."""
 
@@ -760,7 +754,6 @@ class _Corner:
         return 0.5 * self.remaining_ratio[:, None] * (errors - self.noisy_base[:, None])
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Plateau(Kind):
     """``end_slope`` (1), ``plateau_displacement`` (m), ``plateau_force`` (N): end of a loading."""
 
@@ -779,7 +772,7 @@ class Plateau(Kind):
 
     def compute(self, test: ReducedTest) -> list[Part]:
         """Measure the plateau, whose onset is left out if the slope at the end is not available."""
-        end_slope, *onset = super(Plateau, self).compute(test)
+        end_slope, *onset = super().compute(test)
         has_end_slope = isinstance(end_slope, Result) and end_slope.value is not None
         return [end_slope, *onset] if has_end_slope else [end_slope]
 
@@ -795,15 +788,15 @@ class Plateau(Kind):
         yield end_slope
         onset, trace = self._measure_onset(test, initial, end_slope), curves.make_trace(test)
         (d, f), (tangents, _) = _read_loading(trace), self._choose_tangents(trace, initial.decide)
-        if not onset and end_slope.interval is not None:
+        if not onset and (interval := end_slope.interval) is not None:
             yield Finding.of(
                 "results.no_plateau",
                 test.signals.force,
                 over=1e3 * self.over,
                 slope=1e2 * outcome.value,
                 of=self.of,
-                low=1e2 * end_slope.interval.lower,
-                high=1e2 * end_slope.interval.upper,
+                low=1e2 * interval.lower,
+                high=1e2 * interval.upper,
                 slope_below=1e2 * self.slope_below,
                 reached=1e3 * float(np.nanmax(d)),
             )

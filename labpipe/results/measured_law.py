@@ -279,26 +279,27 @@ class BendingTest:
         """Arc lengths of the markers from the clamped end, m, shape (markers,)."""
         return self.shape.arc_length[_flag_markers(self.shape)]
 
-    @cached_property
-    def end_conditions(self) -> EndConditions:
-        """Conditions at the ends with which the shapes were fitted.
+    def fit_curves(self, markers: Floats, *, extra_terms: int = 0) -> FrameFits:
+        """Fit curves through markers, with the conditions at the ends of the fitted shapes.
+
+        Parameters
+        ----------
+        markers : shape (n, markers, 3), m, positions
+        extra_terms : number of coefficients in addition to those of the shapes
 
         Raises
         ------
         ValueError
             If no frame has a curve.
         """
-        shape = self.shape
-        fitted = np.flatnonzero(np.isfinite(shape.coefficients).all(axis=(1, 2)))
+        length, coefficients = self.shape.length, self.shape.coefficients
+        fitted = np.flatnonzero(np.isfinite(coefficients).all(axis=(1, 2)))
         if not len(fitted):
             raise ValueError(format_sentence("results.no_fitted_frame"))
-        direction = shape.coefficients[fitted[0], :, 1] / shape.length
-        return EndConditions(length=shape.length, direction=direction, free_tip=self.free_tip)
-
-    def fit_curves(self, markers: Floats, *, extra_terms: int = 0) -> FrameFits:
-        """Fit curves through markers of shape (n, markers, 3), with extra coefficients."""
-        ends, terms = self.end_conditions, int(self.shape.coefficients.shape[2]) + extra_terms
-        return fit_frames(markers, self.marker_arc_length, self.centre_offset, ends, terms=terms)
+        direction, terms = coefficients[fitted[0], :, 1] / length, coefficients.shape[2]
+        ends = EndConditions(length=length, direction=direction, free_tip=self.free_tip)
+        arc_length, offset = self.marker_arc_length, self.centre_offset
+        return fit_frames(markers, arc_length, offset, ends, terms=terms + extra_terms)
 
     @cached_property
     def specimen_at_rest(self) -> SpecimenAtRest:

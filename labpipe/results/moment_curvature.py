@@ -92,26 +92,18 @@ class RestEvidence:
         return self.sag / self.load_deflection if self.load_deflection >= min_deflection else np.nan
 
     @property
-    def tension(self) -> float:
-        """Tension at rest, N, from the force while the string is slack, or NaN."""
-        return -self.slack_force
-
-    @property
-    def has_lost_tension(self) -> bool:
-        """Whether the force falls below that at rest, so that the string was under tension."""
-        min_loss = max(0.05 * self.tip_load, 5.0 * self.force_error)  # more than drift and noise
-        return self.lowest_force < -min_loss
-
-    @property
     def state(self) -> State:
         """State of the string at rest, from the most direct evidence."""
         taut_fraction, slack_fraction = 0.75, 0.25  # of the load at the tip
         straight_fraction = 0.25  # of the deflection under that load, since wires are curled
-        carried_nothing = self.clamp_lead > MIN_SLACK_TRAVEL and not self.has_lost_tension
+        # A string that was under tension at rest loses more force than by drift and noise.
+        min_loss = max(0.05 * self.tip_load, 5.0 * self.force_error)
+        has_lost_tension = self.lowest_force < -min_loss
+        carried_nothing = self.clamp_lead > MIN_SLACK_TRAVEL and not has_lost_tension
         if np.isfinite(self.slack_force):
-            if self.tension >= taut_fraction * self.tip_load:
+            if -self.slack_force >= taut_fraction * self.tip_load:
                 return "taut"
-            if self.tension > slack_fraction * self.tip_load:
+            if -self.slack_force > slack_fraction * self.tip_load:
                 return "part"
             carried_nothing = True
         sag = self.sag_fraction
@@ -120,8 +112,8 @@ class RestEvidence:
                 return "slack"
             return "off the wire" if abs(sag) <= LEANING_FRACTION else "unknown"
         if sag > HANGING_FRACTION:  # the string just reaches a hanging wire, or the wire is curled
-            return "unknown" if self.has_lost_tension else "slack"
-        return "taut" if self.has_lost_tension or abs(sag) <= straight_fraction else "unknown"
+            return "unknown" if has_lost_tension else "slack"
+        return "taut" if has_lost_tension or abs(sag) <= straight_fraction else "unknown"
 
     @property
     def summary(self) -> str:
@@ -295,7 +287,7 @@ def decide_string_state(evidence: RestEvidence) -> StringState:
     """
     tip_load, state = evidence.tip_load, evidence.state
     context = {"load": evidence.load_description, "facts": evidence.summary}
-    tension = {"taut": tip_load, "part": evidence.tension}.get(state, 0.0)
+    tension = {"taut": tip_load, "part": -evidence.slack_force}.get(state, 0.0)
     weight, alternative = tip_load - evidence.wire_load, None
     if state == "unknown":
         is_slack = evidence.clamp_lead > MIN_SLACK_TRAVEL
@@ -389,13 +381,8 @@ def measure_moment_curvature(test: ReducedTest) -> tuple[Bending | Failure | Non
         findings.append(Finding.of("results.weight_not_stated", "specimen.mass_per_length"))
     cloud, law, law_text = bending.cloud, bending.law, ""
     if law is not None:
-        law_text = format_sentence(
-            "results.law_of_frames",
-            frames=law.n_frames,
-            largest=law.curvature[-1],
-            residual=1e6 * law.residual,
-            floor=law.floor,
-        )
+        facts = {"largest": law.curvature[-1], "residual": 1e6 * law.residual, "floor": law.floor}
+        law_text = format_sentence("results.law_of_frames", frames=law.n_frames, **facts)
     finding = Finding.of(
         "results.moment_curvature",
         "shape",
@@ -425,8 +412,7 @@ def _make_tip_pull(
     if string.at_rest != "by-data":
         state = make_stated_state(string.at_rest, weight, wire_load)
     else:
-        state = decide_string_state(
-            collect_rest_evidence(test.aligned, shape, curve, first, weight, wire_load=wire_load)
-        )
+        records = test.aligned, shape, curve, first
+        state = decide_string_state(collect_rest_evidence(*records, weight, wire_load=wire_load))
     pull = TipPull(string.length, state.weight, state.tension, tip_x, self_weight)
     return pull, state.alternative_tension, [Finding(state.note)]

@@ -19,7 +19,11 @@ from labpipe.records.estimates import Estimate, Failure, UnavailableError, retur
 from labpipe.records.quality import Reason
 from labpipe.results import curves
 from labpipe.results.kinds import Kind, Part, ReducedTest, compute_scale_error
-from labpipe.uncertainty.autocorrelation import build_cubic_basis, cut_smooth_stretches, fit_linear
+from labpipe.uncertainty.autocorrelation import (
+    build_polynomial_basis,
+    cut_smooth_stretches,
+    fit_linear,
+)
 from labpipe.uncertainty.intervals import Measured, SmoothNumbers, measure_numbers
 from labpipe.uncertainty.replicates import Decide, Input, Reading, Replicates, Trace, read_part
 
@@ -72,19 +76,9 @@ class PullCurve:
     longest_drop: int
     block_margin: int
 
-    @property
-    def false_alarm_rate(self) -> float:
-        """False-alarm rate of a test of one sample and length, for 1e-3 in the whole curve."""
-        return 1e-3 / (len(self.f) * (self.longest_drop + 1))
-
     def add_back(self, drops: Sequence[LoadDrop]) -> PullCurve:
         """Add drops back to the curve, interpolated between their start and stop."""
-        f = self.f.copy()
-        for drop in drops:
-            f[drop.stop :] += drop.drop
-            inside, ends = np.arange(drop.start + 1, drop.stop), [drop.start, drop.stop]
-            f[inside] = np.interp(inside, ends, f[ends])
-        return replace(self, f=f)
+        return replace(self, f=curves.add_slips_back(self.f, drops))
 
 
 def fit_load_drop(pull: PullCurve, sample: int) -> LoadDrop | None:
@@ -171,7 +165,8 @@ class _Window:
         if best_drop[1] > longest or no_drop_cost <= min_cost:
             return None
         t = float(np.sqrt((no_drop_cost - min_cost) / variance)) if variance > 0.0 else np.inf
-        if not stdtr(freedom, -t) <= pull.false_alarm_rate:
+        false_alarm_rate = 1e-3 / (len(pull.f) * (longest + 1))
+        if not stdtr(freedom, -t) <= false_alarm_rate:
             return None
         is_whole, excess = np.all(drops % 1.0 == 0.0, axis=1), max_excess_variances * variance
         whole_drops = drops[is_whole & (costs <= costs[is_whole].min() + excess)]
@@ -244,7 +239,7 @@ def _estimate_correlation(f: Floats) -> float:
     It follows from the median over stretches of the correlation of residuals about a cubic.
     """
     width = min(_STRETCH_SAMPLES, len(f))
-    basis = build_cubic_basis(width).T
+    basis = build_polynomial_basis(width, 4)
     starts = range(0, len(f) - width + 1, max(width // 4, 1))
     pieces = np.array([f[start : start + width] for start in starts])
     residuals = pieces - (pieces @ basis) @ basis.T
@@ -262,7 +257,7 @@ def _compute_expected_correlations(width: int) -> tuple[Floats, Floats]:
     (1954)).
     """
     noise_correlations = np.array([*np.linspace(0.0, 0.9, 10), 0.94, 0.97, 0.985])
-    basis = build_cubic_basis(width).T
+    basis = build_polynomial_basis(width, 4)
     lags = np.abs(np.subtract.outer(np.arange(width), np.arange(width)))
     expected = []
     for noise_correlation in noise_correlations:
@@ -326,7 +321,7 @@ def find_slips(
     d, f = (average_between(values[finite], starts) for values in (displacement, force))
     pull = PullCurve(d, f, longest_blocks, int(size > 1))
     slips = list[Slip]()
-    for drop in _confirm_drops(pull, min_drop):
+    for drop in _find_drops(pull, min_drop):
         max_drop = max_drop_fraction * median(f[max(drop.start - 4, 0) : drop.start + 1])
         needed_force = min_recovered_fraction * f[: drop.start + 1].max()
         recovers = drop.keeps_slope and f[drop.stop :].max() >= needed_force
@@ -351,32 +346,30 @@ def _choose_block_size(d: Floats) -> tuple[int, int]:
     return size, int(np.clip(np.ceil(samples / size), 2, 2 * min_slip_blocks))
 
 
-def _confirm_drops(pull: PullCurve, min_drop: float) -> list[LoadDrop]:
-    """Find the drops, in order, that remain distinct with all others added back."""
-    drops = _find_drops(pull, min_drop)
+def _find_drops(pull: PullCurve, min_drop: float) -> list[LoadDrop]:
+    """Find the sudden drops, in order, that remain distinct with all others added back.
+
+    The most distinct drop is found first, and added back before the next search.
+    """
+    drops, remaining = list[LoadDrop](), pull
+    is_open = np.ones(len(pull.f), dtype=np.bool_)
+    while True:
+        distinctness = np.where(is_open, _compute_distinctness(remaining.f, min_drop), 0.0)
+        sample = int(np.argmax(distinctness))
+        if distinctness[sample] <= 1.0:
+            break
+        drop = fit_load_drop(remaining, sample)
+        if drop is None or not is_open[drop.start : drop.stop].any():
+            is_open[max(sample - _MIN_SIDE_SAMPLES, 0) : sample + _MIN_SIDE_SAMPLES + 1] = False
+            continue
+        drops.append(drop)
+        remaining = remaining.add_back([drop])
+        is_open[max(min(sample, drop.start) - 1, 0) : max(sample, drop.stop) + 1] = False
     if len(drops) > 1:
         single_drop_curves = [pull.add_back([x for x in drops if x is not drop]) for drop in drops]
         refits = map(fit_load_drop, single_drop_curves, [drop.start for drop in drops])
         drops = [fit for fit in refits if fit is not None]
     return sorted(drops, key=lambda drop: drop.start)
-
-
-def _find_drops(pull: PullCurve, min_drop: float) -> list[LoadDrop]:
-    """Find sudden drops, the most distinct first, each with the previous ones added back."""
-    drops: list[LoadDrop] = []
-    is_open = np.ones(len(pull.f), dtype=np.bool_)
-    while True:
-        distinctness = np.where(is_open, _compute_distinctness(pull.f, min_drop), 0.0)
-        sample = int(np.argmax(distinctness))
-        if distinctness[sample] <= 1.0:
-            return drops
-        drop = fit_load_drop(pull, sample)
-        if drop is None or not is_open[drop.start : drop.stop].any():
-            is_open[max(sample - _MIN_SIDE_SAMPLES, 0) : sample + _MIN_SIDE_SAMPLES + 1] = False
-            continue
-        drops.append(drop)
-        pull = pull.add_back([drop])
-        is_open[max(min(sample, drop.start) - 1, 0) : max(sample, drop.stop) + 1] = False
 
 
 def _compute_distinctness(f: Floats, min_drop: float) -> Floats:
@@ -414,7 +407,6 @@ def list_slack_doubts(measured_slack: Measured) -> tuple[Reason, ...]:
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class SlipResults(Kind):
     """``slip_position.<n>`` (m) and ``slip_drop.<n>`` (N) of each slip, if there are any."""
 
@@ -430,19 +422,17 @@ class SlipResults(Kind):
         slack_error, doubts = 0.0, tuple[Reason, ...]()
         if isinstance(test.slack, Measured):
             slack_error, doubts = test.slack.error, list_slack_doubts(test.slack)
-        for number, slip in enumerate(test.slips, start=1):
+        for index, slip in enumerate(test.slips, start=1):
             time = test.required_curve.time
             interval, drop_interval = slip.position_interval, slip.drop_interval
             position = Estimate(slip.position, interval.standard_error, 1, interval)
             drop = Estimate(slip.drop, drop_interval.standard_error, 1, drop_interval)
             scale_error = test.displacement.relative_error * abs(position.value)
             errors = {SLACK: slack_error, SCALE_OF_DISPLACEMENT: scale_error}
+            method = f"step in a polynomial around a sudden fall of the force; {slip.decision}"
+            period = float(time[slip.start]), float(time[slip.stop])
             make_result = partial(
-                self.make_result,
-                test,
-                method=f"step in a polynomial around a sudden fall of the force; {slip.decision}",
-                period=(float(time[slip.start]), float(time[slip.stop])),
-                suffix=f".{number}",
+                self.make_result, test, method=method, period=period, suffix=f".{index}"
             )
             yield make_result(position, errors, doubts=doubts)
             yield make_result(drop, compute_scale_error(test, drop), output=1)
@@ -537,8 +527,9 @@ def choose_slack_samples(trace: Trace, *, start_fraction: float, stop_fraction: 
         start_fraction=start_fraction,
         stop_fraction=stop_fraction,
     )
-    numbers = read_part(curves.compute_zero_crossing, (stretch, region))
-    return Reading(numbers, len(trace.force[stretch][region]), ends_at_samples=True)
+    samples = np.arange(stretch.start, stretch.stop)[region]
+    slack = read_part(curves.compute_zero_crossing, convert_to_slice(samples))
+    return Reading(slack, len(samples), ends_at_samples=True)
 
 
 def subtract_slack(replicates: Replicates, decide: Decide, measured_slack: Measured) -> Replicates:
@@ -564,7 +555,7 @@ def subtract_slack(replicates: Replicates, decide: Decide, measured_slack: Measu
     corrected = replace(replicates, inputs=inputs)
     if not error:
         return corrected.shift_displacement(-measured_slack.value)
-    shift = partial(curves.shift_displacement_by, by=-error)
+    shift = partial(curves.shift_displacement_by, change=-error)
     doubts = list_slack_doubts(measured_slack)
     slack_input = Input(SLACK, shift, draws=draws / error, doubts=doubts)
     return corrected.shift_displacement(-measured_slack.value, slack_input)
@@ -583,12 +574,11 @@ def _subtract_slack_effect(quantity: Input, smooth: Trace, decide: Decide) -> In
 
     def perturb(trace: Trace, x: float) -> Trace:
         shift = lower if x <= 0.0 else -upper
-        return curves.shift_displacement_by(quantity.perturb(trace, x), x, by=shift)
+        return curves.shift_displacement_by(quantity.perturb(trace, x), x, change=shift)
 
     return replace(quantity, perturb=perturb)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class SlackResult(Kind):
     """``slack`` (m): displacement at which the specimen becomes taut."""
 

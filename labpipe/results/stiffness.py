@@ -26,7 +26,7 @@ from labpipe.records.declarations import (
 from labpipe.records.estimates import Failure, UnavailableError, return_failure
 from labpipe.records.quality import Reason
 from labpipe.results import curves, cycles, kinds
-from labpipe.results.cycles import PerCycle
+from labpipe.results.cycles import CycleKind
 from labpipe.results.kinds import Kind, Part, ReducedTest, Stiffness
 from labpipe.signal.filters import compute_moving_average
 from labpipe.uncertainty.autocorrelation import estimate_fast_noise, scale_limit_by_noise
@@ -77,9 +77,8 @@ class ForceOnset:
         first = cycles.find_last_flagged((f <= limit) & (indices < self.peak_index)) + 1
         earliest = int(first.min())
         indices = indices[earliest:]
-        is_above = (f[:, earliest:] > cycles.FOOT_LIMIT_FACTOR * limit) & (
-            indices >= first[:, None]
-        )
+        is_above = f[:, earliest:] > cycles.FOOT_LIMIT_FACTOR * limit
+        is_above &= indices >= first[:, None]
         last = np.where(is_above.any(1), earliest + np.argmax(is_above, 1), count)
         last = np.maximum(last, first + self.min_foot_samples)
         columns = slice(earliest, min(int(last.max()), count))
@@ -402,22 +401,16 @@ def choose_loading_window(
     if limit is not None and not np.isnan(onset.extrapolate_to_zero(displacement, force)[0]):
         zero_time = float(onset.extrapolate_to_zero(time, force)[0])
         first = min(int(np.searchsorted(time, zero_time)), first)
-    if steps > 1:
-        first = max(first, _find_start_of_motion(time, displacement, start, length))
+    travel = displacement - start
+    is_steady = (travel >= _START_FRACTION * length) & (travel <= _STEADY_FRACTION * length)
+    if steps > 1 and is_steady.sum() > 1:
+        # A machine of constant speed passes the onset at this time.
+        start_time = float(curves.compute_zero_crossing(time[is_steady], travel[is_steady]))
+        first = max(first, 0 if np.isnan(start_time) else int(np.searchsorted(time, start_time)))
     taut = slice(first, None)
     path = displacement[taut]
     slope = choose_window(time[taut], path, force[taut], path, start=start, stop=start + length)
     return LoadingSlope(onset, first, slope, float(path[slope.window_samples].mean()) - start)
-
-
-def _find_start_of_motion(time: Floats, displacement: Floats, start: float, length: float) -> int:
-    """Find the sample at which a machine of constant speed passes `start`; 0 if unknown."""
-    path = displacement - start
-    is_steady = (path >= _START_FRACTION * length) & (path <= _STEADY_FRACTION * length)
-    if is_steady.sum() < 2:
-        return 0
-    start_time = float(curves.compute_zero_crossing(time[is_steady], path[is_steady]))
-    return 0 if np.isnan(start_time) else int(np.searchsorted(time, start_time))
 
 
 def choose_unloading_window(
@@ -496,8 +489,7 @@ def find_compliance_window(
     return convert_to_slice(window_samples)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class UnloadingStiffness(PerCycle):
+class UnloadingStiffness(CycleKind):
     """``unloading_stiffness.<cycle>`` (N/m): slope just after each turn."""
 
     result: ClassVar = "unloading-stiffness"
@@ -511,17 +503,16 @@ class UnloadingStiffness(PerCycle):
         "line over {over_mm:g} mm off the peak without its first tenth, time as instrument"
     )
 
-    def choose(self, test: ReducedTest, trace: Trace, number: int) -> Reading:
+    def choose(self, test: ReducedTest, trace: Trace, cycle: int) -> Reading:
         """Choose the samples in the length `over` after the turn, without its first tenth."""
         del test
-        branch = cycles.require_unloading(cycles.select_cycle(trace, number))
+        branch = cycles.require_unloading(cycles.select_cycle(trace, cycle))
         sense = cycles.find_loading_sign(trace, trace.displacement)
         compute, n_samples = choose_unloading_window(trace, branch, length=self.over, sense=sense)
         return Reading(read_part(compute, slice(None)), n_samples)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LoadingStiffness(PerCycle):
+class LoadingStiffness(CycleKind):
     """``loading_stiffness.<cycle>`` (N/m): slope just after the onset of the force."""
 
     result: ClassVar = "loading-stiffness"
@@ -533,11 +524,11 @@ class LoadingStiffness(PerCycle):
 
     method: ClassVar = "line over {over_mm:g} mm from the onset of the force, time as instrument"
 
-    def choose(self, test: ReducedTest, trace: Trace, number: int) -> Reading:
+    def choose(self, test: ReducedTest, trace: Trace, cycle: int) -> Reading:
         """Choose the samples after the onset, with the limit of the measured curve if smooth."""
-        branch = cycles.select_cycle(trace, number)[0]
+        branch = cycles.select_cycle(trace, cycle)[0]
         columns, samples = cycles.cut_branch(trace, branch), slice(branch.start, branch.stop)
-        limit = self._choose_measured_window(test, number).onset.limit if trace.is_smooth else None
+        limit = self._choose_measured_window(test, cycle).onset.limit if trace.is_smooth else None
         steps = trace.parts_per_step
         window = choose_loading_window(*columns, length=self.over, limit=limit, steps=steps)
         numbers = read_part(window.compute, samples)
@@ -560,7 +551,6 @@ class LoadingStiffness(PerCycle):
         return choose_loading_window(*columns, length=self.over)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Hardening(Kind):
     """``hardening.<cycle>`` (1): ``loading_stiffness`` of a later cycle over that of the first."""
 
@@ -576,7 +566,7 @@ class Hardening(Kind):
         """Measure the ratio of each later cycle to the first one, in which the scale cancels."""
         first, *later_cycles = test.require(test.cycles or None)
         stiffness = LoadingStiffness(over=self.over)
-        base = return_failure(test.measure_one)(partial(stiffness.choose, test, number=1))
+        base = return_failure(test.measure_one)(partial(stiffness.choose, test, cycle=1))
         doubts = stiffness.list_doubts(test, first)
 
         def choose_first(trace: Trace) -> Reading:
@@ -587,7 +577,7 @@ class Hardening(Kind):
 
         @return_failure
         def measure_ratio(cycle: int) -> Measured:
-            choose = partial(stiffness.choose, test, number=cycle)
+            choose = partial(stiffness.choose, test, cycle=cycle)
             ratio = combine_numbers(lambda _, x, first: divide(x, first), choose, choose_first)
             hardening, first_stiffness = test.measure_one(ratio), test.require(base)
             value = first_stiffness.value
@@ -596,16 +586,12 @@ class Hardening(Kind):
             return hardening
 
         for later_cycle in later_cycles:
-            yield self.make_result(
-                test,
-                measure_ratio(later_cycle[0].cycle),
-                doubts=doubts + stiffness.list_doubts(test, later_cycle),
-                period=(first[0].start_time, later_cycle[0].stop_time),
-                suffix=f".{later_cycle[0].cycle}",
-            )
+            loading, all_doubts = later_cycle[0], doubts + stiffness.list_doubts(test, later_cycle)
+            period, suffix = (first[0].start_time, loading.stop_time), f".{loading.cycle}"
+            ratio = measure_ratio(loading.cycle)
+            yield self.make_result(test, ratio, doubts=all_doubts, period=period, suffix=suffix)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class RangeKind(Kind):
     """A kind of result that is measured over a range of displacement of the first loading."""
 
@@ -654,7 +640,6 @@ def _choose_secant_window(trace: Trace, start: float, stop: float) -> Reading:
     return Reading(numbers, slope.n_samples, noisy_numbers, ends_at_samples=True)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class InitialStiffness(RangeKind):
     """``initial_stiffness`` (N/m): slope at the start of the first loading."""
 
@@ -675,7 +660,6 @@ class InitialStiffness(RangeKind):
         yield Stiffness(result.name, decide, outcome.value, period, window, doubts=doubts)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class LineStiffness(InitialStiffness):
     """``<name>`` (N/m): straight line over a window of the first loading."""
 
@@ -694,23 +678,21 @@ class LineStiffness(InitialStiffness):
     def measure(self, test: ReducedTest) -> Iterator[Part]:
         """Fit a least-squares line or, for a test with a shape, a line with time as instrument."""
         if test.shape is not None:
-            yield from super(LineStiffness, self).measure(test)
+            yield from super().measure(test)
             return
         slope, curve = test.measure_one(self.decide), curves.make_trace(test)
         samples = self.select_finite_samples(curve)
         d, f = curve.displacement[samples], curve.force[samples]
-        start, stop = float(d.min()), float(d.max())
+        stretch = start, stop = float(d.min()), float(d.max())
         start_force = float(f.mean()) + slope.value * (start - float(d.mean()))
-        period = test.find_loading_interval(start, stop)
-        stretch = start, stop
-        pause = kinds.find_pause(test, stretch)
+        period, pause = test.find_loading_interval(*stretch), kinds.find_pause(test, stretch)
         doubts = kinds.find_marked_slips(test, stretch) + pause
         if slope.value <= 0.0:
             doubts = (Reason.of("results.negative_slope"), *doubts)
         yield self.make_result(test, slope, period=period, doubts=doubts)
         window = max(start, 0.0), stop
         yield Stiffness(self.name, self.decide, slope.value, period, window, stretch, pause)
-        yield FittedLine(self.name, slope.value, start_force, start, stop)
+        yield FittedLine(self.name, slope.value, start_force, *stretch)
 
     def select_finite_samples(self, trace: Trace) -> Ints:
         """Select the samples in the window that have a force and a displacement.
@@ -737,7 +719,6 @@ class LineStiffness(InitialStiffness):
         return Reading(slope, len(samples), ends_at_samples=True)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class DerivedKind(Kind):
     """A kind of result that is computed from a stiffness above it in the list."""
 
@@ -763,7 +744,6 @@ class DerivedKind(Kind):
         yield self.make_result(test, outcome, **context)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class NormalisedStiffness(DerivedKind):
     """``<of>_per_peak_force`` (1/m): a stiffness over the largest force of the same sample."""
 
@@ -782,15 +762,13 @@ class NormalisedStiffness(DerivedKind):
 
     def measure_outcome(self, test: ReducedTest, stiffness: Stiffness) -> kinds.Outcome:
         """Measure a stiffness over the largest force of all cycles, in which a gain cancels."""
-        trace, peaks = curves.make_trace(test), dict[int, float]()
-        for cycle in range(1, len(test.cycles) + 1):
-            peak = return_failure(cycles.choose_peak_sample)(test, trace, cycle)
-            value = peak.numbers(trace)[0] if isinstance(peak, Reading) else -np.inf
-            peaks[cycle] = float(value)
-        # The last of equal peaks is the largest one.
-        largest_cycle = max(peaks, key=lambda cycle: (peaks[cycle], cycle))
-
-        choose_peak = partial(cycles.choose_peak_sample, test, number=largest_cycle)
+        trace = curves.make_trace(test)
+        force, cycle_numbers = trace.force, range(1, len(test.cycles) + 1)
+        samples = [cycles.find_cycle_samples(trace, cycle) for cycle in cycle_numbers]
+        peaks = [float(np.fmax.reduce(force[x], initial=-np.inf)) for x in samples]
+        # The last of equal peaks is chosen.
+        largest_cycle = max(cycle_numbers, key=lambda cycle: (peaks[cycle - 1], cycle))
+        choose_peak = partial(cycles.choose_peak_sample, test, cycle=largest_cycle)
         peak_force = test.measure_one(choose_peak)
         if peak_force.value <= _MIN_SIGNIFICANT_ERRORS * peak_force.error:
             raise UnavailableError.of("results.no_peak_force", peak=peak_force.value)
@@ -798,7 +776,6 @@ class NormalisedStiffness(DerivedKind):
         return test.measure_one(quotient)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Modulus(DerivedKind):
     """``<name>`` (Pa): stiffness x gauge length / area."""
 
@@ -875,7 +852,6 @@ def compute_area(sizes: Mapping[str, float], section: str = "") -> float:
     raise UnavailableError.of("results.no_area", missing=missing)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class ComplianceResult(Kind):
     """``compliance`` (m/N): compliance of frame and grips, from a test of a stiff bar."""
 
@@ -902,7 +878,8 @@ class ComplianceResult(Kind):
         stretch = curves.select_first_loading(trace)
         d, f = trace.displacement[stretch], trace.force[stretch]
         window = find_compliance_window(d, f, start=self.start, stop=self.stop)
-        compliance = read_part(lambda d, f: curves.compute_slope(f, d), (stretch, window))
-        if (slope := float(compliance(trace)[0])) <= 0.0:
-            raise UnavailableError.of("results.not_positive", slope=slope)
-        return Reading(compliance, len(d[window]), ends_at_samples=True)
+        samples = np.arange(stretch.start, stretch.stop)[window]
+        compute = read_part(lambda d, f: curves.compute_slope(f, d), convert_to_slice(samples))
+        if (compliance := float(compute(trace)[0])) <= 0.0:
+            raise UnavailableError.of("results.not_positive", slope=compliance)
+        return Reading(compute, len(samples), ends_at_samples=True)

@@ -19,12 +19,11 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from labpipe.records import causes
-from labpipe.records.arrays import Floats, Ints
+from labpipe.records.arrays import Floats, Ints, drop_missing
 from labpipe.records.curve import Direction, FittedLine
 from labpipe.records.declarations import Fraction, Needs, Output, Snake
 from labpipe.records.estimates import Estimate, Failure, UnavailableError, return_failure
 from labpipe.records.quality import Reason
-from labpipe.records.result import Result
 from labpipe.results import kinds
 from labpipe.results.curves import make_trace, require_samples
 from labpipe.results.kinds import Kind, Part, ReducedTest
@@ -153,9 +152,9 @@ def fit_pull(test: ReducedTest, choice: ElasticWindow) -> Pull:
     sizes = test.setup.sizes
     force, displacement = trace.force[samples], trace.displacement[samples]
     stress = kinds.compute_loading_sign(force) * force / compute_area(sizes)
-    start = displacement[~np.isnan(displacement)][:1].sum()
-    if isinstance(test.slack, Measured):
-        start = 0.0  # the displacement is counted from the end of the slack
+    # After a subtraction of slack, the displacement is counted from its end.
+    has_slack = isinstance(test.slack, Measured)
+    start = 0.0 if has_slack else drop_missing(displacement)[:1].sum()
     sense = kinds.compute_loading_sign(displacement)
     strain = sense * (displacement - start) / get_gauge_length(sizes)
     pull = Pull(
@@ -215,7 +214,7 @@ def _select_new_strains(trace: Trace) -> Ints:
 
 def _estimate_noise(values: Floats) -> float:
     """Estimate the standard deviation of single samples; 0 for too few samples."""
-    finite = values[~np.isnan(values)]
+    finite = drop_missing(values)
     return float(estimate_fast_noise(finite)) if len(finite) >= MIN_ELASTIC_SAMPLES else 0.0
 
 
@@ -225,11 +224,6 @@ def _estimate_rounding(values: Floats) -> float:
     gaps = np.diff(np.sort(np.append(changes, 0.0)))
     gaps = gaps[gaps > 1e-9 * changes.sum()]
     return float(gaps.min() / np.sqrt(12.0)) if len(gaps) else 0.0
-
-
-def _estimate_low_noise(values: Floats) -> float:
-    """Estimate the standard deviation of single samples, which rounding may dominate."""
-    return max(_estimate_noise(values), _estimate_rounding(values))
 
 
 def _average_blocks(strain: Floats, stress: Floats) -> tuple[Floats, Floats]:
@@ -284,10 +278,11 @@ def _find_longest_straight_part(pull: Pull, min_correlation: float) -> slice:
     n = np.where(is_enough, n, 1.0)
     spread_x, spread_y, product = sxx - sx * sx / n, syy - sy * sy / n, sxy - sx * sy / n
     # Later flow is rougher, so the noise is that of the lower half.
-    n_low = int(np.argmax(y[is_finite] >= 0.5))
-    low_noise = (_estimate_low_noise(values[is_finite][:n_low]) for values in (x, y))
-    spreads = zip(low_noise, (spread_x, spread_y), strict=True)
-    noise = sum(n * sd**2 / np.maximum(spread, 1e-30) for sd, spread in spreads)
+    n_low, noise = int(np.argmax(y[is_finite] >= 0.5)), np.zeros_like(n)
+    for values, spread in ((x, spread_x), (y, spread_y)):
+        low_values = values[is_finite][:n_low]
+        deviation = max(_estimate_noise(low_values), _estimate_rounding(low_values))
+        noise += n * deviation**2 / np.maximum(spread, 1e-30)
     max_scatter = 1.0 + 1.645 * np.sqrt(2.0 / n)  # of a sum of squares, at 95 %
     max_residual = np.maximum(1.0 - min_correlation, max_scatter * noise)
     is_straight = product**2 >= (1.0 - max_residual) * spread_x * spread_y
@@ -342,7 +337,6 @@ class PullQuantity:
     doubts: tuple[Reason, ...] = ()
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class TensionResult(Kind):
     """A kind of result in stress and strain, which may need an elastic line."""
 
@@ -359,28 +353,24 @@ class TensionResult(Kind):
         if pull.line_failure is not None and self.needs_line:
             raise UnavailableError(pull.line_failure)
         for output, quantity in enumerate(self.list_quantities(test, pull)):
-            yield self._measure_quantity(test, pull, quantity, output)
-
-    def _measure_quantity(
-        self, test: ReducedTest, pull: Pull, quantity: PullQuantity, output: int
-    ) -> Result:
-        """Make the result of one quantity, with its interval and doubts."""
-        value, errors, doubts = quantity.compute(pull), dict[str, float](), quantity.doubts
-        for cause, changed_pull in _change_inputs(test, pull):
-            change = quantity.compute(changed_pull) - value
-            errors[cause] = float(np.hypot(errors.get(cause, 0.0), change))
-        outcome = Estimate(value, 0.0, pull.slope_estimate.n)
-        if quantity.compute is _read_slope:
-            outcome = pull.slope_estimate
-        elif quantity.has_line:
-            steeper_pull = replace(pull, slope=pull.slope + pull.slope_estimate.error)
-            outcome = replace(outcome, error=abs(quantity.compute(steeper_pull) - value))
-        if quantity.has_line:
-            doubts = (*_list_line_doubts(test, pull, quantity.compute), *doubts)
-        start, stop = pull.time[np.minimum(quantity.period, len(pull.time) - 1)].tolist()
-        errors |= quantity.errors
-        period = start, stop
-        return self.make_result(test, outcome, errors, output=output, period=period, doubts=doubts)
+            value, errors, doubts = quantity.compute(pull), dict[str, float](), quantity.doubts
+            for cause, changed_pull in _change_inputs(test, pull):
+                change = quantity.compute(changed_pull) - value
+                errors[cause] = float(np.hypot(errors.get(cause, 0.0), change))
+            errors |= quantity.errors
+            outcome = Estimate(value, 0.0, pull.slope_estimate.n)
+            if quantity.compute is _read_slope:
+                outcome = pull.slope_estimate
+            elif quantity.has_line:
+                steeper_pull = replace(pull, slope=pull.slope + pull.slope_estimate.error)
+                outcome = replace(outcome, error=abs(quantity.compute(steeper_pull) - value))
+            if quantity.has_line:
+                doubts = (*_list_line_doubts(test, pull, quantity.compute), *doubts)
+            start, stop = pull.time[np.minimum(quantity.period, len(pull.time) - 1)].tolist()
+            period = start, stop
+            yield self.make_result(
+                test, outcome, errors, output=output, period=period, doubts=doubts
+            )
 
 
 def _change_inputs(test: ReducedTest, pull: Pull) -> Iterator[tuple[str, Pull]]:
@@ -393,10 +383,10 @@ def _change_inputs(test: ReducedTest, pull: Pull) -> Iterator[tuple[str, Pull]]:
     drift = test.raw_force.zero_drift * float(np.nanmax(np.abs(pull.stress)))
     for mode in compute_drift_modes(pull.time - pull.time[0], drift):
         yield causes.DRIFT_OF_ZERO, _add_stress(pull, mode)
-    for name, by in setup.uncertainties.items():
+    for name, error in setup.uncertainties.items():
         if name not in sizes:
             continue
-        larger = {**sizes, name: sizes[name] + by}
+        larger = {**sizes, name: sizes[name] + error}
         cause = causes.LENGTH if name in ("length", "gauge_length") else causes.SECTION
         area, length = compute_area(sizes) / compute_area(larger), get_gauge_length(sizes)
         yield cause, pull.scale(area, length / get_gauge_length(larger))
@@ -405,12 +395,12 @@ def _change_inputs(test: ReducedTest, pull: Pull) -> Iterator[tuple[str, Pull]]:
     yield causes.NOISE_OF_DISPLACEMENT, replace(pull, strain=pull.strain + pull.strain_noise)
 
 
-def _add_stress(pull: Pull, by: Floats) -> Pull:
+def _add_stress(pull: Pull, stress: Floats) -> Pull:
     """Add a stress to every sample of a pull, and to its elastic line."""
-    x, y = _average_blocks(pull.strain[pull.window], by[pull.window])
+    x, y = _average_blocks(pull.strain[pull.window], stress[pull.window])
     slope_change, mean_change = np.polyfit(x - x.mean(), y, 1) if len(x) else (0.0, 0.0)
     slope, mean_stress = pull.slope + slope_change, pull.mean_stress + mean_change
-    return replace(pull, stress=pull.stress + by, slope=slope, mean_stress=mean_stress)
+    return replace(pull, stress=pull.stress + stress, slope=slope, mean_stress=mean_stress)
 
 
 def _list_line_doubts(test: ReducedTest, pull: Pull, compute: PullFunction) -> Iterator[Reason]:
@@ -448,11 +438,9 @@ def _list_line_doubts(test: ReducedTest, pull: Pull, compute: PullFunction) -> I
         last = int(np.nanargmax(pull.strain))
         extension = 1e3 * length * float(pull.strain[last] - np.nanmin(pull.strain))
         path = np.interp(pull.time[: last + 1], travel.time, travel.values)
-        range_mm = 1e3 * float(np.ptp(path))
-        if extension > MAX_EXTENSION * range_mm > 0.0:
-            yield Reason.of(
-                "results.extension_exceeds_travel", extension=extension, travel=range_mm
-            )
+        facts = {"extension": extension, "travel": 1e3 * float(np.ptp(path))}
+        if extension > MAX_EXTENSION * facts["travel"] > 0.0:
+            yield Reason.of("results.extension_exceeds_travel", **facts)
 
 
 def _find_strain_jump(pull: Pull, stop: int) -> tuple[Reason, ...]:
@@ -477,7 +465,6 @@ def _find_strain_jump(pull: Pull, stop: int) -> tuple[Reason, ...]:
     return (Reason.of("results.strain_jumps", jump=jump, stress=stress),)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class ElasticModulus(TensionResult):
     """``elastic_modulus`` (Pa): slope of the elastic line."""
 
@@ -497,19 +484,14 @@ class ElasticModulus(TensionResult):
         del test
         window, doubts = pull.window, _find_strain_jump(pull, pull.window.stop)
         # Neighbours are rounded alike, so that rounding moves both ends of the line.
-        strain, period = pull.strain[window], (window.start, window.stop)
-        rounding = (
-            np.sqrt(2.0)
-            * pull.slope
-            * _estimate_rounding(strain)
-            / np.ptp(strain[~np.isnan(strain)])
-        )
+        strain, period = drop_missing(pull.strain[window]), (window.start, window.stop)
+        rounding = np.sqrt(2.0) * pull.slope * _estimate_rounding(strain) / np.ptp(strain)
         errors = {causes.RESOLUTION_OF_DISPLACEMENT: float(rounding)}
         return [PullQuantity(_read_slope, period, errors=errors, doubts=doubts)]
 
     def measure(self, test: ReducedTest) -> Iterator[Part]:
         """Measure the slope, and yield the line for figures."""
-        yield from super(ElasticModulus, self).measure(test)
+        yield from super().measure(test)
         pull = test.require(test.pull)
         path = test.required_curve.displacement[_select_new_strains(make_trace(test))[pull.window]]
         start, stop = float(np.nanmin(path)), float(np.nanmax(path))
@@ -525,7 +507,6 @@ def _read_slope(pull: Pull) -> float:
     return pull.slope
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class ProofStress(TensionResult):
     """``<name>`` (Pa): stress where the curve meets the elastic line shifted by a strain."""
 
@@ -564,7 +545,6 @@ def _find_meeting_sample(pull: Pull, offset: float) -> int:
     return int(np.argmax(is_below))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class YieldStress(TensionResult):
     """``upper_yield_stress`` and ``lower_yield_stress`` (Pa): stresses at a yield with a fall."""
 
@@ -632,7 +612,6 @@ def _find_trough(plateau: Floats, clear_change: float) -> int:
     return int(np.nanargmin(plateau))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class TensileStrength(TensionResult):
     """``tensile_strength`` (Pa): the largest force over the original area."""
 
@@ -676,20 +655,20 @@ def _find_extensometer_end(test: ReducedTest, pull: Pull) -> tuple[Reason, ...]:
     return (Reason.of("results.extension_stops", last=float(strain[is_last][-1]) - pull.toe),)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+def _declare_elongations(event: str) -> tuple[Output, Output]:
+    """Declare the total and the plastic elongation at an event, such as ``maximum force``."""
+    name = f"elongation_at_{event.replace(' ', '_')}"
+    total = Output(name, "1", f"Elongation at {event}")
+    return total, Output(
+        f"plastic_{name}", "1", f"Plastic elongation at {event}", can_be_negative=True
+    )
+
+
 class MaximumForceElongation(TensionResult):
     """``elongation_at_maximum_force`` and ``plastic_elongation_at_maximum_force`` (1)."""
 
     result: ClassVar = "elongation-at-maximum-force"
-    outputs: ClassVar = (
-        Output("elongation_at_maximum_force", "1", "Elongation at maximum force"),
-        Output(
-            "plastic_elongation_at_maximum_force",
-            "1",
-            "Plastic elongation at maximum force",
-            can_be_negative=True,
-        ),
-    )
+    outputs: ClassVar = _declare_elongations("maximum force")
     methods: ClassVar = (
         "strain from the toe to the sample of the largest force",
         "strain from the toe to the sample of the largest force, less the stress over the modulus",
@@ -737,17 +716,11 @@ def _make_extensometer_error(pull: Pull, what: str) -> UnavailableError:
     return UnavailableError.of("results.extensometer_off", what=what, last=last)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class BreakElongation(TensionResult):
     """``elongation_at_break`` and ``plastic_elongation_at_break`` (1): at the last sample."""
 
     result: ClassVar = "elongation-at-break"
-    outputs: ClassVar = (
-        Output("elongation_at_break", "1", "Elongation at break"),
-        Output(
-            "plastic_elongation_at_break", "1", "Plastic elongation at break", can_be_negative=True
-        ),
-    )
+    outputs: ClassVar = _declare_elongations("break")
     methods: ClassVar = (
         "strain from the toe to the last sample before the specimen parts",
         "strain from the toe to the last sample before the specimen parts, less the stress over "

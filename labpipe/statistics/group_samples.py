@@ -145,12 +145,8 @@ def find_differing_fields(
 
 def _have_similar_sizes(first: Group, second: Group, name: str) -> bool:
     """Return whether both groups have a dimension, and its means differ by at most 1 %."""
-    means = [
-        sum(sizes) / len(sizes)
-        for group in (first, second)
-        if (sizes := _list_sizes(group.samples, name))
-    ]
-    return len(means) == 2 and _are_similar(means)
+    sizes = [_list_sizes(group.samples, name) for group in (first, second)]
+    return all(sizes) and _are_similar([sum(x) / len(x) for x in sizes])
 
 
 def _find_dependent_fields(
@@ -212,9 +208,7 @@ def make_field_sort_key(name: str, text: str) -> tuple[object, ...]:
 def make_natural_sort_key(text: str) -> tuple[tuple[int, str], ...]:
     """Make a sort key of a text in which 7 is before 12."""
     segments = split(r"(\d+)", text)
-    return tuple(
-        (int(segment), "") if segment.isdecimal() else (0, segment) for segment in segments
-    )
+    return tuple((int(x), "") if x.isdecimal() else (0, x) for x in segments)
 
 
 _BUNDLE_FIELDS = ("composition", "arrangement", "taping", "tape", "conduit", BORE)
@@ -286,10 +280,8 @@ def _list_candidates(samples: Sequence[Sample]) -> dict[str, list[str]]:
     }
     if all(specimen.bundle is None or len(specimen.bundle.wires) == 1 for specimen in specimens):
         candidates.pop("arrangement", None)  # all wires are of one kind
-    candidates |= {
-        name: _format_clustered_sizes([specimen.dimensions.get(name) for specimen in specimens])
-        for name in sizes
-    }
+    for name in sizes:
+        candidates[name] = _format_clustered_sizes([x.dimensions.get(name) for x in specimens])
     for name in labels:
         texts = [fields.get(name, NOT_STATED) for fields in all_fields]
         if len(set(texts)) < len(texts):  # a label of each sample does not divide them
@@ -356,43 +348,32 @@ def make_sample_notes(samples: Sequence[Sample]) -> Iterator[QualityNote]:
             yield QualityNote.of(
                 "statistics.sample_repeated", "group", sample=sample, spool=spool, count=count
             )
-    yield from _make_dimension_notes(samples)
-    yield from _make_field_notes(samples)
+    yield from _make_difference_notes(samples)
 
 
-def _make_dimension_notes(samples: Sequence[Sample]) -> Iterator[QualityNote]:
-    """Make notes on dimensions that differ within a group."""
-    names = dict.fromkeys(name for sample in samples for name in sample.specimen.dimensions)
-    for name in names:
+def _make_difference_notes(samples: Sequence[Sample]) -> Iterator[QualityNote]:
+    """Make notes on dimensions, fields of bundles, and labels that differ within a group."""
+    specimens = [sample.specimen for sample in samples]
+    for name in dict.fromkeys(name for specimen in specimens for name in specimen.dimensions):
         sizes = _list_sizes(samples, name)
         if not _are_similar(sizes):
             span = f"{format_size(min(sizes))} to {format_size(max(sizes))}"
             yield QualityNote.of("statistics.dimensions_differ", "group", name=name, span=span)
-
-
-def _make_field_notes(samples: Sequence[Sample]) -> list[QualityNote]:
-    """Make notes on fields of bundles and on labels that differ within a group."""
-    bundles = [sample.specimen.bundle for sample in samples if sample.specimen.bundle]
+    labels = dict.fromkeys(name for specimen in specimens for name in specimen.labels)
+    bundles = [specimen.bundle for specimen in specimens if specimen.bundle]
     bundle_fields = dict.fromkeys(name for bundle in bundles for name in bundle.fields)
-    labels = dict.fromkeys(name for sample in samples for name in sample.specimen.labels)
-    return [
-        QualityNote.of(
-            "statistics.labels_differ" if name in labels else "statistics.bundles_differ",
-            "group",
-            values=values,
-        )
-        for name in bundle_fields | labels
-        if (name in labels or name not in _COMPOSITION_FIELDS)
-        and (values := _describe_differing_values(samples, name))
-    ]
-
-
-def _describe_differing_values(samples: Sequence[Sample], name: str) -> str:
-    """Describe which samples have which value of a field; empty if the values are equal."""
-    tests_by_value: dict[str, list[str]] = {}
-    for test, sample in zip(name_samples(samples), samples, strict=True):
-        tests_by_value.setdefault(sample.specimen.fields.get(name, ""), []).append(test)
-    return f"{name}: {describe_values(tests_by_value)}" if len(tests_by_value) > 1 else ""
+    for name in bundle_fields | labels:
+        tests_by_value: dict[str, list[str]] = {}
+        for test, specimen in zip(name_samples(samples), specimens, strict=True):
+            tests_by_value.setdefault(specimen.fields.get(name, ""), []).append(test)
+        # Fields that follow from the composition have no note of their own.
+        is_noted = name in labels or name not in _COMPOSITION_FIELDS
+        if is_noted and len(tests_by_value) > 1:
+            yield QualityNote.of(
+                "statistics.labels_differ" if name in labels else "statistics.bundles_differ",
+                "group",
+                values=f"{name}: {describe_values(tests_by_value)}",
+            )
 
 
 def make_grouping_notes(
@@ -425,62 +406,14 @@ def make_number_notes(numbers: Sequence[GroupNumber]) -> Iterator[QualityNote]:
             doubtful_numbers.append(f"{number.name} ({', '.join(tests)})")
     if names := "; ".join(doubtful_numbers):
         yield QualityNote.of("statistics.doubtful_in_mean", "group", names=names)
-    if names := "; ".join(number.name for number in numbers if _describe_too_few(number)):
+    if names := "; ".join(number.name for number in numbers if not _is_outlier_tested(number)):
         yield QualityNote.of("statistics.outliers_not_tested", "group", names=names)
 
 
-def describe_missing_samples(spools: Sequence[str]) -> str:
-    """Describe why no sample can be marked as an outlier; empty if a sample can be marked.
-
-    Parameters
-    ----------
-    spools : spool of each sample with a value
-    """
-    count, n_spools = len(spools), len(set(spools))
-    facts = {"count": count, "spools": n_spools, "needed": n_spools + 2}
-    has_enough = count >= n_spools + 2
-    return "" if has_enough else format_sentence("statistics.outliers_need_samples", **facts)
-
-
-def _describe_too_few(number: GroupNumber) -> str:
-    """Describe why a result cannot be tested for outliers; empty if it can, or has no values."""
-    if not number.values:
-        return ""
-    spools = [name for name, mean in number.mean.spool_means.items() for _ in range(mean.n)]
-    return describe_missing_samples(spools)
-
-
-def find_mixed_methods(samples: Sequence[Sample]) -> dict[str, dict[str, list[str]]]:
-    """Find results that were computed by several methods, and results that depend on them.
-
-    Parameters
-    ----------
-    samples : samples of a group
-
-    Returns
-    -------
-    Names of the samples, keyed by result and then by method. A result that depends on another
-    result has the methods of that result.
-    """
-    methods_by_name: dict[str, dict[str, list[str]]] = {}
-    sources: dict[str, set[str]] = {}
-    for test, sample in zip(name_samples(samples), samples, strict=True):
-        for result in sample.results:
-            if result.value is not None:
-                tests_by_method = methods_by_name.setdefault(result.name, {})
-                tests_by_method.setdefault(result.method, []).append(test)
-                sources.setdefault(result.name, set()).add(result.made_of)
-    mixed_methods = {
-        name: tests_by_method
-        for name, tests_by_method in methods_by_name.items()
-        if len(tests_by_method) > 1
-    }
-    all_methods = dict(mixed_methods)
-    for name, source_names in sources.items():
-        mixed_source = next((source for source in mixed_methods if source in source_names), None)
-        if mixed_source is not None:
-            all_methods.setdefault(name, mixed_methods[mixed_source])
-    return all_methods
+def _is_outlier_tested(number: GroupNumber) -> bool:
+    """Return whether a result has two more values than spools, or no value at all."""
+    spool_means = number.mean.spool_means
+    return sum(mean.n for mean in spool_means.values()) >= len(spool_means) + 2 or not number.values
 
 
 def find_other_methods(samples: Sequence[Sample]) -> dict[str, dict[str, Reason]]:
@@ -495,17 +428,32 @@ def find_other_methods(samples: Sequence[Sample]) -> dict[str, dict[str, Reason]
     Reasons (``made_otherwise``), keyed by result and then by name of the sample. For example,
     slopes from 0 to 10 mm and from 0 to 8 mm are two quantities without a common mean. The values
     of the most frequent method are averaged; of equally frequent methods, those of the method of
-    the first sample.
+    the first sample. A result that depends on another result has the methods of that result.
     """
+    tests_by_method: dict[str, dict[str, list[str]]] = {}
+    sources: dict[str, set[str]] = {}
+    for test, sample in zip(name_samples(samples), samples, strict=True):
+        for result in sample.results:
+            if result.value is not None:
+                methods = tests_by_method.setdefault(result.name, {})
+                methods.setdefault(result.method, []).append(test)
+                sources.setdefault(result.name, set()).add(result.made_of)
+    mixed = {name: methods for name, methods in tests_by_method.items() if len(methods) > 1}
+    dependent = {
+        name: mixed[source]
+        for name, source_names in sources.items()
+        for source in mixed
+        if source in source_names and name not in mixed
+    }
     reasons_by_name: dict[str, dict[str, Reason]] = {}
-    for name, tests_by_method in find_mixed_methods(samples).items():
-        usual_method = max(tests_by_method, key=lambda method: len(tests_by_method[method]))
+    for name, methods in (mixed | dependent).items():
+        usual, _ = max(methods.items(), key=lambda entry: len(entry[1]))
         reasons_by_name[name] = {
             test: Reason.of(
-                "statistics.made_otherwise", way=method or "no stated method", usual=usual_method
+                "statistics.made_otherwise", way=method or "no stated method", usual=usual
             )
-            for method, tests in tests_by_method.items()
-            if method != usual_method
+            for method, tests in methods.items()
+            if method != usual
             for test in tests
         }
     return reasons_by_name

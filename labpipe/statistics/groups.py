@@ -10,7 +10,7 @@ from scipy import special
 
 from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats, average_blocks
-from labpipe.records.group import Band, Difference, Group, GroupNumber, NestedMean, Sample
+from labpipe.records.group import Band, Difference, Group, GroupNumber, Sample
 from labpipe.records.quality import QualityNote, Reason, Severity
 from labpipe.records.result import Result, find_result
 from labpipe.statistics.group_samples import (
@@ -34,8 +34,6 @@ from labpipe.statistics.means import (
     convert_to_log_scale,
 )
 from labpipe.statistics.significance import compare_means
-
-__all__ = ["PoolingLimits", "average_result", "build_group", "compare_groups"]
 
 _MIN_BLOCK_MEANS = 500
 """Smallest number of block means to which a curve is reduced.
@@ -121,9 +119,8 @@ def reduce_band(band: Band) -> Band:
     if band.n > 2:
         rows = [round(fraction * (len(nans) - 1)) for fraction in (0.25, 0.5, 1.0)]
         lower[rows], upper[rows] = band.lower[rows], band.upper[rows]
-        reason = Reason.of(
-            "statistics.few_curves", count=band.n, members=band.members, least=min_band_curves
-        )
+        facts = {"count": band.n, "members": band.members, "least": min_band_curves}
+        reason = Reason.of("statistics.few_curves", **facts)
     return replace(band, lower=lower, upper=upper, lower_all=nans, upper_all=nans, reason=reason)
 
 
@@ -146,16 +143,12 @@ def average_scaled_loading(
     peaks = dict(zip(name_samples(samples), map(_get_peak_force, samples), strict=True))
     divisors = {name: peak for name, peak in peaks.items() if peak > 0}
     band, notes = average_loading(samples, limits, divisors=divisors)
-    names_without_peak = [name for name in peaks if name not in divisors]
     scaled_notes = []
     for note in notes:
         if note.code != "no_curve":
-            sentence = format_sentence("statistics.scaled", message=note.message)
-            scaled_notes.append(
-                QualityNote(f"{note.code}_scaled", Severity.INFO, "group", sentence)
-            )
-    if names_without_peak:
-        tests = ", ".join(names_without_peak)
+            text = format_sentence("statistics.scaled", message=note.message)
+            scaled_notes.append(QualityNote(f"{note.code}_scaled", Severity.INFO, "group", text))
+    if tests := ", ".join(name for name in peaks if name not in divisors):
         scaled_notes.append(QualityNote.of("statistics.no_peak_force", "group", tests=tests))
     return band, scaled_notes
 
@@ -232,16 +225,20 @@ def interpolate_curves(
         return CommonCurves(*empty, Reason.of("statistics.no_curves"))
     labels = list(names) or [f"curve {index}" for index in range(1, len(curves) + 1)]
     sorted_curves = [_sort_by_displacement(*curve) for curve in curves]
-    spans = [_get_span(*curve) for curve in sorted_curves]
-    names_without_data = [
-        name for name, span in zip(labels, spans, strict=True) if np.isnan(span[0])
-    ]
-    if names_without_data:
+    # Displacements between the first and the last force of each curve.
+    ranges = [displacement[~np.isnan(force)] for displacement, force in sorted_curves]
+    if names_without_data := [
+        name for name, values in zip(labels, ranges, strict=True) if not len(values)
+    ]:
         reason = Reason.of("statistics.no_data", names=", ".join(names_without_data))
         return CommonCurves(*empty, reason)
-    start, stop = max(span[0] for span in spans), min(span[1] for span in spans)
+    starts, stops = (np.array([values[end] for values in ranges]) for end in (0, -1))
+    late, early = int(np.argmax(starts)), int(np.argmin(stops))
+    start, stop = starts[late], stops[early]
     if stop <= start:
-        return CommonCurves(*empty, _make_no_overlap_reason(labels, spans))
+        facts = {"start": 1e3 * start, "stop": 1e3 * stop}
+        reason = Reason.of("statistics.no_overlap", late=labels[late], early=labels[early], **facts)
+        return CommonCurves(*empty, reason)
     grid = np.linspace(start, stop, n_displacements)
     force = np.array([np.interp(grid, *curve) for curve in sorted_curves])
     is_common = ~np.isnan(force).any(axis=0)
@@ -257,27 +254,6 @@ def _sort_by_displacement(displacement: Floats, force: Floats) -> tuple[Floats, 
     filled_displacement = np.interp(rows, rows[is_finite], displacement[is_finite])
     order = np.argsort(filled_displacement, kind="stable")
     return filled_displacement[order], np.where(is_finite, force, np.nan)[order]
-
-
-def _get_span(displacement: Floats, force: Floats) -> tuple[float, float]:
-    """Return the first and the last displacement with a force, m; NaN if there is no force."""
-    finite_rows = np.flatnonzero(~np.isnan(force))
-    if not len(finite_rows):
-        return float("nan"), float("nan")
-    return float(displacement[finite_rows[0]]), float(displacement[finite_rows[-1]])
-
-
-def _make_no_overlap_reason(names: Sequence[str], spans: Sequence[tuple[float, float]]) -> Reason:
-    """Make the reason why curves with these first and last displacements, m, do not overlap."""
-    starts, stops = (np.array(ends) for ends in zip(*spans, strict=True))
-    last_start, first_stop = int(np.argmax(starts)), int(np.argmin(stops))
-    return Reason.of(
-        "statistics.no_overlap",
-        late=names[last_start],
-        start=1e3 * starts[last_start],
-        early=names[first_stop],
-        stop=1e3 * stops[first_stop],
-    )
 
 
 def compute_band(curves: CommonCurves, members: str = "samples") -> Band:
@@ -301,28 +277,21 @@ def compute_band(curves: CommonCurves, members: str = "samples") -> Band:
     degrees of freedom. For the pointwise band c is the quantile of t, for the simultaneous band
     that of `compute_simultaneous_quantile`.
     """
-    n = len(curves.force)
-    if curves.reason or not len(curves.displacement):
-        reason = curves.reason or Reason.of("statistics.gaps_everywhere")
-        return _make_curve_without_band(np.zeros(0), np.zeros(0), n, members, reason)
-    mean = curves.force.mean(axis=0)
-    if n == 1:
+    n, displacement, reason = len(curves.force), curves.displacement, curves.reason
+    if reason is None and not len(displacement):
+        reason = Reason.of("statistics.gaps_everywhere")
+    elif reason is None and n == 1:
         reason = Reason.of("statistics.one_curve")
-        return _make_curve_without_band(curves.displacement, mean, n, members, reason)
-    error = curves.force.std(axis=0, ddof=1) / np.sqrt(n)
-    pointwise = compute_t_quantile(n - 1) * error
-    simultaneous = compute_simultaneous_quantile(curves.force) * error
-    band_reason = None if n > 2 else Reason.of("statistics.two_curves", members=members)
+    elif reason is None and n == 2:
+        reason = Reason.of("statistics.two_curves", members=members)
+    mean = curves.force.sum(axis=0) / max(n, 1)
+    pointwise = simultaneous = np.full(len(displacement), np.nan)
+    if n > 1 and len(displacement):
+        error = curves.force.std(axis=0, ddof=1) / np.sqrt(n)
+        pointwise = compute_t_quantile(n - 1) * error
+        simultaneous = compute_simultaneous_quantile(curves.force) * error
     ends = (mean - pointwise, mean + pointwise, mean - simultaneous, mean + simultaneous)
-    return Band(curves.displacement, mean, *ends, n, members, band_reason)
-
-
-def _make_curve_without_band(
-    displacement: Floats, mean: Floats, n: int, members: str, reason: Reason
-) -> Band:
-    """Make the record of a mean curve whose bands are NaN."""
-    nans = np.full(len(displacement), np.nan)
-    return Band(displacement, mean, nans, nans, nans, nans, n, members, reason)
+    return Band(displacement, mean, *ends, n, members, reason)
 
 
 def compute_simultaneous_quantile(curves: Floats) -> float:
@@ -421,17 +390,15 @@ def build_group(
         numbers.append(replace(number, is_set_by_rig=quantity in rig_names))
     band, notes = average_loading(samples, limits)
     scaled_band, scaled_notes = average_scaled_loading(samples, limits) if scaled else (None, [])
-    all_notes = (
+    notes = [
         *make_method_notes(exclusions, samples),
         *make_sample_notes(samples),
         *make_number_notes(numbers),
         *notes,
         *scaled_notes,
-    )
-    shared_fields = find_shared_fields(samples)
-    return Group(
-        name, protocol, samples, tuple(numbers), band, scaled_band, all_notes, shared_fields
-    )
+    ]
+    bands, fields = (band, scaled_band), find_shared_fields(samples)
+    return Group(name, protocol, samples, tuple(numbers), *bands, tuple(notes), fields)
 
 
 def _make_sample_sort_key(sample: Sample) -> list[tuple[tuple[int, str], ...]]:
@@ -467,11 +434,9 @@ def average_result(
     (``no_result``), values that are not finite (``not_finite``) or in another unit than the first
     value (``other_unit``), and `excluded`.
     """
-    results = {
-        key: find_result(sample.results, name)
-        for key, sample in zip(name_samples(samples), samples, strict=True)
-    }
-    spools = dict(zip(results, (sample.specimen.spool for sample in samples), strict=True))
+    results, spools = dict[str, Result | None](), dict[str, str]()
+    for key, sample in zip(name_samples(samples), samples, strict=True):
+        results[key], spools[key] = find_result(sample.results, name), sample.specimen.spool
     units = [result.unit for result in results.values() if result is not None]
     unit = units[0] if units else ""
     left_out = {key: _find_exclusion_reasons(result, name, unit) for key, result in results.items()}
@@ -483,13 +448,15 @@ def average_result(
     results_by_spool: dict[str, list[Result]] = {}
     for key, result in values.items():
         results_by_spool.setdefault(spools[key], []).append(result)
-    return GroupNumber(
-        name=name,
-        unit=unit,
-        mean=_average_nested(results_by_spool, limits, is_signed=is_signed),
-        values=values,
-        left_out={key: reasons for key, reasons in left_out.items() if reasons},
-    )
+    arrays = {
+        spool: np.array([result.value for result in results], dtype=np.float64)
+        for spool, results in results_by_spool.items()
+    }
+    mean = add_common_causes(compute_nested_mean(arrays, limits), results_by_spool)
+    if not is_signed and are_positive(values.values()):
+        mean = convert_to_log_scale(mean)
+    exclusions = {key: reasons for key, reasons in left_out.items() if reasons}
+    return GroupNumber(name, unit, mean, values, exclusions)
 
 
 def _find_exclusion_reasons(result: Result | None, name: str, unit: str) -> tuple[Reason, ...]:
@@ -503,19 +470,6 @@ def _find_exclusion_reasons(result: Result | None, name: str, unit: str) -> tupl
     if result.unit != unit:
         return (Reason.of("statistics.other_unit", unit=result.unit, usual=unit),)
     return ()
-
-
-def _average_nested(
-    results_by_spool: Mapping[str, Sequence[Result]], limits: PoolingLimits, *, is_signed: bool
-) -> NestedMean:
-    """Average the results of spools, with common causes, and on a log scale if it is possible."""
-    values = {
-        spool: np.array([result.value for result in results], dtype=np.float64)
-        for spool, results in results_by_spool.items()
-    }
-    mean = add_common_causes(compute_nested_mean(values, limits), results_by_spool)
-    all_results = [result for results in results_by_spool.values() for result in results]
-    return mean if is_signed or not are_positive(all_results) else convert_to_log_scale(mean)
 
 
 def compare_groups(

@@ -170,22 +170,21 @@ def _add_answer(lot: Lot, fractions: Mapping[str, Result], limits: Collection[fl
     limits : distinct limits of the tests, N
     """
     is_certain = {test: fraction.status is Status.OK for test, fraction in fractions.items()}
-    failing_tests = [
-        test for test, verdict in lot.verdicts.items() if verdict.by_number is Answer.FAIL
-    ]
+    verdicts = lot.verdicts.items()
+    failing_tests = [test for test, verdict in verdicts if verdict.by_number is Answer.FAIL]
     surely_failing = [test for test in failing_tests if is_certain[test]]
     unknown_tests = [test for test, fraction in fractions.items() if fraction.value is None]
     unknown_tests += [test for test in failing_tests if not is_certain[test]]
+    answer = Answer.CANNOT_TELL
     if surely_failing:
         answer, tests = Answer.FAIL, ", ".join(surely_failing)
         reason = Reason.of("statistics.lot_sample_fails", tests=tests)
-    elif unknown_tests or len(limits) > 1 or lot.n < MIN_SAMPLES:
-        answer, tests = Answer.CANNOT_TELL, ", ".join(unknown_tests)
+    elif len(limits) > 1:
+        reason = Reason.of("statistics.lot_limits_differ")
+    elif unknown_tests:
+        reason = Reason.of("statistics.lot_sample_unknown", tests=", ".join(unknown_tests))
+    elif lot.n < MIN_SAMPLES:
         reason = Reason.of("statistics.lot_of_one")
-        if len(limits) > 1:
-            reason = Reason.of("statistics.lot_limits_differ")
-        elif unknown_tests:
-            reason = Reason.of("statistics.lot_sample_unknown", tests=tests)
     else:
         answer, reason = _judge_scatter(lot)
     doubtful = [test for test in fractions if not is_certain[test] and test not in unknown_tests]
@@ -195,24 +194,18 @@ def _add_answer(lot: Lot, fractions: Mapping[str, Result], limits: Collection[fl
 
 def _judge_scatter(lot: Lot) -> tuple[Answer, Reason]:
     """Judge a lot by its tolerance bound; all its samples pass."""
-    bound, n_needed = lot.format_fraction(lot.bound), lot.n_needed
-    coverage, confidence = map(write_percent, (lot.coverage, lot.confidence))
+    bound, coverage = lot.format_fraction(lot.bound), write_percent(lot.coverage)
+    demanded = {"coverage": coverage, "confidence": write_percent(lot.confidence)}
     if lot.bound >= 1.0:
-        return Answer.PASS, Reason.of(
-            "statistics.lot_passes", bound=bound, coverage=coverage, confidence=confidence
-        )
+        return Answer.PASS, Reason.of("statistics.lot_passes", bound=bound, **demanded)
     upper_factor = compute_tolerance_factor(lot.n, lot.coverage, 1.0 - lot.confidence)
     if lot.mean - upper_factor * lot.deviation < 1.0:
-        return Answer.FAIL, Reason.of(
-            "statistics.lot_fails", coverage=coverage, confidence=confidence
-        )
-    if n_needed is None:
-        return Answer.CANNOT_TELL, Reason.of(
-            "statistics.lot_never_passes", bound=bound, coverage=coverage
-        )
-    return Answer.CANNOT_TELL, Reason.of(
-        "statistics.lot_needs_more", bound=bound, coverage=coverage, needed=n_needed
-    )
+        return Answer.FAIL, Reason.of("statistics.lot_fails", **demanded)
+    reached = {"bound": bound, "coverage": coverage}
+    if lot.n_needed is None:
+        return Answer.CANNOT_TELL, Reason.of("statistics.lot_never_passes", **reached)
+    needed = lot.n_needed
+    return Answer.CANNOT_TELL, Reason.of("statistics.lot_needs_more", **reached, needed=needed)
 
 
 def write_percent(fraction: float) -> str:

@@ -123,37 +123,31 @@ def _describe_decision(
 ) -> Decision:
     """Describe what was averaged, and the numbers on which the decision is based."""
     counts = tuple(len(values) for values in spools)
+    totals = {"samples": sum(counts), "spools": len(counts)}
     summary = format_sentence(
-        "statistics.pooled" if is_pooled else "statistics.not_pooled",
-        samples=sum(counts),
-        spools=len(counts),
+        "statistics.pooled" if is_pooled else "statistics.not_pooled", **totals
     )
+    grounds = (*_describe_shares(scatter, limits), _describe_test(p, counts, limits))
     if max(counts) > 1 and np.ptp(np.concatenate(spools)) == 0.0:
-        return Decision(summary, (format_sentence("statistics.values_equal"),))
-    return Decision(
-        summary, (*_describe_shares(scatter, limits), _describe_test(p, counts, limits))
-    )
+        grounds = (format_sentence("statistics.values_equal"),)
+    return Decision(summary, grounds)
 
 
 def _describe_shares(scatter: SpoolScatter, limits: PoolingLimits) -> tuple[str, ...]:
     """Describe the fraction of the variance between spools, and its limit for pooling."""
     if np.isnan(scatter.within):
         return (format_sentence("statistics.scatter_unknown"),)
-    ratio_text = ""
+    max_percent, ratio_text = 100.0 * scatter.max_spool_share, ""
     if scatter.within > 0.0:
         ratio = scatter.between_spools / scatter.within
         ratio_text = format_sentence("statistics.scatter_ratio", ratio=ratio)
-    percent, max_percent = 100.0 * scatter.spool_share, 100.0 * scatter.max_spool_share
-    facts = {"percent": percent, "ratio": ratio_text, "max_percent": max_percent}
-    text = (
-        format_sentence("statistics.spools_alike", max_percent=max_percent)
-        if scatter.between_spools == 0.0
-        else format_sentence("statistics.share", **facts)
-    )
+    facts = {"percent": 100.0 * scatter.spool_share, "ratio": ratio_text}
+    text = format_sentence("statistics.share", **facts, max_percent=max_percent)
+    if scatter.between_spools == 0.0:
+        text = format_sentence("statistics.spools_alike", max_percent=max_percent)
     limit, confidence = 100.0 * limits.max_spool_share, 100.0 * limits.confidence
-    return text, format_sentence(
-        "statistics.share_needed", limit_percent=limit, confidence_percent=confidence
-    )
+    needed = {"limit_percent": limit, "confidence_percent": confidence}
+    return text, format_sentence("statistics.share_needed", **needed)
 
 
 def _describe_test(p: float, counts: tuple[int, ...], limits: PoolingLimits) -> str:
@@ -164,8 +158,9 @@ def _describe_test(p: float, counts: tuple[int, ...], limits: PoolingLimits) -> 
     if smallest_p >= limits.min_p:
         sizes = f"{', '.join(map(str, counts[:-1]))} and {counts[-1]}"
         return format_sentence("statistics.test_without_power", sizes=sizes, smallest_p=smallest_p)
+    min_p = limits.min_p
     return format_sentence(
-        "statistics.equal" if p >= limits.min_p else "statistics.unequal", p=p, min_p=limits.min_p
+        "statistics.equal" if p >= min_p else "statistics.unequal", p=p, min_p=min_p
     )
 
 
@@ -391,7 +386,14 @@ def summarise_budget(group_result: GroupNumber) -> GroupBudget:
     medians = {cause: median(test.get(cause, 0.0) for test in shares_by_test) for cause in causes}
     total = sum(medians.values())
     test_shares = {cause: share / total for cause, share in medians.items() if share > 0.0}
-    return GroupBudget(test_shares, _compute_mean_budget(group_result.mean.chosen))
+    mean = group_result.mean.chosen
+    if mean.interval is None or not mean.interval.upper > mean.interval.lower:
+        return GroupBudget(test_shares, {})
+    normal_factor = Interval.normal_95(0.0, 1.0).upper / mean.half_width
+    common = {row.cause: (normal_factor * row.change) ** 2 for row in mean.common if row.change}
+    scatter = 1.0 - (normal_factor * combine_changes(mean.common)) ** 2
+    mean_shares = {SCATTER: scatter, **{cause: common[cause] for cause in sort_causes(common)}}
+    return GroupBudget(test_shares, mean_shares)
 
 
 def sort_causes(causes: Iterable[str]) -> list[str]:
@@ -401,24 +403,6 @@ def sort_causes(causes: Iterable[str]) -> list[str]:
         *(cause for cause in known_causes if cause in all_causes),
         *sorted(all_causes.difference(known_causes)),
     ]
-
-
-def _compute_mean_budget(mean: MeanInterval) -> dict[str, float]:
-    """Compute the contribution of each cause to the squared half width of a mean.
-
-    The contributions are fractions that sum to one, keyed by cause.
-    """
-    if mean.interval is None or not mean.interval.upper > mean.interval.lower:
-        return {}
-    normal_factor = Interval.normal_95(0.0, 1.0).upper / mean.half_width
-    common_shares = {
-        contribution.cause: (normal_factor * contribution.change) ** 2
-        for contribution in mean.common
-        if contribution.change
-    }
-    scatter_share = 1.0 - (normal_factor * combine_changes(mean.common)) ** 2
-    sorted_shares = {cause: common_shares[cause] for cause in sort_causes(common_shares)}
-    return {SCATTER: scatter_share, **sorted_shares}
 
 
 _BIAS = ""
@@ -458,15 +442,11 @@ def add_common_causes(mean: NestedMean, spools: Mapping[str, Sequence[Result]]) 
     if causes := ", ".join(contribution.cause for contribution in chosen.common):
         clause = format_sentence("statistics.common_causes", causes=causes)
         decision = replace(decision, grounds=(*decision.grounds, clause))
-    return replace(
-        mean,
-        chosen=chosen,
-        spool_means={
-            name: _shift_interval(spool_mean, spool_errors[name])
-            for name, spool_mean in mean.spool_means.items()
-        },
-        decision=decision,
-    )
+    spool_means = {
+        name: _shift_interval(spool_mean, spool_errors[name])
+        for name, spool_mean in mean.spool_means.items()
+    }
+    return replace(mean, chosen=chosen, spool_means=spool_means, decision=decision)
 
 
 def _list_errors(result: Result) -> _Errors:
@@ -479,24 +459,20 @@ def _list_errors(result: Result) -> _Errors:
 
 def _average_errors(rows: Sequence[_Errors]) -> _Errors:
     """Average the errors of results or spools; the change by a missing cause is zero."""
-    causes = dict.fromkeys([_BIAS, *chain(*rows)])
-    if not rows:
-        return {_BIAS: 0.0}
-    return {cause: float(np.mean([row.get(cause, 0.0) for row in rows])) for cause in causes}
+    causes, count = dict.fromkeys([_BIAS, *chain(*rows)]), max(len(rows), 1)
+    return {cause: sum(row.get(cause, 0.0) for row in rows) / count for cause in causes}
 
 
 def _shift_interval(mean: MeanInterval, errors: _Errors) -> MeanInterval:
     """Shift the interval of a mean to its estimate, and widen it by the common causes."""
-    bias = errors[_BIAS]
+    bias, interval = errors[_BIAS], mean.interval
     common = tuple(
         Contribution(cause, change, is_common=True)
         for cause, change in errors.items()
         if cause != _BIAS
     )
-    interval = mean.interval
     if interval is not None:
-        shifted_interval = Interval(interval.lower - bias, interval.upper - bias)
-        interval = widen_interval(shifted_interval, common)
+        interval = widen_interval(Interval(interval.lower - bias, interval.upper - bias), common)
     estimate = mean.mean - bias if bias else None
     return replace(mean, interval=interval, estimate=estimate, common=common)
 
@@ -549,7 +525,7 @@ def subtract_changes(
     return tuple(Contribution(cause, change, is_common=True) for cause, change in changes.items())
 
 
-def are_positive(results: Sequence[Result]) -> bool:
+def are_positive(results: Iterable[Result]) -> bool:
     """Return whether the values and estimates of all results are above zero.
 
     Parameters
@@ -584,13 +560,8 @@ def convert_to_log_scale(mean: NestedMean) -> NestedMean:
     ``AVERAGE(x)*EXP(T.INV.2T(0.05;n-1)*STDEV.S(x)/SQRT(n)/AVERAGE(x))``. The explanation
     docs/explanations/statistics.md states the coverage.
     """
-    return replace(
-        mean,
-        chosen=_convert_interval(mean.chosen),
-        spool_means={
-            name: _convert_interval(spool_mean) for name, spool_mean in mean.spool_means.items()
-        },
-    )
+    spool_means = {name: _convert_interval(x) for name, x in mean.spool_means.items()}
+    return replace(mean, chosen=_convert_interval(mean.chosen), spool_means=spool_means)
 
 
 def _convert_interval(mean: MeanInterval) -> MeanInterval:

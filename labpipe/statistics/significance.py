@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy import special
 
 from labpipe.messages import format_sentence
-from labpipe.records.arrays import Floats
+from labpipe.records.arrays import Floats, divide
 from labpipe.records.curve import Interval
 from labpipe.records.group import (
     Contrast,
@@ -97,19 +97,14 @@ def compute_contrast(
     return Contrast(
         difference=log(second_scale / first_scale) if is_log else second.middle - first.middle,
         errors=(
-            _compute_standard_error(first) / first_scale,
-            _compute_standard_error(second) / second_scale,
+            first.deviation / sqrt(first.n) / first_scale,
+            second.deviation / sqrt(second.n) / second_scale,
         ),
         counts=(first.n, second.n),
         shared=combine_changes(subtract_changes(*common)),
         margin=log_or_absolute_margin or None,
         is_log=is_log,
     )
-
-
-def _compute_standard_error(mean: MeanInterval) -> float:
-    """Compute the standard error of a mean from the standard deviation of its values."""
-    return mean.deviation / sqrt(mean.n)
 
 
 def compute_half_width(contrast: Contrast, tail_probability: float = ALPHA) -> float:
@@ -269,10 +264,8 @@ def _judge_difference(
     contrast = difference.contrast
     if contrast is None:
         reason = difference.difference.reason
-        verdict_reason = reason.message if reason else format_sentence("statistics.no_interval")
-        return replace(
-            difference, family=family, verdict=Verdict.CANNOT_TELL, verdict_reason=verdict_reason
-        )
+        why = reason.message if reason else format_sentence("statistics.no_interval")
+        return replace(difference, family=family, verdict=Verdict.CANNOT_TELL, verdict_reason=why)
     tail_probability = ALPHA / difference_test.divisor
     middle, half_width = contrast.difference, compute_half_width(contrast, tail_probability)
     interval = Interval(middle - half_width, middle + half_width, 1.0 - tail_probability)
@@ -444,11 +437,6 @@ class OutlierTest:
     steps: Sequence[_TestStep] = ()
     method: str = ""
 
-    @property
-    def smallest_p_value(self) -> float:
-        """Smallest p-value of the steps, or NaN if no test is possible."""
-        return min((step.p_value for step in self.steps), default=float("nan"))
-
     def select_outliers(self, max_p_value: float) -> tuple[Outlier, ...]:
         """Select the outliers of the steps up to the last significant step, most extreme first.
 
@@ -487,7 +475,7 @@ def run_outlier_test(
 
     Returns
     -------
-    The test. It has no steps if there are too few samples (`describe_missing_samples`), or if all
+    The test. It has no steps if there are fewer samples than two more than spools, or if all
     samples of each spool are equal within rounding. Values with equal p-values are all marked, and
     the name of the method lists them. This always applies to the values of a spool of two samples.
 
@@ -531,29 +519,29 @@ def mark_outliers(groups: Sequence[Group], level: float = 0.05) -> list[Group]:
     since its false-alarm rate exceeds its level (1.14 times for two steps at 5 % and 20 samples).
     """
     outlier_tests = [[_test_result(group, number) for number in group.numbers] for group in groups]
-    p_values = [len(test.steps) * test.smallest_p_value for test in chain(*outlier_tests)]
-    corrected = iter(correct_p_values(p_values, level))
-
-    def mark_result(number: GroupNumber, test: OutlierTest) -> GroupNumber:
-        max_p_value = level / next(corrected).divisor / max(1, len(test.steps))
-        return replace(number, outliers=test.select_outliers(max_p_value))
-
-    return [
-        replace(group, numbers=tuple(map(mark_result, group.numbers, group_tests)))
-        for group, group_tests in zip(groups, outlier_tests, strict=True)
+    p_values = [
+        len(test.steps) * min((step.p_value for step in test.steps), default=nan)
+        for test in chain(*outlier_tests)
     ]
+    corrected, marked_groups = iter(correct_p_values(p_values, level)), list[Group]()
+    for group, tests in zip(groups, outlier_tests, strict=True):
+        limits = [level / next(corrected).divisor / max(1, len(test.steps)) for test in tests]
+        numbers = tuple(
+            replace(number, outliers=test.select_outliers(limit))
+            for number, test, limit in zip(group.numbers, tests, limits, strict=True)
+        )
+        marked_groups.append(replace(group, numbers=numbers))
+    return marked_groups
 
 
 def _test_result(group: Group, number: GroupNumber) -> OutlierTest:
     """Test a result of a group for outliers, unless the rig sets it."""
     if number.is_set_by_rig:
         return OutlierTest()
-    names = name_samples(group.samples)
-    spools = dict(zip(names, (sample.specimen.spool for sample in group.samples), strict=True))
-    values = {
-        name: result.value for name, result in number.values.items() if result.value is not None
-    }
-    return run_outlier_test(values, spools)
+    spools = [sample.specimen.spool for sample in group.samples]
+    # Results without a value are never averaged.
+    values = {name: result.value or 0.0 for name, result in number.values.items()}
+    return run_outlier_test(values, dict(zip(name_samples(group.samples), spools, strict=True)))
 
 
 def _list_steps(values: Floats, spool_index: NDArray[np.intp], max_steps: int) -> list[_TestStep]:
@@ -592,12 +580,8 @@ def _compute_p_values(values: Floats, spool_index: NDArray[np.intp]) -> Floats |
         return None
     # Removing a value from a spool of n reduces the sum of squares by residual^2 / (1 - 1 / n).
     variance_factor = 1.0 - 1.0 / counts[spool_index]
-    reduction = np.divide(
-        residual**2, variance_factor, out=np.zeros(len(values)), where=variance_factor > 0
-    )
-    remaining_squares = np.maximum(
-        sum_of_squares - reduction, min_remaining_fraction * sum_of_squares
-    )
-    t = np.sqrt(reduction * degrees_of_freedom / remaining_squares)
+    reduction = np.nan_to_num(divide(residual**2, variance_factor))
+    remaining_fraction = np.maximum(1.0 - reduction / sum_of_squares, min_remaining_fraction)
+    t = np.sqrt(reduction * degrees_of_freedom / (remaining_fraction * sum_of_squares))
     p_values: Floats = np.minimum(1.0, 2.0 * len(values) * special.stdtr(degrees_of_freedom, -t))
     return p_values

@@ -17,7 +17,7 @@ from labpipe.records.curve import Interval
 from labpipe.records.estimates import Estimate
 
 MAX_COSINES = 128
-"""Maximum number of cosines, half waves over the window, from which the noise is estimated."""
+"""Maximum number of coefficients of the discrete cosine transform from which noise is estimated."""
 
 
 def estimate_long_run_variance(residuals: Floats, *, parameters: int) -> float:
@@ -36,9 +36,9 @@ def estimate_long_run_variance(residuals: Floats, *, parameters: int) -> float:
     Notes
     -----
     The estimator of Newey and West, Econometrica 55 (1987) 703, adds the autocovariances up to lag
-    1.3 n^(1/2), weighted by Bartlett's triangle. The sum is increased for the low frequencies that
-    the fit has removed, and scaled by n / (n - parameters). The result is at least half the plain
-    variance, and about equal to it for white noise.
+    min(1.3 n^(1/2), n / 4), weighted by Bartlett's triangle. The sum is increased for the low
+    frequencies that the fit has removed, and scaled by n / (n - parameters). The result is at least
+    half the plain variance, and about equal to it for white noise.
     """
     values = residuals[~np.isnan(residuals)]
     count = len(values)
@@ -57,7 +57,7 @@ def estimate_long_run_variance(residuals: Floats, *, parameters: int) -> float:
 
 
 def estimate_fast_noise(values: Floats) -> Floats:
-    """Estimate the median standard deviation about parabolas through blocks of 20 samples.
+    """Estimate noise by the standard deviation about a parabola, the median of 20-sample blocks.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def estimate_fast_noise(values: Floats) -> Floats:
     size = min(block_samples, values.shape[-1])
     count = values.shape[-1] // size
     rows = values[..., : count * size].reshape(*values.shape[:-1], count, size)
-    basis = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, size), 3))[0]
+    basis = build_polynomial_basis(size, 3)
     residuals = rows - rows @ basis @ basis.T
     deviation: Floats = np.median(np.sqrt(np.sum(residuals**2, axis=-1) / (size - 3)), axis=-1)
     return deviation
@@ -89,11 +89,12 @@ def scale_limit_by_noise(limit: float, rows: Floats) -> Floats:
     Parameters
     ----------
     limit : limit for a record with the mean noise, in any unit
-    rows : shape (rows, n), one record per row; columns with a NaN are ignored
+    rows : shape (m, n), one record per row; columns with a NaN are ignored
 
     Returns
     -------
-    Shape (rows,): `limit` times the noise of each row over their mean noise.
+    Shape (m,): `limit` times the noise of each record, divided by the mean noise of all records;
+    `limit` itself without noise.
     """
     noise = estimate_fast_noise(rows[:, ~np.isnan(rows).any(axis=0)])
     mean_noise = float(noise.mean())
@@ -104,28 +105,28 @@ def scale_limit_by_noise(limit: float, rows: Floats) -> Floats:
 class Processes:
     """Candidate processes of noise: autoregressive with and without white noise, and flicker noise.
 
-    The power of flicker noise rises with a power of the period, up to four lengths of the record.
+    The spectrum of flicker noise falls as frequency^-s above the corner frequency.
 
     Parameters
     ----------
-    lowest : frequency, rad per sample, below which the power of flicker noise is constant
-    factor : shape (g,), lag-one correlation
+    corner_frequency : frequency, rad per sample, below which the power of flicker noise is constant
+    correlation : shape (g,) for g processes, lag-one correlation of the autoregressive part
     floor : shape (g,), white noise, as a fraction of the spectrum at frequency zero
-    is_mirrored : shape (g,), 1 for a spectrum that rises with the frequency, else 0
+    is_reciprocal : shape (g,), 1 for the reciprocal of an autoregressive spectrum, else 0
     prior : shape (g,), prior probability relative to that of white noise
     time : shape (g,), correlation time, samples
-    flicker_power : shape (g,), exponent of flicker noise; 0 for other processes
+    flicker_exponent : shape (g,), exponent s of flicker noise; 0 for other processes
     crossing : shape (g,), frequency, rad per sample, at which white noise is as large as flicker
         noise; infinite for other processes
     """
 
-    lowest: float
-    factor: Floats
+    corner_frequency: float
+    correlation: Floats
     floor: Floats
-    is_mirrored: Floats
+    is_reciprocal: Floats
     prior: Floats
     time: Floats
-    flicker_power: Floats
+    flicker_exponent: Floats
     crossing: Floats
 
     def compute_spectra(self, angle: Floats, rows: Ints | slice = slice(None)) -> Floats:
@@ -134,26 +135,26 @@ class Processes:
         Parameters
         ----------
         angle : shape (k,), frequency, rad per sample
-        rows : numbers of the processes
+        rows : indices of the processes
 
         Returns
         -------
         Shape (processes, k).
         """
-        flicker_power, floor = self.flicker_power[rows], self.floor[rows, None]
-        a = self.factor[rows, None]
+        flicker_exponent, floor = self.flicker_exponent[rows], self.floor[rows, None]
+        a = self.correlation[rows, None]
         spectra: Floats = (1.0 - a) ** 2 / (1.0 - 2.0 * a * np.cos(angle) + a * a)
-        is_flicker = flicker_power > 0.0
-        powers = -0.5 * flicker_power[is_flicker, None]
-        spectra[is_flicker] = (1.0 + (angle / self.lowest) ** 2) ** powers
+        is_flicker = flicker_exponent > 0.0
+        powers = -0.5 * flicker_exponent[is_flicker, None]
+        spectra[is_flicker] = (1.0 + (angle / self.corner_frequency) ** 2) ** powers
         mixed = floor + (1.0 - floor) * spectra
-        return np.where(self.is_mirrored[rows, None] > 0.0, 1.0 / spectra, mixed)
+        return np.where(self.is_reciprocal[rows, None] > 0.0, 1.0 / spectra, mixed)
 
 
 def list_autoregressive_processes(
     times: Floats, floors: Sequence[float]
 ) -> list[tuple[float, ...]]:
-    """List white noise, and autoregressive noise of several correlation times.
+    """List the parameters of white noise, and of autoregressive noise of several correlation times.
 
     Parameters
     ----------
@@ -162,16 +163,17 @@ def list_autoregressive_processes(
 
     Returns
     -------
-    The fields of `Processes` after `lowest`, one row per process: white noise, then for each time
-    the mirror image, correlated noise alone, and correlated with white noise. The last two are
-    equally probable, as a load cell has both kinds: the fit of a pure first-order process would
-    have too short a correlation time and too small a variance. Without mirror images, white noise
-    would be at the edge of the candidates, and its intervals would be too wide.
+    The fields of `Processes` after `corner_frequency`, one row per process: white noise, the
+    reciprocal spectra of all times, correlated noise of all times, and for each floor the sum of
+    correlated and white noise of all times. The last two kinds are equally probable, because a load
+    cell has both kinds of noise: a fit of correlated noise alone would have too short a correlation
+    time and too small a variance. Without reciprocal spectra, white noise would be an extreme
+    candidate, and intervals in white noise would be too wide.
     """
-    # With this power, intervals cover 95 % from white noise to correlation over a tenth of the
-    # window in studies of simulated noise.
-    prior_power = -0.4
-    factors, priors = np.exp(-1.0 / times), (times / times[0]) ** prior_power
+    # With this exponent, the intervals covered 95 % in simulations, for white noise and for noise
+    # that is correlated over up to a tenth of the window.
+    prior_exponent = -0.4
+    factors, priors = np.exp(-1.0 / times), (times / times[0]) ** prior_exponent
     correlated, weight = list(zip(factors, priors, times, strict=True)), 0.5 / len(floors)
     return [
         (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, np.inf),
@@ -190,36 +192,39 @@ def choose_processes(count: int, terms: int) -> Processes:
 
     Parameters
     ----------
-    count : number of samples of the longest stretch, five times the longest correlation time
-    terms : number of cosines used of that stretch
+    count : number of samples of the longest stretch; the longest candidate correlation time is a
+        fifth of it
+    terms : number of coefficients of the cosine transform of that stretch that are used
     """
     n_times, max_time_fraction = 23, 0.2
     times = np.geomspace(count / (4.0 * terms), max_time_fraction * count, n_times)
     floors = (0.003, 0.01, 0.03, 0.1, 0.3)
-    return Processes(np.pi, *np.array(list_autoregressive_processes(times, floors)).T)
+    rows = list_autoregressive_processes(times, floors)  # without flicker noise
+    return Processes(np.pi, *np.array(rows).T)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SpectrumLikelihood:
-    """Likelihood of each of g spectra from stretches of a signal with the same basis.
+    """Likelihood of each of g candidate spectra, given stretches of a signal with the same basis.
 
     Parameters
     ----------
-    spectra : shape (g, terms), power of each cosine
-    columns : shape (terms, p), cosines of the basis
-    log_likelihood : shape (g,), logarithm of the likelihood without the sum of squares
+    spectra : shape (g, terms), power of each coefficient of the cosine transform
+    columns : shape (terms, p), cosine transforms of the basis
+    log_determinant_term : shape (g,), logarithm of the likelihood without the sum of squares
     squares : shape (g,), whitened sum of squares of the residuals
-    freedom : degrees of freedom: cosines minus coefficients, summed over the stretches
-    shifts : shape (g, stretches, p), change of the coefficients by generalised least squares
+    dof : degrees of freedom: transform coefficients minus p, summed over the stretches
+    shifts : shape (g, stretches, p), difference between the coefficients of generalised and of
+        ordinary least squares
     unit_covariance : shape (g, p, p), covariance of the coefficients of generalised least squares
         for a spectrum of 1 at frequency zero
     """
 
     spectra: Floats
     columns: Floats
-    log_likelihood: Floats
+    log_determinant_term: Floats
     squares: Floats
-    freedom: int
+    dof: int
     shifts: Floats
     unit_covariance: Floats
 
@@ -227,7 +232,7 @@ class SpectrumLikelihood:
     def from_values(
         cls, basis: Floats, values: Floats, processes: Processes, n_cosines: int
     ) -> SpectrumLikelihood:
-        """Compute the likelihood from the slowest cosines of stretches.
+        """Compute the likelihood from the lowest frequencies of stretches.
 
         Parameters
         ----------
@@ -235,7 +240,7 @@ class SpectrumLikelihood:
         values : shape (n,) or (stretches, n), without NaN; components along the basis have no
             effect
         processes : candidate processes with the g spectra
-        n_cosines : number of the slowest cosines to use
+        n_cosines : number of the lowest frequencies of the cosine transform to use
         """
         n_coefficients, count = basis.shape
         terms = min(count, n_cosines)
@@ -245,13 +250,13 @@ class SpectrumLikelihood:
 
     @classmethod
     def from_cosines(cls, spectra: Floats, waves: Floats, columns: Floats) -> SpectrumLikelihood:
-        """Compute the restricted likelihood of cosines (Harville, JASA 72 (1977) 320).
+        """Compute the restricted likelihood of cosine transforms (Harville, JASA 72 (1977) 320).
 
         Parameters
         ----------
-        spectra : shape (g, terms), power of each cosine
-        waves : shape (stretches, terms), cosines of the values
-        columns : shape (terms, p), cosines of the basis
+        spectra : shape (g, terms), power of each coefficient of the transform
+        waves : shape (stretches, terms), cosine transforms of the values
+        columns : shape (terms, p), cosine transforms of the basis
         """
         inverse, (count, n_coefficients) = 1.0 / spectra, (len(waves), columns.shape[1])
         information = _weigh_products(inverse, columns)
@@ -262,14 +267,14 @@ class SpectrumLikelihood:
         explained = np.sum(shifts * score, axis=(1, 2))
         squares = np.maximum(inverse @ np.sum(waves**2, axis=0) - explained, 0.0)
         logs = np.log(spectra).sum(axis=1) + np.linalg.slogdet(information)[1]
-        freedom = count * (len(columns) - n_coefficients)
-        return cls(spectra, columns, -0.5 * count * logs, squares, freedom, shifts, unit_covariance)
+        dof = count * (len(columns) - n_coefficients)
+        return cls(spectra, columns, -0.5 * count * logs, squares, dof, shifts, unit_covariance)
 
     def compute_least_squares_covariance(self) -> Floats:
         """Compute the covariance of ordinary least squares under each spectrum, shape (g, p, p).
 
-        It is for a spectrum of 1 at frequency zero. Beyond the last cosine, the noise is assumed to
-        have the power of that cosine.
+        The covariance is scaled to a spectrum of 1 at frequency zero. Beyond the last frequency of
+        the transform, the noise is assumed to have the power at that frequency.
         """
         n_coefficients = self.columns.shape[1]
         products_beyond = np.eye(n_coefficients) - self.columns.T @ self.columns
@@ -283,24 +288,24 @@ class SpectrumPosterior:
 
     Parameters
     ----------
-    probabilities : shape (g,), with the sum 1
+    probabilities : shape (g,), which sum to 1
     variances : shape (g,), estimated power at frequency zero if the spectrum is the true one
-    freedom : degrees of freedom of the variances
+    dof : degrees of freedom of the variances
     """
 
     probabilities: Floats
     variances: Floats
-    freedom: int
+    dof: int
 
     @classmethod
-    def combine(cls, stretches: Sequence[SpectrumLikelihood], prior: Floats) -> SpectrumPosterior:
+    def combine(cls, likelihoods: Sequence[SpectrumLikelihood], prior: Floats) -> SpectrumPosterior:
         """Compute the posterior from the prior and the likelihoods, with one common variance."""
-        freedom = sum(stretch.freedom for stretch in stretches)
-        squares = np.sum([stretch.squares for stretch in stretches], axis=0)
-        logs = np.sum([stretch.log_likelihood for stretch in stretches], axis=0)
-        logs -= 0.5 * freedom * np.log(np.maximum(squares, np.finfo(float).tiny))
+        dof = sum(likelihood.dof for likelihood in likelihoods)
+        squares = np.sum([likelihood.squares for likelihood in likelihoods], axis=0)
+        logs = np.sum([likelihood.log_determinant_term for likelihood in likelihoods], axis=0)
+        logs -= 0.5 * dof * np.log(np.maximum(squares, np.finfo(float).tiny))
         probabilities = prior * np.exp(logs - logs[prior > 0.0].max())
-        return cls(probabilities / probabilities.sum(), squares / freedom, freedom)
+        return cls(probabilities / probabilities.sum(), squares / dof, dof)
 
 
 def cut_smooth_stretches(values: Floats, *, width: int = 100) -> tuple[Floats, ...]:
@@ -313,28 +318,34 @@ def cut_smooth_stretches(values: Floats, *, width: int = 100) -> tuple[Floats, .
 
     Returns
     -------
-    Consecutive stretches, of which the last ends with the signal. Stretches with a corner or a step
-    are omitted: their residuals about a cubic have more than four times the median variance.
+    Consecutive stretches up to the end of the signal. A stretch is omitted as a corner or a step if
+    the variance of its residuals about a cubic exceeds four times the median.
     """
     finite = values[~np.isnan(values)]
     count = len(finite) // width
     if count == 0:
         return ()
     pieces = finite[len(finite) - count * width :].reshape(count, width)
-    basis = build_cubic_basis(width)
-    variances = np.var(pieces - (pieces @ basis.T) @ basis, axis=1)
+    cubics = build_polynomial_basis(width, 4)
+    variances = np.var(pieces - (pieces @ cubics) @ cubics.T, axis=1)
     return tuple(pieces[variances <= 4.0 * np.median(variances)])
 
 
-@lru_cache(maxsize=8)
-def build_cubic_basis(count: int) -> Floats:
-    """Build orthonormal polynomials up to degree three over even samples, shape (4, count)."""
-    basis: Floats = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, count), 4))[0].T
-    return np.ascontiguousarray(basis)
+@lru_cache(maxsize=512)
+def build_polynomial_basis(count: int, columns: int) -> Floats:
+    """Build the first orthonormal polynomials over evenly spaced samples, shape (count, columns).
+
+    Parameters
+    ----------
+    count : number of samples
+    columns : number of polynomials, one more than the largest degree
+    """
+    x = np.linspace(-1.0, 1.0, count)
+    return np.linalg.qr(np.polynomial.legendre.legvander(x, columns - 1))[0]
 
 
 def compute_covariance(basis: Floats, processes: Processes) -> Floats:
-    """Compute the covariance of projections on a basis for each spectrum.
+    """Compute the covariance of projections of noise on a basis for each spectrum.
 
     Parameters
     ----------
@@ -343,8 +354,8 @@ def compute_covariance(basis: Floats, processes: Processes) -> Floats:
 
     Returns
     -------
-    Shape (g, p, p): the sum of the spectrum over the waves of the basis, padded with zeros. The
-    padding is so long that the noise is not correlated over it.
+    Shape (g, p, p): the sums over frequency of the spectrum times products of the Fourier
+    transforms of the basis. The basis is padded with zeros over more than the correlation time.
     """
     padding_times = 40.0
     length = basis.shape[1] + int(padding_times * processes.time.max())
@@ -381,10 +392,10 @@ class LinearFit:
     half_widths: Floats
     n: int
 
-    def estimate(self, number: int) -> Estimate:
+    def estimate(self, index: int) -> Estimate:
         """Return one coefficient with its standard error and 95 % interval."""
-        value, half_width = float(self.coefficients[number]), float(self.half_widths[number])
-        error = float(np.sqrt(self.covariance[number, number]))
+        value, half_width = float(self.coefficients[index]), float(self.half_widths[index])
+        error = float(np.sqrt(self.covariance[index, index]))
         return Estimate(value, error, self.n, Interval(value - half_width, value + half_width))
 
 
@@ -395,7 +406,7 @@ def fit_linear(
     weighted: bool = False,
     other_stretches: Sequence[Floats] = (),
 ) -> LinearFit:
-    """Fit by least squares, with intervals that are valid for serially correlated residuals.
+    """Fit a linear model by least squares, with intervals valid for serially correlated residuals.
 
     Parameters
     ----------
@@ -404,8 +415,8 @@ def fit_linear(
     weighted : False for ordinary least squares; True for generalised least squares, which is better
         for a jump in strongly correlated noise
     other_stretches : further smooth stretches of the same signal, at least 8 samples each, without
-        NaN and at the same sampling rate. Their residuals about a cubic also show the noise; a
-        short window alone does not show the correlation time
+        NaN and at the same sampling rate. The noise is also estimated from their residuals about a
+        cubic, because a short window alone does not show the correlation time
 
     Returns
     -------
@@ -419,26 +430,25 @@ def fit_linear(
     Notes
     -----
     The noise is modelled as a first-order autoregressive process of unknown correlation time, up to
-    a fifth of the window, or its mirror image, with or without added white noise. In cosines over
-    the window such noise is uncorrelated to a good approximation (Ahmed, Natarajan and Rao, IEEE
-    Trans. Comput. C-23 (1974) 90), and the variance of a cosine is the spectrum at its frequency.
-    Each spectrum therefore has a restricted likelihood in closed form (Harville, J. Am. Stat.
-    Assoc. 72 (1977) 320).
+    a fifth of the window, with or without added white noise, or as noise with the reciprocal
+    spectrum. The coefficients of its discrete cosine transform over the window are uncorrelated to
+    a good approximation (Ahmed, Natarajan and Rao, IEEE Trans. Comput. C-23 (1974) 90), and the
+    variance of a coefficient is the spectrum at its frequency. Each spectrum therefore has a
+    restricted likelihood in closed form (Harville, J. Am. Stat. Assoc. 72 (1977) 320).
 
     Given the spectrum, a coefficient follows Student's t-distribution. The interval is that of the
-    mixture over spectra, weighted by their likelihood and their prior. Over the logarithm of the
-    correlation time, the prior has the power -0.4, half without and half with white noise; white
-    noise alone has the weight of the shortest time.
+    mixture over spectra, weighted by their likelihood and their prior. The prior of a correlation
+    time, on a logarithmic scale, is proportional to its power -0.4. It is shared equally by noise
+    with and without added white noise. White noise alone has the prior of the shortest time.
 
-    Only the 128 slowest cosines are used (all of them if `weighted`): hum, filters and rounding
-    have no information on the mean over a window (as in the equal-weighted cosine estimator:
-    Lazarus et al., J. Bus. Econ. Stat. 36 (2018) 541). A curve that the model does not fit looks
-    like slow noise and widens the interval.
+    Only the 128 lowest frequencies are used (all frequencies of the window if `weighted`), because
+    hum, filters and rounding contain no information about the mean over a window (as in the
+    equal-weighted cosine estimator: Lazarus et al., J. Bus. Econ. Stat. 36 (2018) 541). A curve
+    that the model does not fit looks like slow noise and widens the interval.
 
     Other stretches multiply the likelihood of each spectrum by theirs, with one common variance;
     the longest of all stretches sets the range of correlation times. The window may then be shorter
-    than the correlation time, so the covariance of ordinary least squares is then the exact one and
-    not that of cosines.
+    than the correlation time, so the covariance of ordinary least squares is computed exactly.
     """
     count, n_coefficients = design.shape
     needed = n_coefficients + (1 if other_stretches else 4)
@@ -455,9 +465,9 @@ def fit_linear(
     likelihoods = [window]
     for length in sorted(set(map(len, other_stretches))):
         stretches = np.stack([x for x in other_stretches if len(x) == length])
-        cubics = build_cubic_basis(length)
-        stretches -= (stretches @ cubics.T) @ cubics  # rounding would grow with the size of values
-        likelihood = SpectrumLikelihood.from_values(cubics, stretches, processes, MAX_COSINES)
+        cubics = build_polynomial_basis(length, 4)
+        stretches -= (stretches @ cubics) @ cubics.T  # against rounding errors of large values
+        likelihood = SpectrumLikelihood.from_values(cubics.T, stretches, processes, MAX_COSINES)
         likelihoods.append(likelihood)
     noise = SpectrumPosterior.combine(likelihoods, processes.prior)
     shifts, unit_covariance = window.shifts[:, 0], window.unit_covariance
@@ -500,31 +510,27 @@ def orthonormalise(design: Floats) -> tuple[Floats, Floats]:
 def _compute_half_widths(noise: SpectrumPosterior, variances: Floats, offsets: Floats) -> Floats:
     """Compute the half widths that contain 95 % of the mixture of t-distributions.
 
-    The coverage is concave in the half width, so Newton's method does not overshoot.
+    Newton's method is used. For large offsets the coverage is not concave in the half width, so a
+    step ends at a tenth of the first half width.
     """
-    # Spectra below this probability do not change a half width.
+    # Spectra with a lower probability are ignored.
     min_probability = 1e-15
     deviations = np.sqrt(np.maximum(variances, 0.0))
     positive_deviations = np.where(deviations > 0.0, deviations, 1.0)
     mean_logarithm = noise.probabilities @ np.log(positive_deviations)
-    half_widths: Floats = stdtrit(noise.freedom, 0.975) * np.exp(mean_logarithm)
+    half_widths: Floats = stdtrit(noise.dof, 0.975) * np.exp(mean_logarithm)
     smallest = 0.1 * half_widths
     is_relevant = noise.probabilities > min_probability
     weights, spreads = noise.probabilities[is_relevant], positive_deviations[is_relevant]
-    centres, freedom = offsets[is_relevant] / spreads, noise.freedom
+    centres, dof = offsets[is_relevant] / spreads, noise.dof
     for _ in range(12):
         high, low = half_widths / spreads - centres, half_widths / spreads + centres
-        coverage = weights @ (stdtr(freedom, high) - stdtr(freedom, -low))
-        density = _compute_density(high, freedom) + _compute_density(low, freedom)
+        coverage = weights @ (stdtr(dof, high) - stdtr(dof, -low))
+        # Densities of Student's t-distribution.
+        kernels = [(1.0 + t * t / dof) ** (-0.5 * (dof + 1)) for t in (high, low)]
+        density = sum(kernels) / (np.sqrt(dof) * beta(0.5, 0.5 * dof))
         step = (0.95 - coverage) / (weights @ (density / spreads))
         half_widths = np.maximum(half_widths + step, smallest)
         if np.all(np.abs(step) <= 1e-6 * half_widths):
             break
     return np.where(np.any(deviations > 0.0, axis=0), half_widths, 0.0)
-
-
-def _compute_density(t: Floats, freedom: int) -> Floats:
-    """Compute the density of Student's t-distribution."""
-    density: Floats = (1.0 + t * t / freedom) ** (-0.5 * (freedom + 1))
-    density /= np.sqrt(freedom) * beta(0.5, 0.5 * freedom)
-    return density

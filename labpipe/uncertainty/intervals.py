@@ -164,10 +164,12 @@ def _draw_sampling_corrections(
     measured = replicates.measured
     if reading.sampling_correction is not None:
         correction = np.array(reading.sampling_correction)
-    elif not reading.depends_on_corners or len(measured.time) != len(replicates.smooth.time):
-        correction = smooth.compute_sampling_change()
     else:
-        correction = SmoothNumbers.of(smooth.decide, measured, reading).compute_sampling_change()
+        if reading.depends_on_corners and len(measured.time) == len(replicates.smooth.time):
+            sampled = SmoothNumbers.of(smooth.decide, measured, reading)
+        else:
+            sampled = smooth
+        correction = sampled.fine_numbers - sampled.numbers
     deviation = 1.0 / np.sqrt(3.0)  # of a uniform distribution from -1/2 to 3/2, about 1/2
     shifts = np.outer(correction, 0.5 + deviation * replicates.draw_input(_SAMPLING))
     spreads = deviation * correction
@@ -269,10 +271,6 @@ class SmoothNumbers:
             return smooth
         fine = fine_trace, fine_reading, _compute_numbers(fine_reading, fine_trace)
         return cls(decide, *original, *fine, smooth.curves)
-
-    def compute_sampling_change(self) -> Floats:
-        """Compute the change of the numbers with finer samples."""
-        return self.fine_numbers - self.numbers
 
     def compute_corner_change(self) -> Floats:
         """Compute the change of the numbers by corners in all sampling steps that allow them."""

@@ -23,6 +23,7 @@ from labpipe.uncertainty.autocorrelation import (
     Processes,
     SpectrumLikelihood,
     SpectrumPosterior,
+    build_polynomial_basis,
     list_autoregressive_processes,
 )
 
@@ -80,9 +81,9 @@ class NoiseModel:
     Parameters
     ----------
     probabilities : shape (g,), probability of each process
-    squares : shape (g,), variance at frequency zero times `freedom`, for each process, in the
+    squares : shape (g,), variance at frequency zero times `dof`, for each process, in the
         squared unit of the signal
-    freedom : degrees of freedom of the variance
+    dof : degrees of freedom of the variance
     longest, count : number of samples of the longest branch, and of all branches of one signal
     angles, power : shape (b,), rad per sample at which each band of fast waves begins, and the
         power of the record in each band; empty without a branch of more than 512 samples
@@ -90,7 +91,7 @@ class NoiseModel:
 
     probabilities: Floats
     squares: Floats
-    freedom: int
+    dof: int
     longest: int
     count: int
     angles: Floats
@@ -104,9 +105,9 @@ class NoiseModel:
         Added white noise reduces it. Flicker noise and mirror images count as white noise.
         """
         processes = _list_processes(self.longest, self.count)
-        slow = (1.0 - processes.factor) / (1.0 + processes.factor)
+        slow = (1.0 - processes.correlation) / (1.0 + processes.correlation)
         mixed = processes.floor + (1.0 - processes.floor) * slow
-        variance = np.where(processes.is_mirrored > 0.0, 1.0, mixed)
+        variance = np.where(processes.is_reciprocal > 0.0, 1.0, mixed)
         return float(self.probabilities @ (0.5 / variance)[: len(self.probabilities)])
 
     @property
@@ -136,7 +137,7 @@ class NoiseModel:
     ) -> Iterator[Singles]:
         """Draw the same random noise as `draw`, but yield a few records at a time."""
         chosen = rng.choice(len(self.probabilities), size=replicates, p=self.probabilities)
-        variance = self.squares[chosen] / rng.chisquare(self.freedom, size=replicates)
+        variance = self.squares[chosen] / rng.chisquare(self.dof, size=replicates)
         processes = _list_processes(self.longest, self.count)
         margin_time = _MARGIN_TIMES * processes.time[chosen].max(initial=0.0)
         if len(self.angles):
@@ -228,18 +229,13 @@ def estimate_noise(
     longest = max((len(branch) for branch in branches), default=0)
     count = sum(len(branch) for branch in branches) // n_signals
     width = max(_MIN_PIECE_SAMPLES, longest // _PIECES_PER_BRANCH)
-    rests = [
-        *_cut_rest_middles(rests_before, width),
-        *_cut_rest_middles(rests_after, width, is_after_motion=True),
-    ]
+    rests = [*_cut_rest_middles(rests_before, width)]
+    rests += _cut_rest_middles(rests_after, width, is_after_motion=True)
     if longest <= SHORT_RECORD_SAMPLES:
         return _estimate_short_record_noise(branches, rests, longest, count)
-    pieces = [
-        branch[first : first + width]
-        for branch in branches
-        for first in range(0, len(branch) - width + 1, width)
-    ]
-    moving = np.array([piece for piece in pieces if np.ptp(piece) > 0.0])
+    whole_pieces = [branch[: len(branch) // width * width] for branch in branches]
+    pieces = np.concatenate(whole_pieces).reshape(-1, width)
+    moving = pieces[np.ptp(pieces, axis=1) > 0.0]
     if not len(moving):
         return _make_zero_noise(longest)
     basis = _build_piece_basis(width)
@@ -259,8 +255,8 @@ def estimate_noise(
         posterior = SpectrumPosterior.combine([window_likelihood], processes.prior)
         most_probable = spectra[np.argmax(posterior.probabilities)]
         whitened = _compute_whitened_squares(most_probable, waves[is_alike], columns)
-        freedom = terms - columns.shape[1]
-        limit_ratio = chdtri(freedom, kink_probability) / chdtri(freedom, 0.5)
+        dof = terms - columns.shape[1]
+        limit_ratio = chdtri(dof, kink_probability) / chdtri(dof, 0.5)
         has_kink = whitened > np.median(whitened) * limit_ratio
         if not has_kink.any():
             break
@@ -272,8 +268,7 @@ def estimate_noise(
     variance_factor = 1.0
     if is_alike.mean() < min_alike_fraction and not has_steps:
         variance_factor = power[power >= np.median(power)].mean() / power[is_alike].mean()
-    fast_waves = _measure_fast_wave_power(branches, smooth_curves)
-    fast_waves = _replace_corner_power(*fast_waves, residuals[is_level])
+    fast_waves = _measure_fast_wave_power(branches, smooth_curves, residuals[is_level])
     return _make_noise_model(likelihoods, prior, (longest, count), fast_waves, variance_factor)
 
 
@@ -295,9 +290,9 @@ def _make_noise_model(
     posterior = SpectrumPosterior.combine(likelihoods, prior)
     probabilities = posterior.probabilities
     probabilities[probabilities < min_probability_ratio * probabilities.max()] = 0.0
-    squares = posterior.variances * posterior.freedom * variance_factor
+    squares = posterior.variances * posterior.dof * variance_factor
     probabilities /= probabilities.sum()
-    return NoiseModel(probabilities, squares, posterior.freedom, *sample_counts, *fast_waves)
+    return NoiseModel(probabilities, squares, posterior.dof, *sample_counts, *fast_waves)
 
 
 def _flag_observed_processes(processes: Processes, width: int) -> Flags:
@@ -317,8 +312,8 @@ def _flag_observed_processes(processes: Processes, width: int) -> Flags:
     # Processes with more flicker than white noise in all modelled waves of a piece are equal there:
     # the process with the least white noise represents them.
     is_observed |= processes.crossing == _FLICKER_CROSSINGS[0]
-    is_observed &= processes.flicker_power <= max_flicker_power
-    return np.asarray(is_observed | (processes.flicker_power == 0.0), dtype=np.bool_)
+    is_observed &= processes.flicker_exponent <= max_flicker_power
+    return np.asarray(is_observed | (processes.flicker_exponent == 0.0), dtype=np.bool_)
 
 
 def _estimate_short_record_noise(
@@ -326,7 +321,7 @@ def _estimate_short_record_noise(
 ) -> NoiseModel:
     """Estimate the noise from rests and residuals of polynomials through the branches."""
     pieces = [
-        (branch[start:stop], _build_legendre_basis(stop - start, degree + 1))
+        (branch[start:stop], build_polynomial_basis(stop - start, degree + 1))
         for branch in branches
         if len(branch) >= MIN_NOISE_SAMPLES
         for start, stop, degree in cut_into_polynomials(branch)
@@ -339,7 +334,7 @@ def _estimate_short_record_noise(
     processes, empty = _list_processes(longest, count), np.zeros(0)
     prior = processes.prior
     if not rests:
-        prior = np.where(processes.flicker_power > 0.0, 0.0, prior)
+        prior = np.where(processes.flicker_exponent > 0.0, 0.0, prior)
     likelihoods = [_compute_likelihood(processes, *piece) for piece in [*pieces, *rests]]
     return _make_noise_model(likelihoods, prior, (longest, count), (empty, empty))
 
@@ -390,13 +385,7 @@ def _build_piece_basis(width: int, columns: int = _POLYNOMIAL_COLUMNS) -> Floats
     """Build orthonormal polynomials of a piece, one per 8 samples: (width, at most `columns`)."""
     min_samples_per_column = 8
     n_polynomials = int(np.clip(width // min_samples_per_column, min(2, columns), columns))
-    return _build_legendre_basis(width, n_polynomials)
-
-
-def _build_legendre_basis(width: int, columns: int) -> Floats:
-    """Build the first orthonormal polynomials over even samples, shape (width, columns)."""
-    x = np.linspace(-1.0, 1.0, width)
-    return np.linalg.qr(np.polynomial.legendre.legvander(x, columns - 1))[0]
+    return build_polynomial_basis(width, n_polynomials)
 
 
 def _compute_whitened_squares(spectrum: Floats, waves: Floats, columns: Floats) -> Floats:
@@ -408,42 +397,38 @@ def _compute_whitened_squares(spectrum: Floats, waves: Floats, columns: Floats) 
     return squares
 
 
-def _replace_corner_power(
-    angles: Floats, power: Floats, residuals: Floats
-) -> tuple[Floats, Floats]:
-    """Replace the power of fast waves by that of pieces without corners, if corners dominate it."""
-    width = residuals.shape[1]
-    first = int(np.ceil(angles[0] * width / np.pi)) if len(angles) else width
-    if first + 1 >= width:
-        return angles, power
-    piece_power = np.mean(fft.dct(residuals, norm="ortho", axis=1)[:, first:] ** 2, axis=0)
-    if power.mean() <= _CORNER_VARIANCE_RATIO * piece_power.mean():
-        return angles, power
-    return angles, np.interp(angles, np.pi * np.arange(first, width) / width, piece_power)
-
-
 def _measure_fast_wave_power(
-    branches: Sequence[Floats], smooth_curves: Sequence[Floats]
+    branches: Sequence[Floats], smooth_curves: Sequence[Floats], level_residuals: Floats
 ) -> tuple[Floats, Floats]:
-    """Measure the power of fast waves of long branches: first angle of each band, and its power."""
-    residual_pieces = [
+    """Measure the power of fast waves of long branches: first angle of each band, and its power.
+
+    If corners dominate it, the power is that of pieces without corners, whose residuals about a
+    polynomial are `level_residuals` of shape (pieces, width).
+    """
+    branch_residuals = [
         branch - curve
         for branch, curve in zip(branches, smooth_curves, strict=True)
         if len(branch) > 2 * _MIN_RECORD_WAVES
     ]
-    if not residual_pieces:
+    if not branch_residuals:
         return np.zeros(0), np.zeros(0)
-    longest = max(len(residuals) for residuals in residual_pieces)
+    longest = max(map(len, branch_residuals))
     # Processes are known only for the waves of the pieces.
     first = max(_MIN_RECORD_WAVES, min(longest // 8, _PIECES_PER_BRANCH * _HALF_WAVES))
     angles = np.pi * np.arange(first, longest - _BAND_WAVES, _BAND_WAVES) / longest
-    total = np.zeros(len(angles))
-    for residuals in residual_pieces:
+    power = np.zeros(len(angles))
+    for residuals in branch_residuals:
         sums = np.append(0.0, np.cumsum(fft.dct(residuals, norm="ortho") ** 2))
         waves = np.append(angles, np.pi) * len(residuals) / np.pi
         band_sums = np.diff(np.interp(waves, np.arange(len(residuals) + 1), sums))
-        total += band_sums / np.diff(waves) * len(residuals)
-    return angles, total / sum(len(residuals) for residuals in residual_pieces)
+        power += band_sums / np.diff(waves) * len(residuals) / sum(map(len, branch_residuals))
+    piece_power = np.mean(fft.dct(level_residuals, norm="ortho", axis=1) ** 2, axis=0)
+    piece_angles = np.pi * np.arange(len(piece_power)) / len(piece_power)
+    is_fast = piece_angles >= angles[0]
+    piece_power, piece_angles = piece_power[is_fast], piece_angles[is_fast]
+    if len(piece_power) > 1 and power.mean() > _CORNER_VARIANCE_RATIO * piece_power.mean():
+        power = np.interp(angles, piece_angles, piece_power)
+    return angles, power
 
 
 class Piece(NamedTuple):
@@ -476,17 +461,10 @@ def cut_into_polynomials(values: Floats) -> tuple[Piece, ...]:
     >>> [piece.degree for piece in cut_into_polynomials(knee + noise)]
     [1, 1]
     """
-    return _find_pieces(np.ascontiguousarray(values, dtype=np.float64).tobytes())
-
-
-@lru_cache(maxsize=64)
-def _find_pieces(record: bytes) -> tuple[Piece, ...]:
-    """Find the pieces of a record, cached because noise model and smooth curve both use them."""
     # Correlations of neighbouring samples of the noise, up to a correlation time of six samples.
     correlations: tuple[float, ...] = (0.0, 0.3, 0.5, 0.7, 0.85)
     # Fewer samples do not distinguish correlated noise from a bend of the curve.
     min_correlation_samples = 40
-    values = np.frombuffer(record)
     count = len(values)
     if count < min_correlation_samples:
         correlations = correlations[:1]
@@ -533,9 +511,6 @@ def _list_best_cuts(squares: Floats) -> Iterator[tuple[tuple[int, ...], float, t
             smallest = np.min(total, axis=-2)
 
 
-_build_cached_basis = lru_cache(maxsize=512)(_build_legendre_basis)
-
-
 def _compute_squares(values: Floats) -> Floats:
     """Compute residual sums of squares of samples [i, j) about polynomials of degree 1 to 3.
 
@@ -548,7 +523,7 @@ def _compute_squares(values: Floats) -> Floats:
         windows = np.lib.stride_tricks.sliding_window_view(values, length)
         windows = windows - windows.mean(axis=1, keepdims=True)
         degree = min(length - 1, max_degree)
-        polynomials = _build_cached_basis(length, degree + 1)
+        polynomials = build_polynomial_basis(length, degree + 1)
         explained = np.cumsum((windows @ polynomials[:, 1:]) ** 2, axis=1)
         first = np.arange(count - length + 1)
         residual_squares = np.sum(windows**2, axis=1)[:, None] - explained

@@ -161,24 +161,16 @@ Decide: TypeAlias = Callable[[Trace], Reading]
 
 
 def read_part(
-    function: Callable[[Floats, Floats], Floats], part: Samples | tuple[slice, Samples]
+    function: Callable[[Floats, Floats], Floats], samples: Samples
 ) -> Callable[[Trace], tuple[Floats]]:
     """Make a function that computes a number from a part of a trace.
 
     Parameters
     ----------
     function : function of displacement and force, shape (..., m), m, N, with values of shape (...)
-    part : samples of the trace, or a stretch of the trace and samples of the stretch
+    samples : the m samples of the trace
     """
-    parts = part if isinstance(part, tuple) else (part,)
-
-    def numbers(trace: Trace) -> tuple[Floats]:
-        displacement, force = trace.displacement, trace.force
-        for samples in parts:
-            displacement, force = displacement[..., samples], force[..., samples]
-        return (function(displacement, force),)
-
-    return numbers
+    return lambda trace: (function(trace.displacement[..., samples], trace.force[..., samples]),)
 
 
 def combine_numbers(function: Callable[..., Floats], *parts: Decide) -> Decide:
@@ -303,17 +295,6 @@ class Replicates:
         }
         return np.asarray(draws[quantity.distribution](quantiles), dtype=np.float64)
 
-    def has_noise(self, name: str) -> bool:
-        """Return whether the noise of a signal exceeds 1e-4 of its range.
-
-        Parameters
-        ----------
-        name : ``force`` or ``displacement``
-        """
-        smooth: Floats = getattr(self.smooth, name)
-        noise = np.nanstd(getattr(self, name)[:_BATCH_REPLICATES] - smooth)
-        return bool(noise > 1e-4 * (np.nanmax(smooth) - np.nanmin(smooth)))
-
     def shift_displacement(self, offset: float, *inputs: Input) -> Replicates:
         """Shift the displacements of the curve and of all replicates.
 
@@ -344,15 +325,19 @@ def make_generator(seed: bytes, name: str) -> np.random.Generator:
     return np.random.Generator(np.random.SFC64(int.from_bytes(digest, "little")))
 
 
-def choose_max_intervals(trace: Trace) -> int:
-    """Choose the largest number of spline intervals per piece of a record.
+def fit_smooth_trace(
+    trace: Trace, values: Floats, cuts: Sequence[int], *, jump: int | None = None
+) -> Floats:
+    """Fit a smooth curve to a quantity on the samples of a trace.
 
     Parameters
     ----------
-    trace : the record; one with several branches is cyclic
+    trace : one curve
+    values, cuts, jump : as for `fit_smooth_curve`
     """
     # With 40 intervals, the spline of a tensile curve would follow noise of low frequency.
-    return 40 if len(trace.branches) > 1 else 12
+    max_intervals, branches = 40 if len(trace.branches) > 1 else 12, trace.branches
+    return fit_smooth_curve(trace.time, values, cuts, max_intervals, jump=jump, branches=branches)
 
 
 def fit_smooth_curve(
@@ -398,7 +383,11 @@ def fit_smooth_curve(
         x = (t - t[0]) / (t[-1] - t[0])
         is_rest = branches is not None and not any(b.start <= start < b.stop for b in branches)
         if len(y) <= SHORT_RECORD_SAMPLES and not is_rest:
-            smooth[start:stop][is_finite] = _fit_polynomials(x, y)
+            polynomials = [
+                np.polynomial.Polynomial.fit(x[first:last], y[first:last], degree)(x[first:last])
+                for first, last, degree in cut_into_polynomials(y)
+            ]
+            smooth[start:stop][is_finite] = np.concatenate(polynomials)
             continue
         min_interval_samples = min_rest_interval_samples if is_rest else _MIN_INTERVAL_SAMPLES
         max_count = max_rest_intervals if is_rest else max_intervals
@@ -411,15 +400,6 @@ def fit_smooth_curve(
         if cut != jump and cut - previous > 1 and following - cut > 1:
             _join_pieces(smooth, cut)
     return smooth
-
-
-def _fit_polynomials(x: Floats, y: Floats) -> Floats:
-    """Fit polynomials to the pieces of a short record that `cut_into_polynomials` chooses."""
-    polynomials = np.empty(len(y))
-    for start, stop, degree in cut_into_polynomials(y):
-        piece = slice(start, stop)
-        polynomials[piece] = np.polynomial.Polynomial.fit(x[piece], y[piece], degree)(x[piece])
-    return polynomials
 
 
 def _is_constant(values: Floats, curve: Floats, n_parameters: int) -> bool:
@@ -491,13 +471,13 @@ def draw_replicates(
     -------
     The replicates, equal for equal arguments.
     """
-    n_intervals, branches = choose_max_intervals(unfiltered), unfiltered.branches
-    time, noisy, noises, smooth = unfiltered.time, [], {}, []
+    min_noise = 1e-4  # of the range of a signal; the model of less noise is not kept
+    noisy, noises, smooth = [], {}, []
     jump = None if unfiltered.failed_at is None else unfiltered.failed_at + 1
     has_resolution = any(quantity.cause == RESOLUTION_OF_FORCE for quantity in inputs)
     for name, apply_filters in zip(("displacement", "force"), filters, strict=True):
         values: Floats = getattr(unfiltered, name)
-        curve = fit_smooth_curve(time, values, cuts, n_intervals, jump=jump, branches=branches)
+        curve = fit_smooth_trace(unfiltered, values, cuts, jump=jump)
         has_steps = has_resolution and name == "force"
         noise = _estimate_record_noise(values, curve, unfiltered, cuts, has_steps=has_steps)
         noisy.append(_add_noise_and_filter(curve, noise, apply_filters, make_generator(seed, name)))
@@ -505,11 +485,13 @@ def draw_replicates(
         smooth.append(curve)
     for curves in (smooth, noisy) if compliance else ():
         curves[0] = curves[0] - compliance * curves[1]
+    for name, curve, records in zip([*noises], smooth, noisy, strict=True):
+        noise_level = np.nanstd(records[:_BATCH_REPLICATES] - curve)
+        if not noise_level > min_noise * (np.nanmax(curve) - np.nanmin(curve)):
+            del noises[name]
     smooth_trace = replace(unfiltered, displacement=smooth[0], force=smooth[1], is_smooth=True)
     traces, (displacement, force) = (measured, averaged or measured, smooth_trace), noisy
-    replicates = Replicates(*traces, displacement, force, inputs, seed, noises)
-    noises = {name: noise for name, noise in noises.items() if replicates.has_noise(name)}
-    return replace(replicates, noises=noises)
+    return Replicates(*traces, displacement, force, inputs, seed, noises)
 
 
 def _add_noise_and_filter(

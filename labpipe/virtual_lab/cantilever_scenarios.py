@@ -782,10 +782,10 @@ def evaluate_taped(path: MechanicalPath) -> Truth:
 def _fit_slope_after_slack(displacement: Floats, force: Floats) -> float:
     """Fit the slope over the first 5 mm from where the force exceeds zero, N/m."""
     slack_samples = np.flatnonzero(force <= 0.0)
-    first = 0 if len(slack_samples) == 0 else int(slack_samples[-1])
-    pair = slice(first, first + 2)
-    start = float(np.interp(0.0, force[pair], displacement[pair]))
-    return fit_slope(displacement[first:], force[first:], start, start + _INITIAL_RANGE)
+    last_slack = 0 if len(slack_samples) == 0 else int(slack_samples[-1])
+    crossing = slice(last_slack, last_slack + 2)
+    start = float(np.interp(0.0, force[crossing], displacement[crossing]))
+    return fit_slope(displacement[last_slack:], force[last_slack:], start, start + _INITIAL_RANGE)
 
 
 def _list_specimen_facts(path: MechanicalPath) -> Truth:

@@ -162,7 +162,7 @@ class StrandedWire:
     n_plays: int = 60
 
     def build_section(self) -> CrossSection:
-        """Return the section with its strands.
+        """Build the section with its strands.
 
         Raises
         ------
@@ -175,7 +175,7 @@ class StrandedWire:
         return place_sectors(layers, tube) if self.is_compressed else place_hexagon(layers, tube)
 
     def build_contacts(self) -> Contacts:
-        """Return friction and pressure between the layers."""
+        """Make the friction and pressure between the layers."""
         return make_contacts(
             len(self.lay_angles),
             strand=self.friction_strand,
@@ -404,8 +404,8 @@ def lay_wires(bundle: BundleModel) -> WirePositions:
     """
     wires = [WIRES[name] for name, number in bundle.wires for _ in range(number)]
     diameter = np.array([wire.diameter for wire in wires])
-    copper = np.array([wire.n_strands * 0.25 * np.pi * wire.strand**2 for wire in wires])
-    axial = ANNEALED_COPPER.modulus * copper
+    copper_area = np.array([wire.n_strands * 0.25 * np.pi * wire.strand**2 for wire in wires])
+    axial = ANNEALED_COPPER.modulus * copper_area
     positions, is_outer = _fill_shells(bundle.number)
     order = _order_by_kind(positions, bundle)
     x, y = np.max(diameter) * positions[order].T
@@ -468,11 +468,11 @@ def _build_law(bundle: BundleModel) -> PlayLaw:
 def _build_sliders(bundle: BundleModel) -> tuple[Floats, Floats]:
     """Compute the slip curvatures of the sliders, 1/m, and their stiffnesses, N m^2."""
     layout = lay_wires(bundle)
-    off_axis = np.abs(layout.y) > _SHELL_TOLERANCE * np.max(layout.diameter)
-    distance = np.abs(layout.y[off_axis])
+    is_off_axis = np.abs(layout.y) > _SHELL_TOLERANCE * np.max(layout.diameter)
+    distance = np.abs(layout.y[is_off_axis])
     limits = bundle.slip_curvature * float(np.sqrt(np.mean(distance**2))) / distance
     glue_limit = np.inf if bundle.glue_strain is None else bundle.glue_strain / bundle.radius
-    stiffnesses = bundle.friction_share * layout.stiffness[off_axis]
+    stiffnesses = bundle.friction_share * layout.stiffness[is_off_axis]
     glue_stiffness = bundle.glue_share * float(np.sum(layout.stiffness * layout.is_outer))
     return np.append(limits, glue_limit), np.append(stiffnesses, glue_stiffness)
 

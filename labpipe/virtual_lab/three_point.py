@@ -74,7 +74,7 @@ voltage of its amplifier, up to 100 V."""
 
 
 class BentModel(Protocol):
-    """Specimen: a bundle, or a model for tests of the solver. Equal models share one solution."""
+    """Specimen that a rig bends. Equal specimens share one solution."""
 
     def build_law(self) -> PlayLaw:
         """Build the law of moment against curvature."""
@@ -223,7 +223,7 @@ class ConduitScenario:
     def bundle(self) -> BundleModel:
         """Return the bundle with the factor of the sample."""
         bundle = self.test.bundle
-        assert isinstance(bundle, BundleModel)  # only tests of the solver use other models
+        assert isinstance(bundle, BundleModel)  # the specimen of every scenario
         return replace(bundle, factor=bundle.factor * self.factor)
 
     def plan_schedule(self) -> Schedule:
@@ -322,12 +322,12 @@ class ConduitScenario:
         """
         rate = 5.0  # sampling rate of the arrays, Hz
         stroke, clocks = self.test.stroke, self.clocks
-        down = stroke * np.linspace(0.0, 1.0, TRUTH_POINTS)
-        cycle = 2.0 * stroke * np.linspace(0.0, 1.0, 2 * TRUTH_POINTS - 1)
-        loading = evaluate_loading(down, self.factor * path.compute_force(down))
-        displacement = path.compute_displacement(cycle)
-        force = self.factor * path.compute_force(cycle)
-        top = int(np.argmax(force))
+        descent = stroke * np.linspace(0.0, 1.0, TRUTH_POINTS)
+        cycle_progress = 2.0 * stroke * np.linspace(0.0, 1.0, 2 * TRUTH_POINTS - 1)
+        loading = evaluate_loading(descent, self.factor * path.compute_force(descent))
+        displacement = path.compute_displacement(cycle_progress)
+        force = self.factor * path.compute_force(cycle_progress)
+        peak = int(np.argmax(force))
         time: Floats = np.arange(0.0, plan.end + clocks.camera_lead, 1.0 / rate)
         progress = plan.compute_progress(time - clocks.camera_lead)
         _, moment, curvature = path.compute_mid_span(progress)
@@ -336,8 +336,8 @@ class ConduitScenario:
             "loading": loading,
             "initial_bending_stiffness": self.bundle.build_law().stiffness,
             "bending_stiffness": loading["windowed_stiffness"] * self.test.span**3 / 48.0,
-            "peak_force": float(force[top]),
-            "peak_displacement": float(displacement[top]),
+            "peak_force": float(force[peak]),
+            "peak_displacement": float(displacement[peak]),
             "residual_displacement": path.residual,
             "energy": float(np.trapezoid(force, displacement)),
             "middle": self._list_mid_span_values(path),
@@ -486,10 +486,10 @@ class ThreePointPath:
         unloading_progress = [2.0 * stroke - h.displacement for h in self.unloading]
         unloading = CubicSpline(unloading_progress, columns[n:])
         release_progress = 2.0 * stroke - self.residual
-        is_down = (progress <= stroke)[:, None]
-        values_down = loading(np.clip(progress, 0.0, stroke))
-        values_up = unloading(np.clip(progress, stroke, release_progress))
-        return np.where(is_down, values_down, values_up)
+        is_loading = (progress <= stroke)[:, None]
+        loading_values = loading(np.clip(progress, 0.0, stroke))
+        unloading_values = unloading(np.clip(progress, stroke, release_progress))
+        return np.where(is_loading, loading_values, unloading_values)
 
 
 @lru_cache(maxsize=64)

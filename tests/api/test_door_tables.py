@@ -11,15 +11,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from labpipe.api.data_frames import (
-    Recordings,
-    Units,
-    make_budget_frame,
-    make_curve_frame,
-    make_results_frame,
-    make_shape_frame,
-)
-from labpipe.api.many_tests import LeftOutWarning, groups, table
+from labpipe.api import data_frames
+from labpipe.api.data_frames import LeftOutWarning, Recordings, Units, groups, table
+from labpipe.api.one_test import Test
 from labpipe.errors import UsageError
 from labpipe.records.curve import Interval
 from labpipe.records.harness_bundle import Bundle, BundleWire
@@ -171,10 +165,10 @@ def kinds(frame: pd.DataFrame) -> dict[str, str]:
 
 
 def test_values_of_results(result: TestResult) -> None:
-    frame = make_results_frame(result.results, SI)
+    frame = data_frames.make_results_frame(result.results, SI)
     texts = dict.fromkeys(("unit", "status", "code", "reason"), "str")
     assert kinds(frame) == dict.fromkeys(NUMBERS, "float64") | texts
-    assert kinds(make_results_frame((), SI)) == kinds(frame)
+    assert kinds(data_frames.make_results_frame((), SI)) == kinds(frame)
     assert (frame.index.name, str(frame.index.dtype), len(frame)) == ("name", "str", 3)
     assert list(frame.loc["peak_force.1"]) == [0.62, 0.6, 0.59, 0.61, "N", "ok", "", ""]
     failed = frame.loc["initial_stiffness"]
@@ -190,35 +184,35 @@ def test_results_in_display_units() -> None:
         Result("clock_drift", 5e-5, "1"),
         Result("twist", 0.1, "rad"),
     ]
-    frame = make_results_frame(results, SHOWN)
+    frame = data_frames.make_results_frame(results, SHOWN)
     assert frame["unit"].tolist() == ["mJ", "ppm", "rad"]
     np.testing.assert_allclose(frame["value"], [20.0, 50.0, 0.1])
     np.testing.assert_allclose(frame.loc["energy.1", ["estimate", "lower", "upper"]], [21, 10, 30])
 
 
 def test_budgets(result: TestResult) -> None:
-    frame = make_budget_frame(result.results[0], SHOWN)
+    frame = data_frames.make_budget_frame(result.results[0], SHOWN)
     assert kinds(frame) == {"change": "float64", "share": "float64", "is_common": "bool"}
     assert frame.index.tolist() == ["noise", "scale of the force"]
     np.testing.assert_allclose(frame["change"], [3.0, -4.0])
     np.testing.assert_allclose(frame["share"], [0.36, 0.64])
     assert frame["is_common"].tolist() == [False, True]
     assert frame.attrs["units"] == {"change": "mN", "share": "1"}
-    empty = make_budget_frame(result.results[2], SI)
+    empty = data_frames.make_budget_frame(result.results[2], SI)
     assert (len(empty), kinds(empty), empty.index.name) == (0, kinds(frame), "cause")
 
 
 def test_curves(result: TestResult) -> None:
     curve = result.curve
     assert curve is not None
-    frame = make_curve_frame(curve, SI)
+    frame = data_frames.make_curve_frame(curve, SI)
     numbers = dict.fromkeys(("time", "displacement", "force"), "float64")
     assert kinds(frame) == numbers | {"branch": "int64", "cycle": "int64"}
     assert frame.attrs["units"] == {"time": "s", "displacement": "m", "force": "N"}
     arrays = (curve.time, curve.displacement, curve.force, *curve.assign_samples())
     for name, array in zip(frame.columns, arrays, strict=True):
         np.testing.assert_array_equal(frame[name], array)
-    shown = make_curve_frame(replace(curve, time_unit="1"), SHOWN)
+    shown = data_frames.make_curve_frame(replace(curve, time_unit="1"), SHOWN)
     assert shown.attrs["units"] == {"time": "1", "displacement": "mm", "force": "mN"}
     np.testing.assert_allclose(shown["displacement"], 1e3 * curve.displacement)
 
@@ -226,12 +220,12 @@ def test_curves(result: TestResult) -> None:
 def test_shapes(result: TestResult) -> None:
     shape = result.shape
     assert shape is not None
-    frame = make_shape_frame(shape, SI)
+    frame = Test(result).shape
     assert frame.columns.names == ["point", "axis"]
     np.testing.assert_array_equal(frame["pull"]["y"], shape.positions[:, -1, 1])
     np.testing.assert_array_equal(frame.index, shape.time)
     assert frame.attrs["units"] == {"time": "s", "position": "m"}
-    shown = make_shape_frame(shape, SHOWN)
+    shown = Test(result).display.shape
     np.testing.assert_allclose(shown["pull"]["x"], 1e3 * shape.positions[:, -1, 0])
     assert shown.attrs["units"]["position"] == "mm"
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from labpipe.api.many_tests import parse_path, parse_paths
+from labpipe.api.data_frames import parse_path, parse_paths
 from labpipe.api.one_test import Test, inspect
 from labpipe.errors import ProcessingError, ReadError, UsageError
 from labpipe.records.quality import QualityNote, Severity

@@ -15,7 +15,7 @@ from labpipe.records.wire import (
     ExternalCurveComparison,
     Prediction,
 )
-from labpipe.report.calibration_summary import ValidationGroup
+from labpipe.report.calibration_report import ValidationGroup
 
 GRID = np.linspace(0.0, 0.05, 51)
 FORCE = 2.0 * GRID

@@ -245,8 +245,7 @@ RARE = {"take cut in the first number of a line", "marker missing throughout", "
 
 
 @pytest.mark.parametrize(
-    "name",
-    [pytest.param(name, marks=[pytest.mark.slow] if name in RARE else []) for name in TOLD],
+    "name", [pytest.param(name, marks=[pytest.mark.slow] if name in RARE else []) for name in TOLD]
 )
 def test_told(lab: Lab, run: Run, name: str, approved: Approve) -> None:
     approved(told(lab, run, TOLD[name]))

@@ -20,7 +20,7 @@ from labpipe.records.wire import (
     ParameterChoice,
     Prediction,
 )
-from labpipe.report.calibration_summary import BentShape, CalibrationReport, ValidationGroup
+from labpipe.report.calibration_report import BentShape, CalibrationReport, ValidationGroup
 from labpipe.statistics.groups import compute_band, interpolate_curves
 from tests.builders.loading_tests import measured, rig_of, wire_of
 

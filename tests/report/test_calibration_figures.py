@@ -10,20 +10,18 @@ import pytest
 
 from labpipe.records.quality import QualityNote, Reason, Severity
 from labpipe.records.wire import ExternalCurveComparison
-from labpipe.report.calibration_figures import (
+from labpipe.report.calibration_report import (
+    BentShape,
+    CalibrationReport,
+    describe_calibration,
     group_external_curves,
     make_bent_shapes_page,
     make_calibration_page,
     make_external_page,
     make_profile_plot,
     make_residual_plot,
-    make_validation_page,
-)
-from labpipe.report.calibration_summary import (
-    BentShape,
-    CalibrationReport,
-    describe_calibration,
     make_tables,
+    make_validation_page,
     write_parameter,
 )
 from labpipe.report.figure_page import draw_page, use_style

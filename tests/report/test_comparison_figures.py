@@ -12,14 +12,14 @@ from labpipe.records.quality import Reason
 from labpipe.report.comparisons import (
     MAX_COMPARED_GROUPS,
     Pair,
-    find_families,
     list_family_figures,
     list_pair_remarks,
+    list_questions,
     list_single_field_pairs,
     make_pair_table,
 )
+from labpipe.report.figures import make_budget_page
 from labpipe.report.plot_records import Page
-from labpipe.report.quality_figures import make_budget_page
 from tests.approved import Approve
 from tests.builders.bundle_campaigns import (
     bundle_campaign,
@@ -32,7 +32,7 @@ from tests.builders.campaigns import build_campaign, build_difference
 from tests.report.figure_words import all_words, cell_text, table_words
 from tests.store.builders_result import build_result
 
-TAPING = find_families(bundle_campaign(conduit_cases(), alone="taping"))[0]
+TAPING = list_questions(bundle_campaign(conduit_cases(), alone="taping"))[0].families[0]
 
 
 def pieces(page: Page) -> list[tuple[float, float, bool]]:
@@ -68,8 +68,9 @@ def test_a_bar_for_each_number_of_the_first_cycle(approved: Approve) -> None:
 
 
 def test_families_hold_all_that_differ_in_one_field() -> None:
-    cases = find_families(bundle_campaign(conduit_cases()))
-    assert [(family.field, family.labels) for family in cases] == [
+    cases = list_questions(bundle_campaign(conduit_cases()))
+    families = [family for question in cases for family in question.families]
+    assert [(family.field, family.labels) for family in families] == [
         ("wire", ("B1", "B1 & B2", "B2")),
         ("wire", ("B1", "B2")),
         ("number", ("12", "19")),
@@ -82,7 +83,7 @@ def test_families_hold_all_that_differ_in_one_field() -> None:
 def test_a_large_family_is_cut_and_keeps_its_first_group() -> None:
     counts = (3, 4, 5, 6, 7, 8, 9, 12)
     samples = [sample for count in counts for sample in three_of(bundle_of(f"{count} B1"))]
-    first, second = find_families(bundle_campaign(samples))
+    first, second = list_questions(bundle_campaign(samples))[0].families
     assert len(first.groups) == MAX_COMPARED_GROUPS
     assert first.labels == ("3", "4", "5", "6", "7", "8")
     assert second.labels == ("3", "9", "12")
@@ -100,8 +101,7 @@ def test_types_are_a_question_too_and_two_fields_at_once_are_not() -> None:
     )
     samples = [*three_of(bundle_of("7 B1")), *three_of(bundle_of("12 B2", tape="PET"))]
     campaign = bundle_campaign(samples)
-    assert not list_single_field_pairs(campaign)
-    assert not find_families(campaign)
+    assert not list_questions(campaign)
     assert list_pair_remarks(campaign)[0].startswith("1 pair is not judged")
 
 

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from labpipe.records.arrays import Floats
+from labpipe.report.figures import make_wire_shapes_page
 from labpipe.report.plot_records import find_extremes, simplify_line, thin_flags
-from labpipe.report.quality_figures import read_centre_offset
 from tests.store.builders_result import build_result
 
 
@@ -69,19 +69,18 @@ def test_gaps_standstill_and_noise_in_bends() -> None:
     rows = simplify_line(np.arange(3000.0), noise, max_points=50)
     assert len(rows) == 50
     assert {int(noise.argmax()), int(noise.argmin()), 0, 2999} <= set(rows.tolist())
-    with pytest.raises(ValueError, match="n_bins: expected at least 1, found 0"):
-        find_extremes(np.zeros(3), n_bins=0)
 
 
-def offset_by(text: str) -> float:
-    return read_centre_offset(replace(build_result(cycles=1, half_cycle=1.0), protocol_yaml=text))
+def note_on_shapes(text: str) -> str:
+    result = build_result(cycles=1, half_cycle=1.0)
+    return make_wire_shapes_page(replace(result, protocol_yaml=text)).note
 
 
 def test_offset_of_the_markers_of_a_conduit(repository: Path) -> None:
     text = (repository / "protocols" / "conduit-bundle.yaml").read_text(encoding="utf-8")
-    assert offset_by(text) == pytest.approx(0.00855)
+    assert note_on_shapes(text).startswith("The centres of the markers are 8.55 mm from the axis")
 
 
 @pytest.mark.parametrize("text", ["", "version: 0\nname: of an earlier grammar\n"])
 def test_without_a_sound_protocol_nothing_is_known(text: str) -> None:
-    assert offset_by(text) == 0.0
+    assert "axis" not in note_on_shapes(text)

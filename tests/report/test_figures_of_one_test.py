@@ -20,19 +20,17 @@ from labpipe.records.curve import (
 from labpipe.records.quality import Reason
 from labpipe.records.result import Result, TestResult
 from labpipe.report.figures import (
+    choose_shape_frames,
+    make_flag_plot,
     make_force_displacement_page,
+    make_marker_quality_page,
     make_moment_curvature_page,
     make_stiffness_lines_page,
     make_stress_strain_page,
     make_timeline_page,
-)
-from labpipe.report.plot_records import Axis
-from labpipe.report.quality_figures import (
-    choose_shape_frames,
-    make_flag_plot,
-    make_marker_quality_page,
     make_wire_shapes_page,
 )
+from labpipe.report.plot_records import Axis
 from tests.approved import Approve
 from tests.builders.measured_bending import some_bending, some_cloud
 from tests.report.figure_words import all_words

@@ -20,10 +20,11 @@ from labpipe.records.curve import Interval
 from labpipe.records.group import BoundedStiffness, Campaign
 from labpipe.records.quality import Reason
 from labpipe.records.result import Instrument, Status
-from labpipe.report.html_pages import read_logo, render_test
 from labpipe.report.lab_report import (
+    read_logo,
     read_page_script,
     render_page,
+    render_test,
     write_page_data,
     write_report,
 )

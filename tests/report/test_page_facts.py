@@ -15,11 +15,10 @@ from labpipe.records.curve import DrawnLaw, DrawnShapes
 from labpipe.records.group import Campaign, Group, Sample
 from labpipe.records.result import Instrument
 from labpipe.report.group_plots import make_group_plots
-from labpipe.report.html_pages import fill_template
 from labpipe.report.issues import find_causes
-from labpipe.report.lab_report import describe_campaign, find_open_decisions
+from labpipe.report.lab_report import describe_campaign, fill_template, find_open_decisions
 from labpipe.report.page_tables import (
-    PageTests,
+    arrange_tests,
     compute_report_id,
     describe_testing,
     find_group_of_rejected,
@@ -36,8 +35,6 @@ from tests.builders.campaigns import (
     six_samples,
 )
 
-STEMS = ["a", "b", "c"]
-
 
 def test_tests_are_numbered_group_by_group_and_rejected_ones_last() -> None:
     samples = six_samples(slips=0)
@@ -45,12 +42,12 @@ def test_tests_are_numbered_group_by_group_and_rejected_ones_last() -> None:
     groups = tuple(replace(group, fields={"type": "twist-tube-10"}) for group in two_groups)
     third = samples[2]
     campaign = Campaign("S", groups, rejected={third.source: "bent"}, rejected_samples=(third,))
-    tests = PageTests(campaign, ["a", "b"])
-    assert [(test.number, test.stem, test.state) for test in tests.all_tests] == [
+    page_groups, tests = arrange_tests(campaign)
+    assert [(test.number, test.stem, test.state) for test in tests] == [
         (0, "a", "ok"), (1, "a", "ok"), (2, "b", "ok"), (3, "b", "ok"), (4, "b", "ok"),
         (5, "a", "rejected"),
     ]  # fmt: skip
-    assert [test.rejection for test in tests.list_rejected("a")] == ["bent"]
+    assert [test.rejection for test in page_groups[0].rejected] == ["bent"]
 
 
 def test_a_rejected_test_goes_where_it_fits_best() -> None:
@@ -58,9 +55,10 @@ def test_a_rejected_test_goes_where_it_fits_best() -> None:
     a = replace(build_group("A", [sample]), fields={"type": "twist-tube-10", "spool": "s0"})
     b = replace(a, name="B", fields={"type": "twist-tube-10", "spool": "s1"})
     c = replace(a, name="C", fields={"type": "other", "spool": "s1", "length": "75 mm"})
-    assert find_group_of_rejected(sample, Campaign("S", (a, b, c))) == "B"
-    assert find_group_of_rejected(sample, Campaign("S", (c,))) == ""
-    assert find_group_of_rejected(replace(sample, protocol="other"), Campaign("S", (a, b))) == ""
+    assert find_group_of_rejected(sample, Campaign("S", (a, b, c))) is b
+    assert find_group_of_rejected(sample, Campaign("S", (c,))) is None
+    unknown = replace(sample, protocol="other")
+    assert find_group_of_rejected(unknown, Campaign("S", (a, b))) is None
 
 
 def test_an_overdue_calibration_is_said_with_its_tests() -> None:
@@ -96,26 +94,26 @@ def test_decided_and_rejected() -> None:
     group = build_group("A", [first])
     rejected = {second.source: "bent (me)"}
     campaign = Campaign("S", (group,), rejected=rejected, rejected_samples=(second,))
-    row, other_row = make_test_rows({"a": group}, PageTests(campaign, ["a"]))
+    row, other_row = make_test_rows(arrange_tests(campaign)[1])
     assert (row["decision"], row["grounds"], row["reason"]) == ("accept", "fine (me)", "")
     texts = ("reject", "bent (me)", "Rejected: bent (me)")
     assert (other_row["decision"], other_row["grounds"], other_row["reason"]) == texts
     assert other_row["page"] == "tests/c__x.html" == name_page_file("c/x")
     odd = Campaign("S", (build_group("A", [replace(first, label="a#1 50 %?")]),))
-    (row,) = make_test_rows({"a": odd.groups[0]}, PageTests(odd, ["a"]))
+    (row,) = make_test_rows(arrange_tests(odd)[1])
     assert row["address"] == "tests/a%231%2050%20%25%3F.html"
 
 
 def test_what_is_to_be_decided_until_somebody_did() -> None:
     campaign = build_campaign()
-    open_decisions = find_open_decisions(find_causes(campaign), PageTests(campaign, STEMS))
+    open_decisions = find_open_decisions(find_causes(campaign)[0], arrange_tests(campaign)[1])
     headings = {decision.cause.heading for decision in open_decisions}
     assert headings == {"Failed", "Doubtful", "Outlier"}
     assert describe_campaign(campaign, open_decisions).endswith(" 3 to decide")
     group = campaign.groups[0]
     decided = tuple(replace(sample, decision="fine (me)") for sample in group.samples)
     settled = replace(campaign, groups=(replace(group, samples=decided),))
-    assert not find_open_decisions(find_causes(settled), PageTests(settled, ["a"]))
+    assert not find_open_decisions(find_causes(settled)[0], arrange_tests(settled)[1])
     assert describe_campaign(settled, []).endswith(" 0 to decide")
 
 
@@ -161,7 +159,7 @@ def test_a_line_is_what_its_steps_say_to_sixteen_bit() -> None:
 
 @pytest.mark.parametrize(("low", "high"), [(0.0, 1.0), (-3.7, 12.0), (1e-5, 3e-5), (4e7, 5e7)])
 def test_ticks_are_round_few_and_inside(low: float, high: float) -> None:
-    shares, texts = zip(*Axis(low=low, high=high).find_ticks(6), strict=True)
+    shares, texts = zip(*Axis(low=low, high=high).choose_ticks(6), strict=True)
     assert 3 <= len(shares) <= 7
     assert -1e-9 <= min(shares) <= max(shares) <= 1 + 1e-9
     values = np.array([float(text.replace("\u2212", "-")) for text in texts])
@@ -185,8 +183,8 @@ def test_a_plot_is_well_formed_and_its_words_are_text() -> None:
 
 
 def panels(group: Group, *rejected: Sample) -> dict[str, Plot]:
-    campaign = Campaign("S", (group,), rejected_samples=rejected)
-    return {plot.kind: plot for plot in make_group_plots(group, "g", PageTests(campaign, ["g"]))}
+    (page_group,), _ = arrange_tests(Campaign("S", (group,), rejected_samples=rejected))
+    return {plot.kind: plot for plot in make_group_plots(page_group)}
 
 
 def test_curves_are_drawn_where_they_are() -> None:

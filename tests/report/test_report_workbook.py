@@ -31,7 +31,7 @@ from labpipe.report.table_records import (
     make_unique_heads,
     save_tables,
 )
-from labpipe.report.wording import find_display_unit
+from labpipe.report.wording import choose_unit
 from labpipe.statistics.groups import build_group as grouped
 from tests.approved import Approve
 from tests.builders.bundle_campaigns import bundle_campaign, conduit_cases
@@ -85,7 +85,7 @@ def test_budgets_of_tests_and_of_groups(tmp_path: Path) -> None:
     number = group.numbers[0]
     assert number.mean is not None
     assert number.mean.chosen.interval is not None
-    scale = find_display_unit(number.name, number.unit, samples[0].display)
+    scale = choose_unit(number.name, number.unit, samples[0].display)
     half = 0.5 * (number.mean.chosen.interval.upper - number.mean.chosen.interval.lower)
     mean, median = [row for row in rows if row["number"] == rows[0]["number"]]
     assert (mean["of"], median["of"]) == ("mean of the group", "median of the tests")

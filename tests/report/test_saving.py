@@ -14,8 +14,7 @@ import pytest
 from labpipe.errors import StoreError
 from labpipe.protocol import schema
 from labpipe.records.group import Campaign
-from labpipe.report.calibration_figures import list_calibration_figures
-from labpipe.report.calibration_summary import save_calibration_workbook
+from labpipe.report.calibration_report import list_calibration_figures, save_calibration_workbook
 from labpipe.report.figure_page import encode_figure, save_pages, use_style
 from labpipe.report.figures import FIGURES, is_for_journal, save_figures
 from labpipe.report.lab_report import write_report

@@ -13,7 +13,7 @@ from labpipe.records.group import MeanInterval
 from labpipe.report.table_records import (
     NumberCell,
     choose_number_format,
-    find_column_place,
+    compute_column_place,
     format_in_column,
     make_interval_cells,
     make_number_cell,
@@ -21,7 +21,7 @@ from labpipe.report.table_records import (
 )
 from labpipe.report.wording import (
     Scale,
-    find_display_unit,
+    choose_unit,
     is_main,
     replace_names,
     replace_unprintable,
@@ -147,12 +147,12 @@ def test_two_digits_of_the_interval_are_seen_and_all_are_there() -> None:
 
 
 def test_a_column_has_one_last_place_but_for_small_numbers() -> None:
-    place = find_column_place([0.0, 12.345678, 53.2, None, "x"])
+    place = compute_column_place([0.0, 12.345678, 53.2, None, "x"])
     assert place == -3
     cells: tuple[float, ...] = (53.2, 0.00123456, 3)
     formats = [format_in_column(cell, place).number_format for cell in cells]
     assert formats == ["0.000", "0.00000", "0"]
-    assert find_column_place(["a", 3, None]) is None
+    assert compute_column_place(["a", 3, None]) is None
     forms = [
         choose_number_format(*number)
         for number in ((2.345e8, 6), (3.1e-8, -9), (7e-4, -4), (0.0, -3))
@@ -169,6 +169,6 @@ def test_display_units() -> None:
         ("clock_drift", "1", 1e6, "ppm"), ("twist", "rad", 57.2957795, "deg"),
         ("bending_stiffness", "N*m^2", 1e6, "N*mm^2"),
     ):  # fmt: skip
-        scale = find_display_unit(name, unit, display)
+        scale = choose_unit(name, unit, display)
         assert scale.factor == pytest.approx(factor)
         assert scale.unit == unit_shown

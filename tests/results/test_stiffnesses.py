@@ -14,11 +14,7 @@ from labpipe.results.bending import (
     compute_roller_load,
     compute_stiffness_ratio,
 )
-from labpipe.results.curves import (
-    compute_polynomial_weights,
-    compute_slope,
-    compute_zero_crossing,
-)
+from labpipe.results.curves import compute_polynomial_weights, compute_slope, compute_zero_crossing
 from labpipe.results.stiffness import (
     LineStiffness,
     LoadingSlope,

@@ -84,11 +84,7 @@ def measure_replicates(
 ) -> dict[str, Result]:
     """Reduce a pull by the protocol above."""
     units = {"force": ("A", "N"), "displacement": ("B", "m"), "extension": ("C", "m")}
-    values = {
-        "force": pulled.force,
-        "displacement": pulled.travel,
-        "extension": pulled.extension,
-    }
+    values = {"force": pulled.force, "displacement": pulled.travel, "extension": pulled.extension}
     channels = tuple(
         Channel(name, path, values[name], unit=unit) for name, (path, unit) in units.items()
     )

@@ -13,7 +13,6 @@ from scipy.stats import binomtest
 
 from labpipe.records.group import Contrast, Difference, Group, NestedMean, Outlier, Sample, Verdict
 from labpipe.records.result import Result
-from labpipe.statistics.group_samples import describe_missing_samples
 from labpipe.statistics.groups import build_group
 from labpipe.statistics.means import compute_mean, compute_nested_mean, convert_to_log_scale
 from labpipe.statistics.significance import (
@@ -238,10 +237,6 @@ def test_what_has_no_outliers() -> None:
     for values in ([1.0, 100.0], [], [2.0] * 4, [1.0, 2.0, 3.0, nan]):
         assert not outliers_of(*one_spool(values))
     assert [outlier.sample for outlier in outliers_of(*one_spool([2.0] * 4 + [3.0]))] == ["t4"]
-    assert describe_missing_samples(["a", "a", "a"]) == ""
-    assert describe_missing_samples(["a", "a", "b"]).startswith(
-        "too_few_samples: 3 samples of 2 spools"
-    )
 
 
 @pytest.mark.parametrize("counts", [(3,), (6,), (3, 3)])

@@ -41,7 +41,7 @@ from labpipe.records.wire import (
     ExternalCurve,
     ExternalCurveComparison,
 )
-from labpipe.report.calibration_summary import ValidationGroup
+from labpipe.report.calibration_report import ValidationGroup
 from tests.approved import Approve
 from tests.builders.harness_files import SHEET
 from tests.builders.loading_tests import exact_curve, measured, wire_of

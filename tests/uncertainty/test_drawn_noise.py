@@ -67,7 +67,7 @@ def test_remembering_noise_has_its_autocovariance(factor: float) -> None:
     that open.
     """
     noise = judged(autoregressive(factor, (20_000,), 2))
-    steep = _list_processes(noise.longest, noise.count).flicker_power[: len(noise.probabilities)]
+    steep = _list_processes(noise.longest, noise.count).flicker_exponent[: len(noise.probabilities)]
     depends_on_history = np.where(steep > 0.0, 0.0, noise.probabilities)
     assert depends_on_history.sum() > (5.0 / 6.0 if factor < 0.98 else 1.0 / 3.0)
     drawn = replace(noise, probabilities=depends_on_history / depends_on_history.sum()).draw(
@@ -84,7 +84,7 @@ def test_one_short_record_leaves_its_variance_open() -> None:
     """Means of squares of draws scatter by an inverse chi-square of 20 samples less a line."""
     record = RNG(11).normal(size=20)
     noise = judged(record)
-    assert noise.freedom == 18
+    assert noise.dof == 18
     drawn = noise.draw(20, 20_000, RNG(2))
     inner = np.log(np.mean(drawn**2, axis=1))
     sampling = np.log(np.mean(RNG(3).normal(size=(20_000, 20)) ** 2, axis=1))
@@ -174,11 +174,11 @@ def test_a_record_is_judged_as_by_dense_matrices(*, at_rest: bool) -> None:
         *[(rest1[:270], 1), (rest2[40:], 3)][: 2 * at_rest],
     ]
     processes = _list_processes(2000, 3000)
-    steep, crossing = processes.flicker_power, processes.crossing
+    steep, crossing = processes.flicker_exponent, processes.crossing
     is_crossed = (crossing > np.pi * 12 / 166) & (crossing < np.pi * 48 / 166) | (crossing == np.pi)
     is_possible = at_rest | (steep == 0.0) | (is_crossed & (steep < 1.3))
     chances, squares, freedom = judged_by_contrasts(parts, noise, is_possible)
-    assert noise.freedom == freedom
+    assert noise.dof == freedom
     np.testing.assert_allclose(noise.squares, squares, rtol=1e-9)
     np.testing.assert_allclose(noise.probabilities, chances, rtol=1e-7)
     # Faster waves have the power of the record, in bands of 16 of the longer branch.
@@ -202,7 +202,7 @@ def test_correlation_times_are_those_of_the_spectra() -> None:
     processes = _list_processes(2000, 8000)
     angle: Floats = np.pi * (np.arange(5000.0) + 0.5) / 5000.0
     means = np.where(
-        (processes.is_mirrored == 1.0) | (processes.flicker_power > 0.0),
+        (processes.is_reciprocal == 1.0) | (processes.flicker_exponent > 0.0),
         1.0,
         processes.compute_spectra(angle).mean(axis=1),
     )
@@ -222,7 +222,7 @@ def test_a_piece_with_a_step_or_with_more_noise_is_left_out() -> None:
     louder = values.copy()
     louder[1000:1250] *= 1.8
     for noise in (stepped, judged(louder)):
-        assert noise.freedom == 11 * (48 - 6)
+        assert noise.dof == 11 * (48 - 6)
     assert np.var(stepped.draw(3000, 200, RNG(0))) == pytest.approx(1.0, rel=0.1)
 
 
@@ -242,7 +242,7 @@ def test_no_noise() -> None:
         assert noise.is_zero
         assert not noise.draw(max(len(values), 1), 3, RNG(0)).any()
     eight = judged(np.array([1.0, 5.0, 2.0, 8.0, 1.0, 0.0, 3.0, 4.0]))
-    assert (eight.is_zero, eight.freedom) == (False, 6)
+    assert (eight.is_zero, eight.dof) == (False, 6)
 
 
 RESTS = slice(0, 200), slice(2800, 3000)

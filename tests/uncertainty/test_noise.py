@@ -14,7 +14,7 @@ from labpipe.uncertainty.autocorrelation import (
     SpectrumLikelihood,
     SpectrumPosterior,
     _compute_half_widths,
-    build_cubic_basis,
+    build_polynomial_basis,
     choose_processes,
     compute_covariance,
     cut_smooth_stretches,
@@ -80,16 +80,14 @@ def test_probable_spectra_and_their_covariances() -> None:
     assert processes.prior == pytest.approx(
         np.concatenate([[1.0], prior, prior / 2.0, np.tile(prior / 10.0, 5)])
     )
-    values = noise(3, 100, 5.0)
-    stretch = SpectrumLikelihood.from_values(build_cubic_basis(100), values, processes, 60)
+    values, cubics, short = noise(3, 100, 5.0), *(build_polynomial_basis(n, 4).T for n in (100, 12))
+    stretch = SpectrumLikelihood.from_values(cubics, values, processes, 60)
     np.testing.assert_allclose(stretch.spectra, np.vstack(spectra), rtol=1e-9)
-    found = compute_covariance(build_cubic_basis(12), processes)
-    expected = [
-        build_cubic_basis(12) @ toeplitz(row) @ build_cubic_basis(12).T for row in covariances
-    ]
+    found = compute_covariance(short, processes)
+    expected = [short @ toeplitz(row) @ short.T for row in covariances]
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12)
     # Generalised least squares by dense matrices, of the cosines that are used.
-    waves = dct(np.vstack([build_cubic_basis(100), values]), norm="ortho")[:, :60]
+    waves = dct(np.vstack([cubics, values]), norm="ortho")[:, :60]
     for number, spectrum in enumerate(stretch.spectra):
         weighted = waves / spectrum
         products = weighted @ waves.T
@@ -101,21 +99,19 @@ def test_probable_spectra_and_their_covariances() -> None:
         assert stretch.unit_covariance[number] == pytest.approx(unit)
         assert stretch.shifts[number, 0] == pytest.approx(shifts)
         assert stretch.squares[number] == pytest.approx(products[4, 4] - products[4, :4] @ shifts)
-        assert stretch.log_likelihood[number] == pytest.approx(-0.5 * logs)
+        assert stretch.log_determinant_term[number] == pytest.approx(-0.5 * logs)
         assert stretch.compute_least_squares_covariance()[number] == pytest.approx(plain)
     # Two stretches of one noise, the second twice as large.
-    other = SpectrumLikelihood.from_values(
-        build_cubic_basis(100), 2.0 * noise(4, 100, 5.0), processes, 60
-    )
+    other = SpectrumLikelihood.from_values(cubics, 2.0 * noise(4, 100, 5.0), processes, 60)
     posterior, squares = (
         SpectrumPosterior.combine([stretch, other], processes.prior),
         stretch.squares + other.squares,
     )
-    logs = stretch.log_likelihood + other.log_likelihood - 56.0 * np.log(squares)
+    logs = stretch.log_determinant_term + other.log_determinant_term - 56.0 * np.log(squares)
     chances = processes.prior * np.exp(logs - logs.max())
     np.testing.assert_allclose(posterior.probabilities, chances / chances.sum(), rtol=1e-9)
     np.testing.assert_allclose(posterior.variances, squares / 112.0)
-    assert posterior.freedom == 112
+    assert posterior.dof == 112
 
 
 @pytest.mark.parametrize("count", [30, 9_999, 10_001])

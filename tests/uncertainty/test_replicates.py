@@ -181,7 +181,7 @@ def test_rests_of_a_cyclic_test_are_looked_at() -> None:
     for branches in (cycle[:1], cycle):
         trace = Trace(time, way + 0.01 * flicker((1, RECORD), 1)[0], force, branches)
         draw = draw_replicates(trace, trace, CUTS, (lambda x: x, lambda x: x), (), seed=b"one")
-        freedom.append(draw.noises["displacement"].freedom)
+        freedom.append(draw.noises["displacement"].dof)
     assert freedom[1] - freedom[0] == 2 * 48 - 1 - 3
     ends = [draw.displacement[:, part].mean(axis=1) for part in (slice(0, 200), slice(2800, None))]
     assert float(np.std(ends[1] - ends[0])) > 4e-3

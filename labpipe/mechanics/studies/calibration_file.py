@@ -26,7 +26,7 @@ from labpipe.records.wire import (
     ScatterMixture,
     Solution,
 )
-from labpipe.report.calibration_summary import BentShape, ValidationGroup
+from labpipe.report.calibration_report import BentShape, ValidationGroup
 from labpipe.store.summaries import replace_non_finite, select_json, to_json
 
 SCHEMA = 2

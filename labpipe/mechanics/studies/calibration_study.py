@@ -58,8 +58,7 @@ from labpipe.records.wire import (
     ParameterChoice,
     WireSpec,
 )
-from labpipe.report.calibration_figures import list_calibration_figures
-from labpipe.report.calibration_summary import CalibrationReport, save_calibration_workbook
+from labpipe.report import calibration_report as reports
 from labpipe.units import GRAVITY
 
 MODEL_FILE = "calibration.json"
@@ -161,18 +160,18 @@ def calibrate_tests(
     wire_tables = [
         tabulate_wire(apply_calibration(specs[wire], calibration)) for wire in tested_wires
     ]
-    report = CalibrationReport(calibration, groups, study.shapes, study.comparisons)
+    report = reports.CalibrationReport(calibration, groups, study.shapes, study.comparisons)
 
     def write_others(folder: Path) -> list[Path]:
         """Write the workbook and the decks into a folder."""
-        save_calibration_workbook(report, folder / WORKBOOK_FILE)
+        reports.save_calibration_workbook(report, folder / WORKBOOK_FILE)
         return [folder / WORKBOOK_FILE, *write_decks(wire_tables, folder)]
 
     say("tables and decks")
     written_files = write_study(
         study.folder,
         {MODEL_FILE: json.dumps(build_json(study), allow_nan=False)},
-        [*list_calibration_figures(report)] if figures else (),
+        [*reports.list_calibration_figures(report)] if figures else (),
         write_others=write_others,
         say=say,
         png=png,

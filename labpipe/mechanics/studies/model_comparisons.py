@@ -40,7 +40,7 @@ from labpipe.records.wire import (
     Prediction,
     WireSpec,
 )
-from labpipe.report.calibration_summary import BentShape, ValidationGroup
+from labpipe.report.calibration_report import BentShape, ValidationGroup
 from labpipe.statistics.groups import compute_band, interpolate_curves
 from labpipe.store.result_files import read_result
 

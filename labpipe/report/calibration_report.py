@@ -1,0 +1,1031 @@
+"""Describe a calibration of the wire model in sentences, and make its figures and workbook."""
+
+from __future__ import annotations
+
+import math
+import re
+import textwrap
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple
+
+import numpy as np
+
+from labpipe.messages import format_sentence
+from labpipe.records.arrays import ArrayRecord, Flags, Floats, average_blocks
+from labpipe.records.group import Band, SampleCurve
+from labpipe.records.quality import QualityNote, Reason, Severity
+from labpipe.records.wire import (
+    COPPER_SCALE,
+    DISPLAYED,
+    INSULATION_MODULUS,
+    PARAMETERS,
+    RADIAL_FRICTION,
+    CalibratedParameter,
+    Calibration,
+    CurveAgreement,
+    CurveErrors,
+    CurveMatch,
+    ExternalCurveComparison,
+    Prediction,
+    Profile,
+)
+from labpipe.report import plot_records as plots
+from labpipe.report import table_records as tables
+from labpipe.report.figure_page import N_COLOURS, choose_line_look, split_pages
+from labpipe.report.plot_records import Axis, Label, Line, Page, Plot, make_line, make_thinned_line
+from labpipe.report.wording import SUPERSCRIPTS, Scale, join_sentences, write_count, write_number
+
+DEFLECTION = Scale(1e3, "mm")
+FORCE = Scale(1.0, "N")
+SMALL_FORCE = Scale(1e3, "mN")
+_LETTERS = {"phi": "\u03c6", "mu": "\u03bc"}
+_POWER = re.compile(r"(?<=\d)e([+-])0*(\d+)")
+_LENGTH = DEFLECTION.label("length")
+
+LABELS: Mapping[str, str] = {
+    RADIAL_FRICTION: "Friction \u03c6",
+    INSULATION_MODULUS: "Insulation modulus",
+    COPPER_SCALE: "Factor on copper strength",
+}
+SCALES: Mapping[str, Scale] = {name: Scale(*unit) for name, unit in DISPLAYED.items()}
+_NAMES_IN_SENTENCES: Mapping[str, str] = {
+    RADIAL_FRICTION: "phi",
+    INSULATION_MODULUS: "the modulus of the insulation",
+    COPPER_SCALE: "the strength of the copper",
+}
+
+
+def typeset(sentence: str) -> str:
+    """Typeset a sentence of a calibration.
+
+    Parameters
+    ----------
+    sentence : sentence of a record, which names parameters by their keys
+
+    Returns
+    -------
+    The sentence with a capital, unless it starts with a symbol, and a full stop. Names replace the
+    keys of parameters; powers of ten and Greek letters are typeset.
+
+    Examples
+    --------
+    >>> typeset("copper_scale was held")
+    'The strength of the copper was held.'
+    """
+
+    def typeset_power(match: re.Match[str]) -> str:
+        exponent = f"{match[1]}{match[2]}".removeprefix("+")
+        return f" \u00d7 10{exponent.translate(SUPERSCRIPTS)}"
+
+    for parameter, name in _NAMES_IN_SENTENCES.items():
+        sentence = re.sub(rf"\b{parameter}\b", name, sentence)
+    sentence = _POWER.sub(typeset_power, sentence.strip().rstrip("."))
+    starts_with_symbol = sentence.startswith(("phi", "mu_"))
+    for name, letter in _LETTERS.items():
+        sentence = re.sub(rf"\b{name}(?=\b|_)", letter, sentence)
+    return f"{sentence if starts_with_symbol else sentence[:1].upper() + sentence[1:]}."
+
+
+def write_percent(ratio: float) -> str:
+    """Write a ratio in per cent.
+
+    Two significant digits are written below 10 % and three from 10 %. The text is empty if the
+    ratio is not finite.
+
+    Examples
+    --------
+    >>> write_percent(0.0193), write_percent(1.0), write_percent(math.nan)
+    ('1.9 %', '100 %', '')
+    """
+    if not math.isfinite(ratio):
+        return ""
+    return f"{100.0 * ratio:.3g} %" if ratio >= 0.1 else f"{100.0 * ratio:.2g} %"
+
+
+def write_length(length: float) -> str:
+    """Write a length, given in m, in millimetres, such as ``85 mm``."""
+    return f"{DEFLECTION.factor * length:.4g} {DEFLECTION.unit}"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ValidationGroup:
+    """Samples of one wire at one length, and the prediction of the model.
+
+    Parameters
+    ----------
+    wire : name of the wire
+    length : free length, m
+    is_calibrated : whether the samples were used for the calibration; the model predicts others
+    samples : first loading of each sample, keyed by the name of its test
+    band : mean of the samples with its 95 % bands; one sample has no bands
+    prediction : prediction of the model, with a band for one more sample; None if there is none
+    errors : errors of the model at all points of the samples; None without a prediction
+    reason : reason why there is no prediction; None with a prediction
+    doubtful_deflection : deflection beyond which the prediction is doubtful, because the strain at
+        the rim of the insulation exceeds the linear range, m; infinite if it never does
+    """
+
+    wire: str
+    length: float
+    is_calibrated: bool
+    samples: Mapping[str, SampleCurve]
+    band: Band
+    prediction: Prediction | None = None
+    errors: CurveErrors | None = None
+    reason: Reason | None = None
+    doubtful_deflection: float = math.inf
+
+    @property
+    def heading(self) -> str:
+        """Wire, length and use of the model, such as ``A2, 85 mm: predicted``."""
+        use = "calibrated" if self.is_calibrated else "predicted"
+        return f"{self.wire}, {write_length(self.length)}: {use}"
+
+    @property
+    def is_reliable(self) -> Flags:
+        """Whether each point of the prediction is within `doubtful_deflection`, shape (n,)."""
+        deflection = np.zeros(0) if self.prediction is None else self.prediction.deflection
+        return np.asarray(deflection <= self.doubtful_deflection)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BentShape(ArrayRecord):
+    """Shape of a sample at one deflection of its tip; the columns of the arrays are x and y, m.
+
+    Parameters
+    ----------
+    deflection : deflection of the tip, m
+    markers : measured markers, shape (n_markers, 2); NaN where a marker was not tracked
+    fit : curve fitted to the markers, shape (n, 2); empty without a fit
+    model : axis of the wire in the model, shape (n, 2); empty without a model
+    """
+
+    deflection: float
+    markers: Annotated[Floats, "marker", 2]
+    fit: Annotated[Floats, "point of the fit", 2]
+    model: Annotated[Floats, "point of the model", 2]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CalibrationReport:
+    """Contents of the figures and the workbook of a calibration.
+
+    Parameters
+    ----------
+    calibration : calibration of one wire
+    groups : tests of each wire and length with which the model is compared, including those of the
+        calibration
+    shapes : shapes of each test at several deflections, keyed by the name of the test
+    comparisons : comparisons of the external curves with tests and model
+    """
+
+    calibration: Calibration
+    groups: tuple[ValidationGroup, ...] = ()
+    shapes: Mapping[str, tuple[BentShape, ...]] = field(default_factory=dict)
+    comparisons: tuple[ExternalCurveComparison, ...] = ()
+
+    @property
+    def predictions(self) -> dict[float, Prediction]:
+        """Predictions for the tests of the calibration, keyed by the length in m."""
+        return {
+            group.length: group.prediction
+            for group in self.groups
+            if group.is_calibrated and group.prediction is not None
+        }
+
+
+_REPEATED_CODES = frozenset({"at_bound", "not_identified", "prior_contradicts_data"})
+"""Codes of the notes that repeat sentences on the parameters."""
+
+
+def write_parameter(parameter: CalibratedParameter) -> tuple[str, ...]:
+    """Write the name, value, 95 % interval, unit and verdict of a parameter.
+
+    Parameters
+    ----------
+    parameter : parameter of a calibration
+
+    Returns
+    -------
+    Name, value, interval, unit and verdict as texts. An interval that is open on one side
+    is ``below ...`` or ``above ...``; one that is open on both sides is ``open on both sides``.
+    Separate intervals are joined by ``or``. A missing interval is a dash. The unit of a ratio is
+    ``1``.
+    """
+    factor, unit = SCALES[parameter.name]
+    is_open = parameter.is_open_below or parameter.is_open_above
+    interval = next(
+        (part for part in parameter.intervals if part.lower <= parameter.value <= part.upper),
+        parameter.interval,
+    )
+    number_text = write_number(parameter.value, interval, factor)
+    value_text = write_number(parameter.value, None, factor, digits=2) if is_open else number_text
+    interval_text = " or ".join(_write_intervals(parameter, factor))
+    verdict = parameter.verdict.value
+    return LABELS[parameter.name], value_text.value, interval_text or "\u2013", unit or "1", verdict
+
+
+def _write_intervals(parameter: CalibratedParameter, factor: float) -> Iterator[str]:
+    """Write each interval of a parameter with the digits that its width supports."""
+    last_index = len(parameter.intervals) - 1
+    for index, interval in enumerate(parameter.intervals):
+        nearest_value = min(max(parameter.value, interval.lower), interval.upper)
+        written = write_number(nearest_value, interval, factor)
+        texts = {
+            (False, False): written.interval,
+            (True, False): f"below {written.upper}",
+            (False, True): f"above {written.lower}",
+            (True, True): "open on both sides",
+        }
+        is_open_below = index == 0 and parameter.is_open_below
+        is_open_above = index == last_index and parameter.is_open_above
+        yield texts[is_open_below, is_open_above]
+
+
+def describe_calibration(calibration: Calibration) -> list[str]:
+    """Describe the results of a calibration in sentences.
+
+    Parameters
+    ----------
+    calibration : results of the calibration
+
+    Returns
+    -------
+    Sentences on each parameter and its prior, on the agreement with the tests, the noise, the
+    parameters that are not identified separately, and the warnings.
+    """
+    sentences = []
+    for parameter in calibration.parameters:
+        sentences.append(typeset(parameter.explanation))
+        if parameter.conflict is not None:
+            sentences.append(typeset(parameter.conflict.message))
+    counts = {
+        "point": calibration.n_points,
+        "curve": len(calibration.curves),
+        "sample": calibration.n_samples,
+    }
+    agreement = format_sentence(
+        "report.agreement_with_curves",
+        rmse=SMALL_FORCE.factor * calibration.rmse,
+        share=write_percent(calibration.rmse_share),
+        counts=" of ".join(write_count(count, noun) for noun, count in counts.items()),
+    )
+    levels = calibration.levels
+    scatter = f"The force scatters by {write_percent(levels.scatter)} between samples"
+    if levels.scatter_freedom == 0.0:
+        scatter = "The scatter of the samples is not known"
+    gain = write_percent(levels.gain)
+    sentences.append(agreement)
+    sentences.append(
+        format_sentence("report.noise_of_calibration", scatter=scatter, gain=gain, levels=levels)
+    )
+    if np.isfinite(calibration.get_parameter(RADIAL_FRICTION).value):
+        sentences.append(typeset("mu_s, mu_p and F_rad are not identified separately, only phi"))
+    if not all(calibration.separability.are_identified.values()):
+        sentences.append(typeset(calibration.separability.explanation))
+    return sentences + [
+        f"Note: {typeset(note.message)}"
+        for note in calibration.notes
+        if note.code not in _REPEATED_CODES and note.severity is not Severity.INFO
+    ]
+
+
+MAX_PANELS = 6
+"""Largest number of panels on a page of predictions or of external curves."""
+
+
+def list_calibration_figures(report: CalibrationReport) -> Iterator[Page]:
+    """List the figures of a calibration.
+
+    Parameters
+    ----------
+    report : calibration, predictions, tests and external curves
+
+    Yields
+    ------
+    ``calibration``; ``validation-1``, ``validation-2`` and so on with up to six panels each;
+    ``external-curves``, ``external-curves-2`` and so on if external curves are compared;
+    ``shapes-1`` and so on, one for each test with shapes.
+    """
+    yield make_calibration_page(report.calibration, predictions=report.predictions)
+    for index, groups in enumerate(split_pages(report.groups, MAX_PANELS), start=1):
+        yield make_validation_page(f"validation-{index}", groups)
+    for index, panels in enumerate(group_external_curves(report), start=1):
+        name = "external-curves" if index == 1 else f"external-curves-{index}"
+        yield make_external_page(name, panels)
+    for index, (name, shapes) in enumerate(report.shapes.items(), start=1):
+        yield make_bent_shapes_page(f"shapes-{index}", name, shapes)
+
+
+def make_bent_shapes_page(name: str, test: str, shapes: Sequence[BentShape]) -> Page:
+    """Make the page of the shapes of a test at several deflections, with one scale on both axes.
+
+    Parameters
+    ----------
+    name : file name without the ending
+    test : name of the test
+    shapes : shape at each deflection; without any, the page says so
+    """
+    frame_mm = 14.0  # room for the tick labels and the axis label beside the panel
+    title = f"{test}  \u00b7  shapes at {len(shapes)} deflections of the tip"
+    if not shapes:
+        panels = [Plot(reason="There is no shape to draw.")]
+        return Page(name, title, panels, height=40.0, width=plots.SINGLE_COLUMN)
+    lines, labels, point_sets = [], [], [np.zeros((1, 2))]
+    for shape in shapes:
+        curves = {
+            "shape_markers": shape.markers,
+            "shape_fit": shape.fit,
+            "shape_model": shape.model,
+        }
+        lines += [make_line(look, *points.T) for look, points in curves.items() if len(points)]
+        finite_curves = [points[np.isfinite(points).all(axis=1)] for points in curves.values()]
+        point_sets += finite_curves
+        ends = [points[-1] for points in finite_curves if len(points)]
+        if ends:  # the label is at the largest x and the largest y of the ends
+            x, y = np.max(ends, axis=0).tolist()
+            labels.append(Label(write_length(shape.deflection), x, y, (5.0, 0.0)))
+    names = "Along the undeformed wire, x", "Towards the pull, y"
+    points = np.concatenate(point_sets)
+    x_axis, y_axis = plots.make_axes_to_scale(names, DEFLECTION, points, min_aspect=0.35)
+    aspect = (y_axis.high - y_axis.low) / (x_axis.high - x_axis.low)
+    height = frame_mm + (plots.SINGLE_COLUMN - frame_mm) * aspect
+    note = "Markers are on the surface of the wire; the curves are its axis."
+    panels = [Plot(x_axis, y_axis, lines, labels=labels, is_to_scale=True)]
+    return Page(name, title, panels, note, height, plots.SINGLE_COLUMN)
+
+
+MIN_RESIDUAL_BLOCKS = 25
+"""Smallest number of blocks of points whose residuals are averaged."""
+_DEFLECTIONS = Axis("Tip deflection", DEFLECTION, low=0.0)
+
+
+def make_calibration_page(
+    calibration: Calibration, *, predictions: Mapping[float, Prediction] | None = None
+) -> Page:
+    """Make the page of a calibration, for A4 in portrait format.
+
+    Parameters
+    ----------
+    calibration : calibration of one wire
+    predictions : predictions of the model, keyed by the length of the tests in m, for the band of
+        the model; None for no band
+
+    Returns
+    -------
+    A page with (a) the first loadings and the model, (b) the residuals, (c) the residuals with a
+    factor for each sample, (d) to (f) the profiles of the parameters. The footnote gives the values
+    and verdicts.
+    """
+    row_heights = (58.0, 34.0, 32.0)  # mm
+    frame_mm = 16.5  # room for the headings and labels of a row
+    factor_heading = "residuals with each sample's own factor"
+    panels = [
+        _make_loading_plot(calibration, predictions or {}),
+        make_residual_plot(calibration, "residuals"),
+        make_residual_plot(calibration, factor_heading, has_sample_factors=True),
+        *map(make_profile_plot, calibration.parameters, ("friction", "insulation", "copper")),
+    ]
+    parameters = map(write_parameter, calibration.parameters)
+    numbers = [
+        f"{name}: {value}{f' {unit}'.removesuffix(' 1')} (95 %: {interval}), {verdict}."
+        for name, value, interval, unit, verdict in parameters
+    ]
+    residual_note = "Residuals: points faint, means of neighbouring points as lines."
+    residual_note += "" if predictions else " The band of the model is not drawn."
+    note = "\n".join([*numbers, *describe_calibration(calibration), residual_note])
+    count = write_count(calibration.n_samples, "sample")
+    title = f"{calibration.wire}  ·  calibration of the wire model  ·  {count}"
+    layout, height = "aaaaaa;bbbccc;ddeeff", sum(row_heights) + frame_mm * len(row_heights)
+    return Page("calibration", title, panels, note, height, layout=layout, heights=row_heights)
+
+
+def _choose_length_looks(calibration: Calibration) -> dict[float, dict[str, Any]]:
+    """Choose a colour and a dash for each length of samples; none has the colour of the model."""
+    lengths = sorted({curve.length for curve in calibration.curves})
+    return {length: choose_line_look(index) for index, length in enumerate(lengths, start=1)}
+
+
+def _make_loading_plot(calibration: Calibration, predictions: Mapping[float, Prediction]) -> Plot:
+    """Make the panel of the first loadings, and of the model with its band for each length."""
+    lines, labels = [], []
+    for length, settings in _choose_length_looks(calibration).items():
+        curves = [curve for curve in calibration.curves if curve.length == length]
+        label = f"measured, {write_length(length)} ({len(curves)})"
+        for curve in curves:
+            x, y = curve.deflection, curve.force
+            look = {"label": label, **settings}
+            lines.append(make_thinned_line("measured_loading", x, y, n_bins=120, **look))
+        longest_curve = max(curves, key=lambda curve: float(np.max(curve.deflection)))
+        order = np.argsort(longest_curve.deflection)
+        deflection, force = longest_curve.deflection[order], longest_curve.model[order]
+        lines.append(make_line("model_of_sample", deflection, force))
+        labels.append(Label(write_length(length), deflection[-1], force[-1], (3.0, 0.0)))
+        if length in predictions:
+            model = predictions[length]
+            is_measured = model.deflection <= deflection[-1]
+            band = model.deflection, model.lower_mean, model.upper_mean
+            measured_band = (values[is_measured] for values in band)
+            lines.append(plots.make_area("band_of_mean_sample", *measured_band))
+    y_axis = Axis("Force", FORCE, min([0.0, *(float(np.nanmin(line.y)) for line in lines)]))
+    return Plot(_DEFLECTIONS, y_axis, lines, "first loadings", labels)
+
+
+def make_residual_plot(
+    calibration: Calibration, heading: str, *, has_sample_factors: bool = False
+) -> Plot:
+    """Make the panel of the measured force minus the force of the model against deflection.
+
+    Parameters
+    ----------
+    calibration : curves of the tests and of the model
+    heading : heading of the panel
+    has_sample_factors : whether the model is multiplied by the factor of each sample; the residuals
+        are then noise and errors of the shape of the curve
+
+    Notes
+    -----
+    All points are drawn faintly. A line shows the means of blocks of neighbouring points. There are
+    at least `MIN_RESIDUAL_BLOCKS` blocks, if there are as many points.
+    """
+    settings_by_length = _choose_length_looks(calibration)
+    lines = [plots.make_horizontal_line("no_residual", 0.0)]
+    for curve in calibration.curves:
+        factor = curve.sample_factor if has_sample_factors else 1.0
+        settings = settings_by_length[curve.length]
+        x, y = curve.deflection, curve.force - factor * curve.model
+        means = (average_blocks(values, MIN_RESIDUAL_BLOCKS) for values in (x, y))
+        lines.append(make_thinned_line("residual", x, y, n_bins=120, **settings))
+        lines.append(make_line("mean_residual", *means, **settings))
+    return Plot(_DEFLECTIONS, Axis("Measured \u2212 model", SMALL_FORCE), lines, heading)
+
+
+def make_profile_plot(parameter: CalibratedParameter, heading: str = "") -> Plot:
+    """Make the panel of the deviance of a parameter against its value on a logarithmic axis.
+
+    Parameters
+    ----------
+    parameter : parameter of the calibration; without profiles, the panel explains why it was not
+        fitted
+    heading : heading of the panel
+
+    Notes
+    -----
+    Dashed lines are the thresholds on both sides of each solution. The 95 % interval is grey; an
+    open interval extends to the end of the panel. A filled triangle is the value, an open triangle
+    another solution. If the parameter has a prior, the deviance from the centre of the prior is
+    also drawn.
+    """
+    normal_quantile = 1.959963984540054  # of the probability 0.975, for a 95 % interval
+    if not parameter.profiles:
+        return Plot(heading=heading, reason=typeset(parameter.explanation))
+    low, high = compute_panel_range(parameter)
+    lines, last_index = [], len(parameter.intervals) - 1
+    for index, interval in enumerate(parameter.intervals):
+        start = low if index == 0 and parameter.is_open_below else interval.lower
+        stop = high if index == last_index and parameter.is_open_above else interval.upper
+        lines.append(plots.make_span("interval_of_parameter", start, stop))
+    minima = sorted(_get_minimum(profile)[0] for profile in parameter.profiles)
+    borders = [low, *np.sqrt(np.array(minima[1:]) * np.array(minima[:-1])).tolist(), high]
+    for profile in parameter.profiles:
+        best, height = _get_minimum(profile)
+        solution = minima.index(best)
+        lines.append(make_line("profile", *interpolate_profile(profile)))
+        lines.append(make_line("profile_point", profile.value, profile.deviance))
+        lines.append(make_line("threshold", [borders[solution], best], profile.threshold_below))
+        lines.append(make_line("threshold", [best, borders[solution + 1]], profile.threshold_above))
+        if height > 0.0:
+            lines.append(make_line("best_value", best, height, markerfacecolor="white"))
+    lines.append(make_line("best_value", parameter.value, 0.0))
+    if parameter.conflict is not None:
+        values: Floats = np.geomspace(low, high, 200)
+        standard_error = np.log(parameter.conflict.factor) / normal_quantile
+        deviation = np.log(values / parameter.conflict.centre) / standard_error
+        lines.append(make_line("prior", values, deviation**2))
+    label, scale = LABELS[parameter.name], SCALES[parameter.name]
+    x_axis = Axis(label, scale, low, high, is_log=True)
+    return Plot(
+        x_axis, Axis("Deviance", low=0.0, high=_compute_panel_top(parameter)), lines, heading
+    )
+
+
+def _compute_panel_top(parameter: CalibratedParameter) -> float:
+    """Compute the deviance at the top of the panel of a parameter."""
+    threshold_factor = 2.6  # shows the profiles well above their thresholds
+    ends = (max(profile.threshold_below, profile.threshold_above) for profile in parameter.profiles)
+    return threshold_factor * max(ends)
+
+
+def _get_minimum(profile: Profile) -> tuple[float, float]:
+    """Get value and deviance of the solution from which a profile was traced."""
+    index = int(np.argmin(profile.deviance))
+    return float(profile.value[index]), float(profile.deviance[index])
+
+
+def compute_panel_range(parameter: CalibratedParameter) -> tuple[float, float]:
+    """Compute the range of values that the panel of a parameter shows, SI.
+
+    Parameters
+    ----------
+    parameter : parameter with at least one profile
+
+    Returns
+    -------
+    Lower and upper end. The range includes the value, the profiles up to the top of the panel, and
+    the centre of the prior.
+    """
+    margin_fraction = 0.12  # of the range of the logarithms of the values
+    min_range = 0.02  # of the logarithms
+    values, top = [parameter.value], _compute_panel_top(parameter)
+    for profile in parameter.profiles:
+        profile_values, deviance = interpolate_profile(profile)
+        values += profile_values[deviance <= top].tolist()
+    if parameter.conflict is not None:
+        values.append(parameter.conflict.centre)
+    low, high = math.log(min(values)), math.log(max(values))
+    margin = margin_fraction * max(high - low, min_range)
+    return math.exp(low - margin), math.exp(high + margin)
+
+
+def interpolate_profile(profile: Profile) -> tuple[Floats, Floats]:
+    """Interpolate a profile between its points.
+
+    Parameters
+    ----------
+    profile : profile of at least one point
+
+    Returns
+    -------
+    Values and deviances. The signed square root of the deviance above its minimum is interpolated
+    linearly over the logarithm of the value. If this logarithm is normally distributed, the root is
+    a straight line.
+    """
+    n_fine_points = 200
+    logs, (best, height) = np.log(profile.value), _get_minimum(profile)
+    sign = np.sign(logs - np.log(best))
+    fine_logs: Floats = np.union1d(np.linspace(logs[0], logs[-1], n_fine_points), logs)
+    root = np.interp(fine_logs, logs, sign * np.sqrt(np.maximum(profile.deviance - height, 0.0)))
+    return np.exp(fine_logs), root**2 + height
+
+
+def make_validation_page(name: str, groups: Sequence[ValidationGroup]) -> Page:
+    """Make the page of measured and modelled force against deflection, a panel per group.
+
+    Parameters
+    ----------
+    name : name of the files, without the ending
+    groups : 1 to `MAX_PANELS` groups of tests, each of one wire and one length
+    """
+    row_mm, columns = 66.0, 2
+    height, panels = row_mm * math.ceil(len(groups) / columns), list(map(_make_group_plot, groups))
+    title = "Measured and predicted first loadings"
+    return Page(name, title, panels, _describe_bands(groups), height)
+
+
+def _make_group_plot(group: ValidationGroup) -> Plot:
+    """Make the panel of samples, mean and model with their bands and a label on the agreement.
+
+    The model is drawn lighter where it is doubtful.
+    """
+    samples, lines = group.samples.values(), list[Line]()
+    for sample in samples:
+        x, y = sample.displacement, sample.force
+        lines.append(make_thinned_line("measured_sample", x, y, n_bins=100))
+    lines += _plot_mean(group.band)
+    model = group.prediction
+    for part, opacity in plots.split_doubtful(group.is_reliable):
+        if model is None:
+            break
+        x, low, high = (values[part] for values in (model.deflection, model.lower, model.upper))
+        lines.append(make_line("model", x, model.force[part], alpha=opacity))
+        lines.append(plots.make_area("band_of_model", x, low, high, alpha=_BAND_OPACITY * opacity))
+        lines += [make_line("edge_of_band", x, edge, alpha=opacity) for edge in (low, high)]
+    label = Label(_wrap(describe_agreement(group)), -np.inf, np.inf, (4.0, -2.0), {"va": "top"})
+    forces = [group.band.mean, *(sample.force for sample in samples)]
+    force = _make_force_axis(lines, forces)
+    return Plot(_DEFLECTIONS, force, lines, group.heading, [label])
+
+
+def _make_force_axis(lines: Sequence[Line], forces: Sequence[Floats]) -> Axis:
+    """Make the axis of force from the lowest force, at most zero, to above all lines.
+
+    Parameters
+    ----------
+    lines : lines of the panel
+    forces : arrays of forces, N, that are shown completely
+    """
+    headroom = 1.08  # ratio of the top of the axis to the largest value
+    shown_forces = np.concatenate([np.zeros(1), *forces])
+    heights = np.concatenate([np.zeros(1), *(line.y for line in lines)])
+    lowest = np.min(shown_forces[np.isfinite(shown_forces)])
+    highest = np.max(heights[np.isfinite(heights)])
+    return Axis("Force", FORCE, float(lowest), headroom * float(highest))
+
+
+def describe_agreement(group: ValidationGroup) -> list[str]:
+    """Describe the agreement of the model with a group of tests in short texts.
+
+    Parameters
+    ----------
+    group : samples and prediction; without a prediction, the texts give the reason
+    """
+    texts = [write_count(len(group.samples), "sample")]
+    if not np.isfinite(group.band.lower).any():
+        texts[0] += ", no band of the mean"
+    errors = group.errors
+    if errors is None:
+        return [*texts, f"No prediction. {join_sentences([group.reason])}".strip()]
+    rmse = SMALL_FORCE.factor * errors.rmse
+    percentage = write_percent(errors.rmse_share)
+    texts.append(f"RMSE {rmse:.3g} {SMALL_FORCE.unit}, {percentage} of the largest force")
+    if math.isfinite(errors.inside):
+        texts.append(f"{write_percent(errors.inside)} of the points inside the band")
+    return texts
+
+
+def _plot_mean(band: Band) -> list[Line]:
+    """Plot the mean of the samples and its 95 % band, if any."""
+    lines = [make_line("mean_of_samples", band.displacement, band.mean)]
+    if np.isfinite(band.lower).any():
+        lines.append(plots.make_area("band_of_mean", band.displacement, band.lower, band.upper))
+    return lines
+
+
+_BAND_OPACITY = 0.5
+
+
+def _describe_bands(groups: Sequence[ValidationGroup]) -> str:
+    """Describe the bands in the panels of groups, and join the notes on the predictions."""
+    sentences = ["Grey band: mean of the samples, Student's t with n - 1 degrees of freedom."]
+    if any(len(group.samples) < 2 for group in groups):
+        sentences.append("One sample has no band.")
+    if any(group.prediction is not None for group in groups):
+        sentences.append("Blue band: model, for one more sample.")
+    if not all(group.is_reliable.all() for group in groups):
+        sentences.append(format_sentence("report.doubtful_model"))
+    predictions = (group.prediction for group in groups if group.prediction is not None)
+    sentences.append(join_sentences(note for model in predictions for note in model.notes))
+    return " ".join(filter(None, sentences))
+
+
+_MARKS = ("o", "s", "^", "D", "v")
+
+
+class ExternalPanel(NamedTuple):
+    """External curves of one wire, length and kind of load, in one panel.
+
+    Parameters
+    ----------
+    group : tests of that wire and length; None if there are none
+    comparisons : at least one; comparisons of the external curves with tests and model
+    """
+
+    group: ValidationGroup | None
+    comparisons: tuple[ExternalCurveComparison, ...]
+
+    @property
+    def heading(self) -> str:
+        """Wire, length, and the direction of the load if it is not that of the tests."""
+        curve = self.comparisons[0].curve
+        load = ", load normal to the axis" if curve.is_normal else ""
+        return f"{curve.wire}, {write_length(curve.length)}{load}"
+
+    @property
+    def prediction(self) -> Prediction | None:
+        """Prediction up to the largest deflection; None if no curve has one."""
+        models = filter(None, (comparison.prediction for comparison in self.comparisons))
+        return max(models, key=lambda model: float(model.deflection[-1]), default=None)
+
+
+def group_external_curves(report: CalibrationReport) -> list[Sequence[ExternalPanel]]:
+    """Group external curves by wire, length and kind of load; split the panels into pages.
+
+    Parameters
+    ----------
+    report : calibration, tests and external curves
+
+    Returns
+    -------
+    Panels of each page.
+    """
+    comparisons: dict[tuple[str, float, bool], list[ExternalCurveComparison]] = {}
+    for comparison in report.comparisons:
+        curve = comparison.curve
+        key = (curve.wire, round(curve.length, 6), curve.is_normal)
+        comparisons.setdefault(key, []).append(comparison)
+    groups = {(group.wire, round(group.length, 6)): group for group in report.groups}
+    items = comparisons.items()
+    panels = [ExternalPanel(groups.get(key[:2]), tuple(curves)) for key, curves in items]
+    return split_pages(panels, MAX_PANELS)
+
+
+def make_external_page(name: str, panels: Sequence[ExternalPanel]) -> Page:
+    """Make the page of external curves, tests and model, a panel per wire, length and load.
+
+    Parameters
+    ----------
+    name : name of the files, without the ending
+    panels : 1 to `MAX_PANELS` panels
+    """
+    row_mm, columns = 66.0, 2
+    height, panel_plots = (
+        row_mm * math.ceil(len(panels) / columns),
+        map(_make_external_plot, panels),
+    )
+    title, note = "External curves, tests and model", _describe_external_curves(panels)
+    return Page(name, title, [*panel_plots], note, height)
+
+
+def _make_external_plot(panel: ExternalPanel) -> Plot:
+    """Make the panel of tests and model with their bands, and of external curves."""
+    lines = [] if panel.group is None else _plot_mean(panel.group.band)
+    model = panel.prediction
+    if model is not None:
+        edges = model.deflection, model.lower_mean, model.upper_mean
+        lines.append(make_line("model", model.deflection, model.force))
+        lines.append(plots.make_area("band_of_model", *edges, alpha=_BAND_OPACITY))
+    for index, comparison in enumerate(panel.comparisons):
+        curve = comparison.curve
+        settings: dict[str, Any] = {
+            "label": f"external: {curve.name}",
+            "color": f"C{1 + index % (N_COLOURS - 1)}",  # the first colour is that of the model
+            "marker": _MARKS[index % len(_MARKS)],
+            "markevery": max(1, len(curve.force) // 14),
+        }
+        lines.append(make_line("external_curve", curve.deflection, curve.force, **settings))
+    force = _make_force_axis(lines, [line.y for line in lines])
+    return Plot(_DEFLECTIONS, force, lines, panel.heading)
+
+
+def _wrap(texts: Sequence[str]) -> str:
+    max_length = 48
+    return "\n".join(line for text in texts for line in textwrap.wrap(text, max_length))
+
+
+def describe_match(comparison: ExternalCurveComparison) -> list[str]:
+    """Name an external curve and write its RMSE against the tests and the model.
+
+    Parameters
+    ----------
+    comparison : comparison of the external curve with tests and model
+    """
+    tests = comparison.tests
+    tests_text = "no tests to compare" if tests is None else _describe_rmse("tests", tests)
+    return [comparison.curve.name, tests_text, _describe_rmse("model", comparison.model)]
+
+
+def _describe_rmse(reference: str, match: CurveMatch) -> str:
+    if match.errors is None:
+        return f"{reference}: not compared"
+    rmse = SMALL_FORCE.factor * match.errors.rmse
+    percentage = write_percent(match.errors.rmse_share)
+    return f"{reference}: RMSE {rmse:.3g} {SMALL_FORCE.unit}, {percentage} of peak"
+
+
+def _describe_external_curves(panels: Sequence[ExternalPanel]) -> str:
+    """Describe the bands in the panels, write the RMSE of each curve, and join their notes."""
+    sentences = []
+    if any(panel.group is not None for panel in panels):
+        sentences.append("Grey band: mean of the tests, Student's t with n - 1 degrees of freedom.")
+    if any(panel.prediction is not None for panel in panels):
+        sentences.append("Blue band: model, for the mean sample.")
+    sentences.append("Peak: largest reference force at the compared points.")
+    comparisons = [comparison for panel in panels for comparison in panel.comparisons]
+    notes = [note for comparison in comparisons for note in comparison.notes]
+    if any(note.code == "external_curve_load" for note in notes):
+        sentences.append("Where the load is normal to the axis, the load of the tests is not.")
+    for panel in panels:
+        for comparison in panel.comparisons:
+            name, tests, model = describe_match(comparison)
+            sentences.append(f"{name} ({panel.heading}), {tests}; {model}.")
+    for comparison in comparisons:
+        other_notes = [note for note in comparison.notes if note.code != "external_curve_load"]
+        sentences += [f"'{comparison.curve.name}': {note.message}." for note in other_notes]
+    return " ".join(sentences)
+
+
+def make_tables(report: CalibrationReport) -> list[tables.Table]:
+    """Make all sheets of the workbook of a calibration.
+
+    Parameters
+    ----------
+    report : calibration, predictions, tests and external curves
+
+    Returns
+    -------
+    ``summary``, ``solutions``, ``fit``, ``agreement``, ``external curves`` if there are any,
+    ``curves``, ``forces`` and ``notes``.
+    """
+    calibration = report.calibration
+    external_records = (
+        record for comparison in report.comparisons for record in _list_match_records(comparison)
+    )
+    titles = (f"{group.wire}, {write_length(group.length)}" for group in report.groups)
+    force_charts = zip(titles, map(_make_force_blocks, report.groups), strict=True)
+    axis_heads = DEFLECTION.label("deflection"), FORCE.label("force")
+    return [
+        tables.tabulate("summary", map(_make_parameter_record, calibration.parameters)),
+        tables.tabulate("solutions", _list_solution_records(calibration)),
+        tables.tabulate("fit", _list_fit_records(calibration)),
+        tables.tabulate("agreement", map(_make_agreement_record, report.groups)),
+        *([tables.tabulate("external curves", external_records)] if report.comparisons else []),
+        tables.tabulate("curves", map(_make_curve_record, calibration.curves)),
+        tables.tabulate_curves("forces", force_charts, *axis_heads),
+        tables.tabulate("notes", _list_note_records(report)),
+    ]
+
+
+def _list_match_records(comparison: ExternalCurveComparison) -> Iterator[tables.Record]:
+    """Yield the records of the comparisons of an external curve with the tests and the model."""
+    curve = comparison.curve
+    for reference, match in (("tests", comparison.tests), ("model", comparison.model)):
+        errors = None if match is None else match.errors
+        yield {
+            "name": curve.name,
+            "wire": curve.wire,
+            _LENGTH: DEFLECTION.factor * curve.length,
+            "load": "normal" if curve.is_normal else "as tested",
+            "compared with": reference,
+            "points compared": 0 if errors is None else errors.n,
+            "points left out": None if match is None else match.left_out,
+            **_make_error_cells(errors),
+            "reason": "no tests of this wire and length" if match is None else match.explanation,
+            "file": curve.file,
+            "from": curve.source,
+        }
+
+
+def _make_error_cells(errors: CurveErrors | None) -> tables.Record:
+    """Make the cells of the errors of a curve; they are empty without errors."""
+    return {
+        FORCE.label("RMSE"): None if errors is None else FORCE.factor * errors.rmse,
+        "RMSE over the largest force (%)": None if errors is None else 100.0 * errors.rmse_share,
+        "points inside the band (%)": None if errors is None else 100.0 * errors.inside,
+    }
+
+
+def _write_flag(value: bool) -> str:
+    return "yes" if value else "no"
+
+
+def _make_parameter_record(parameter: CalibratedParameter) -> tables.Record:
+    (factor, unit), interval = SCALES[parameter.name], parameter.interval
+    conflict, has_interval = parameter.conflict, interval is not None
+    return {
+        "parameter": LABELS[parameter.name],
+        "name": parameter.name,
+        "unit": unit or "1",
+        "value": factor * parameter.value,
+        "lower": None if interval is None else factor * interval.lower,
+        "upper": None if interval is None else factor * interval.upper,
+        "parts of the interval": write_parameter(parameter)[2] if has_interval else "",
+        "open below": _write_flag(parameter.is_open_below) if has_interval else "",
+        "open above": _write_flag(parameter.is_open_above) if has_interval else "",
+        "standard error of its logarithm": parameter.log_error if has_interval else None,
+        "degrees of freedom": parameter.freedom if has_interval else None,
+        "verdict": parameter.verdict.value,
+        "at bound": parameter.at_bound,
+        "prior, centre": None if conflict is None else factor * conflict.centre,
+        "prior, factor": None if conflict is None else conflict.factor,
+        "without the prior": None if conflict is None else factor * conflict.estimate,
+        "conflict (standard errors)": None if conflict is None else conflict.size,
+        "contradicts": "" if conflict is None else _write_flag(conflict.contradicts),
+        "source of prior or fixed value": (conflict or parameter).source,
+        "in words": typeset(parameter.explanation),
+        "prior in words": "" if conflict is None else typeset(conflict.message),
+    }
+
+
+def _list_solution_records(calibration: Calibration) -> Iterator[tables.Record]:
+    """Yield a record per solution, a local minimum of the objective; the best is first."""
+    for index, solution in enumerate(calibration.solutions, start=1):
+        values = {
+            SCALES[name].label(LABELS[name]): SCALES[name].factor * value
+            for name, value in zip(PARAMETERS, solution.values.tolist(), strict=True)
+        }
+        yield {
+            "solution": index,
+            **values,
+            "RMSE (N)": solution.rmse,
+            "rise of the objective": solution.rise,
+            "likelihood relative to the best": solution.likelihood,
+            "in the 95 % set": _write_flag(solution.is_allowed),
+        }
+
+
+def _list_fit_records(calibration: Calibration) -> list[tables.Record]:
+    levels = calibration.levels
+    rows: tuple[tuple[str, tables.Value, str], ...] = (
+        ("wire", calibration.wire, ""),
+        ("curves", len(calibration.curves), "1"),
+        ("samples", calibration.n_samples, "1"),
+        ("points", calibration.n_points, "1"),
+        ("SSE", calibration.sse, "N²"),
+        ("RMSE", calibration.rmse, "N"),
+        ("RMSE over the largest force", calibration.rmse_share, "1"),
+        ("noise relative to the stated noise", levels.noise_factor, "1"),
+        ("degrees of freedom of the noise", levels.noise_freedom, "1"),
+        ("correlation of neighbouring points", levels.correlation, "1"),
+        ("scatter of samples, of the logarithm of the force", levels.scatter, "1"),
+        ("degrees of freedom of the scatter", levels.scatter_freedom, "1"),
+        ("uncertainty of the load cell's gain, of its logarithm", levels.gain, "1"),
+        ("factor on intervals for nonlinearity of the model", calibration.widening, "1"),
+        ("method", calibration.method, ""),
+    )
+    return [{"number": number, "value": value, "unit": unit} for number, value, unit in rows]
+
+
+def _make_agreement_record(group: ValidationGroup) -> tables.Record:
+    errors, reason = group.errors, group.reason
+    if errors is not None:
+        reason = None if np.isfinite(group.band.lower).any() else group.band.reason
+    return {
+        "wire": group.wire,
+        _LENGTH: DEFLECTION.factor * group.length,
+        "samples": len(group.samples),
+        "model is": "calibrated by these samples" if group.is_calibrated else "predicted",
+        "points": None if errors is None else errors.n,
+        "SSE (N²)": None if errors is None else errors.sse,
+        **_make_error_cells(errors),
+        "reason": str(reason or ""),
+    }
+
+
+def _make_curve_record(curve: CurveAgreement) -> tables.Record:
+    return {
+        "test": curve.test,
+        "sample": curve.sample,
+        _LENGTH: DEFLECTION.factor * curve.length,
+        "points": len(curve.force),
+        "factor of the sample": curve.sample_factor,
+        "SSE (N²)": curve.sse,
+        FORCE.label("RMSE"): FORCE.factor * curve.rmse,
+        "RMSE over the largest force (%)": 100.0 * curve.rmse_share,
+        "correlation of neighbours": curve.lag_one_correlation,
+        "runs test, p": curve.runs_p,
+    }
+
+
+def _list_note_records(report: CalibrationReport) -> list[tables.Record]:
+    """List the records of all notes, the most severe first, and one on separability.
+
+    A message that several predictions repeat is listed once.
+    """
+    sources = [("calibration", report.calibration.notes)]
+    predictions = [group.prediction for group in report.groups if group.prediction]
+    sources += [("prediction", prediction.notes) for prediction in predictions]
+    for comparison in report.comparisons:
+        sources.append((f"external curve '{comparison.curve.name}'", comparison.notes))
+    notes = {
+        (source, note.message): (source, note)
+        for source, source_notes in sources
+        for note in source_notes
+    }
+    separability = report.calibration.separability
+    names, text = ", ".join(separability.names), typeset(separability.explanation)
+    last_note = "calibration", QualityNote("told_apart", Severity.INFO, names, text)
+    return tables.make_note_records("of", [*notes.values(), last_note])
+
+
+def _make_force_blocks(group: ValidationGroup) -> dict[str, list[tables.Record]]:
+    """Make the records of the mean, of the model, if any, and of each sample, by name."""
+    heads = [
+        *(FORCE.label(f"force{end}") for end in ("", ", lower", ", upper")),
+        *(FORCE.label(f"mean sample, {end}") for end in ("lower", "upper")),
+    ]
+    band, model = group.band, group.prediction
+    mean_curve = band.displacement, band.mean, band.lower, band.upper
+    curves: dict[str, tuple[Floats, ...]] = {"mean of the samples": mean_curve}
+    if model is not None:
+        edges = (model.lower, model.upper, model.lower_mean, model.upper_mean)
+        curves["model"] = (model.deflection, model.force, *edges)
+    for test, sample in group.samples.items():
+        curves[test] = (sample.displacement, sample.force)
+    blocks = {}
+    for name, (x, *forces) in curves.items():
+        head: tables.Record = {
+            "wire": group.wire, _LENGTH: DEFLECTION.factor * group.length, "what": name
+        }  # fmt: skip
+        columns = {DEFLECTION.label("deflection"): DEFLECTION.factor * x}
+        columns |= {key: FORCE.factor * force for key, force in zip(heads, forces, strict=False)}
+        blocks[name] = tables.make_records(head, columns)
+    return blocks
+
+
+def save_calibration_workbook(report: CalibrationReport, path: Path) -> None:
+    """Write the workbook of a calibration as an xlsx file.
+
+    Parameters
+    ----------
+    report : calibration, predictions, tests and external curves
+    path : path of the file
+
+    Raises
+    ------
+    StoreError
+        If the file cannot be written.
+    """
+    title = f"Calibration of {report.calibration.wire}"
+    tables.save_tables(make_tables(report), path, book="calibration", title=title)
