@@ -167,7 +167,7 @@ class Assembly:
 
     Parameters
     ----------
-    line : the line
+    line : line with its elements
     supports : cells and held nodes of the line
     planes : planes that the axis of the line may touch
     strings : nodes and lengths, m, of the strings
@@ -367,7 +367,7 @@ class Assembly:
         return right
 
     def _sum_at_elements(self, values: Floats) -> Floats:
-        """Return the sums of values of both sides of the cells at the elements."""
+        """Sum values of both sides of the cells, shape (cells, 2, ...), at the elements."""
         return self.supports.sum_at_frames(values)[: self.n]
 
     def compute_reactions(self, balance: Balance, imposed: ImposedValues) -> tuple[Floats, Floats]:

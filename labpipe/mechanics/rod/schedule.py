@@ -89,7 +89,8 @@ class Schedule:
         self._anchors = [
             np.vstack([string.anchor[0], string.anchor]) for string in self.strings.values()
         ]
-        self._forces: list[tuple[Floats, Floats]] = []  # weights of the nodes, and path
+        # Masses of the nodes with the path of gravity; 1 at a loaded node with the path of a load.
+        self._forces: list[tuple[Floats, Floats]] = []
         for weight in _select(boundaries, Gravity).values():
             self._forces.append((self._masses, np.vstack([np.zeros(3), weight.vector])))
         for load in self.loads.values():
@@ -149,8 +150,8 @@ class Schedule:
         grips : indices of the boundaries that hold the line
         """
         forces = np.zeros((self.n + 1, 3))
-        for node_weights, path in self._forces:
-            forces += node_weights[:, None] * _interpolate(path, time)
+        for node_factors, path in self._forces:
+            forces += node_factors[:, None] * _interpolate(path, time)
         clamps = [
             _interpolate(self._frames[k], time, is_frame=True) for k in grips if k in self._frames
         ]

@@ -116,7 +116,6 @@ class _PathSolver:
         n = len(line.lengths)
         shape = Shape(line.positions, line.frames, np.zeros(n), np.zeros((n, 3)))
         self.schedule = Schedule(line, boundaries, steps, shape)
-        self.force = self.schedule.estimate_force()
         self.states: list[RodState] = []
         self.losses: list[tuple[float, float]] = []
         self.reasons: list[Reason] = []
@@ -146,7 +145,7 @@ class _PathSolver:
             planes,
             (schedule.string_nodes, lengths),
             n_rings=len(schedule.rings),
-            force=self.force,
+            force=schedule.estimate_force(),
         )
         self.check = StabilityCheck(self.assembly)
         history = replace(history, rests=merge_rests(self.assembly.supports, history.rests))

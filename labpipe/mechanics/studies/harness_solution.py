@@ -185,12 +185,12 @@ def solve_harness(
     if path.status is Status.FAILED:
         return solution
     solution = replace(solution, status=Status.DOUBTFUL if reasons else Status.OK)
-    doubts = [] if is_variant else _check_convergence(solution)
+    doubts = [] if is_variant else _find_discretisation_doubts(solution)
     return replace(solution, results=_build_results(solution, doubts))
 
 
-def _check_convergence(solution: HarnessSolution) -> list[Doubt]:
-    """Find the doubts about numbers of a solved harness that depend on its discretisation."""
+def _find_discretisation_doubts(solution: HarnessSolution) -> list[Doubt]:
+    """Find the doubts about numbers that depend on the numbers of steps and elements."""
     harness, material = solution.harness, solution.material
     line = harness.line.model_copy(update={"elements": harness.line.elements // 2})
     coarse_harness, section = harness.model_copy(update={"line": line}), material.sections[0]
@@ -266,16 +266,16 @@ def solve_sweep(
     variants = [item for item in solutions if item is not solution and item.results]
     variants.sort(key=lambda variant: variant.sharpest_bend.radius / variant.path.line.length)
     for variant in variants:
-        doubts = _check_convergence(variant)
+        doubts = _find_discretisation_doubts(variant)
         if not doubts:
             break
         results = _build_results(variant, doubts)
         solutions[solutions.index(variant)] = replace(variant, results=results)
-    return tuple(map(_select_shown_reasons, solutions))
+    return tuple(map(_keep_shown_reasons, solutions))
 
 
-def _select_shown_reasons(solution: HarnessSolution) -> HarnessSolution:
-    """Replace reasons and status of a solution by those of the results that a sweep shows."""
+def _keep_shown_reasons(solution: HarnessSolution) -> HarnessSolution:
+    """Keep the reasons of the results that a sweep shows, and set the status accordingly."""
     if solution.status is Status.FAILED:
         return solution
     shown_reasons = [
