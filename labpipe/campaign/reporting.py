@@ -49,8 +49,7 @@ from labpipe.records.group import (
 from labpipe.records.quality import QualityNote
 from labpipe.records.result import Specimen, TestResult
 from labpipe.report.figures import choose_frames_at_steps, find_loading_deflection
-from labpipe.report.lab_report import write_report
-from labpipe.report.page_of_test import render_test
+from labpipe.report.lab_report import render_test, write_report
 from labpipe.report.page_tables import compute_report_id, list_samples, name_page_file
 from labpipe.report.wording import is_main
 from labpipe.statistics.group_samples import (

@@ -30,8 +30,7 @@ from labpipe.campaign.decisions import (
 from labpipe.errors import LabpipeError, UsageError, describe_system_error
 from labpipe.messages import format_sentence
 from labpipe.process.output_paths import RESULT_FILE, list_files_below
-from labpipe.report.lab_report import PAGE_FILE, allow_own_server
-from labpipe.report.page_of_test import render_test
+from labpipe.report.lab_report import PAGE_FILE, allow_own_server, render_test
 from labpipe.report.page_tables import name_page_file
 from labpipe.report.wording import write_count
 from labpipe.store.result_files import read_result

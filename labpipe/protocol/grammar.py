@@ -68,7 +68,6 @@ from labpipe.protocol.yaml_text import (
     convert_errors,
     parse_yaml,
     prefix_paths,
-    raise_faults,
 )
 from labpipe.records.declarations import (
     FromCard,
@@ -447,26 +446,6 @@ def build_row_validator(count: int, example: str) -> BeforeValidator:
         return value
 
     return BeforeValidator(check_length)
-
-
-def build_unique_name_validator(noun: str) -> AfterValidator:
-    """Build the validator of a list whose items have different names.
-
-    Parameters
-    ----------
-    noun : noun for an item in messages, such as ``boundary``
-    """
-
-    def check_names(items: tuple[Any, ...]) -> tuple[Any, ...]:
-        names = [item.name for item in items]
-        raise_faults(
-            Fault.of("protocol.name_taken", (i, "name"), name=name, other=f"{noun} {first + 1}")
-            for i, name in enumerate(names)
-            if (first := names.index(name)) < i
-        )
-        return items
-
-    return AfterValidator(check_names)
 
 
 Text = Annotated[str, BeforeValidator(_parse_text), Field(min_length=1)]

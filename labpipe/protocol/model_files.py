@@ -27,7 +27,6 @@ from labpipe.protocol.grammar import (
     Text,
     build_path_validator,
     build_row_validator,
-    build_unique_name_validator,
     suggest_quantity,
     try_parse_quantity,
 )
@@ -329,10 +328,9 @@ class HarnessFile(Block):
     about: Remark = ""
     """Purpose, in one line."""
     line: LineBlock
-    boundaries: Annotated[
-        tuple[Annotated[Boundary, Field(discriminator="kind")], ...],
-        build_unique_name_validator("boundary"),
-    ] = Field(json_schema_extra={"minItems": 1})
+    boundaries: tuple[Annotated[Boundary, Field(discriminator="kind")], ...] = Field(
+        json_schema_extra={"minItems": 1}
+    )
     steps: Step = 40
     """Number of equilibria after the start; more if the solver does not converge."""
     gravity: Acceleration = (0.0, 0.0, -GRAVITY)
@@ -358,7 +356,7 @@ class HarnessFile(Block):
         found when the line is solved.
         """
         groups = (
-            (_find_wrong_sizes, _find_late_steps, _find_nothing_that_holds),
+            (_find_general_faults, _find_late_steps),
             (_find_places_off_the_line, _find_release_faults, _find_large_turns, _find_large_curl),
             (_find_distant_places,),
         )
@@ -368,13 +366,23 @@ class HarnessFile(Block):
         return []
 
 
-def _find_wrong_sizes(harness: HarnessFile) -> Iterator[Fault]:
-    return find_implausible_sizes(harness, (), harness.plausible, in_file=True)
-
-
-def _find_nothing_that_holds(harness: HarnessFile) -> Iterator[Fault]:
+def _find_general_faults(harness: HarnessFile) -> Iterator[Fault]:
+    """Find implausible sizes, repeated names, and a line that nothing holds."""
+    yield from find_implausible_sizes(harness, (), harness.plausible, in_file=True)
+    yield from _find_repeated_names("boundaries", "boundary", harness.boundaries)
     if not any(isinstance(boundary, Holder | String) for boundary in harness.boundaries):
         yield Fault.of("protocol.nothing_holds", ("boundaries",))
+
+
+def _find_repeated_names(
+    key: str, noun: str, items: Sequence[Boundary | Comparison]
+) -> Iterator[Fault]:
+    """Find names that an earlier item of a list at a key has; `noun` stands for it in messages."""
+    names = [item.name for item in items]
+    for index, name in enumerate(names):
+        if (first := names.index(name)) < index:
+            other, path = f"{noun} {first + 1}", (key, index, "name")
+            yield Fault.of("protocol.name_taken", path, name=name, other=other)
 
 
 def _find_places_off_the_line(harness: HarnessFile) -> Iterator[Fault]:
@@ -711,5 +719,9 @@ class CalibrationPlan(Block):
     """Number of points of each curve."""
     up_to: Length | None = None
     """Largest deflection that the fit uses."""
-    comparisons: Annotated[tuple[Comparison, ...], build_unique_name_validator("comparison")] = ()
+    comparisons: tuple[Comparison, ...] = ()
     """External curves to compare with tests and model."""
+
+    def find_value_faults(self) -> Iterator[Fault]:
+        """Find repeated names of external curves."""
+        return _find_repeated_names("comparisons", "comparison", self.comparisons)

@@ -301,8 +301,8 @@ class ElasticLine(Block):
     def find_value_faults(self) -> Faults:
         """Find a window with one end."""
         if (self.start is None) != (self.stop is None):
-            stated, missing = ("from", "to") if self.stop is None else ("to", "from")
-            yield Fault.of("protocol.half_window", (stated,), given=stated, missing=missing)
+            stated, absent = ("from", "to") if self.stop is None else ("to", "from")
+            yield Fault.of("protocol.half_window", (stated,), given=stated, absent=absent)
 
 
 class CurveBlock(Block):

@@ -229,8 +229,8 @@ def write_parameter(parameter: CalibratedParameter) -> tuple[str, ...]:
 
 def _write_intervals(parameter: CalibratedParameter, factor: float) -> Iterator[str]:
     """Write each interval of a parameter with the digits that its width supports."""
-    last_number = len(parameter.intervals) - 1
-    for number, interval in enumerate(parameter.intervals):
+    last_index = len(parameter.intervals) - 1
+    for index, interval in enumerate(parameter.intervals):
         nearest_value = min(max(parameter.value, interval.lower), interval.upper)
         written = write_number(nearest_value, interval, factor)
         texts = {
@@ -239,8 +239,8 @@ def _write_intervals(parameter: CalibratedParameter, factor: float) -> Iterator[
             (False, True): f"above {written.lower}",
             (True, True): "open on both sides",
         }
-        is_open_below = number == 0 and parameter.is_open_below
-        is_open_above = number == last_number and parameter.is_open_above
+        is_open_below = index == 0 and parameter.is_open_below
+        is_open_above = index == last_index and parameter.is_open_above
         yield texts[is_open_below, is_open_above]
 
 
@@ -310,13 +310,13 @@ def list_calibration_figures(report: CalibrationReport) -> Iterator[Page]:
     ``shapes-1`` and so on, one for each test with shapes.
     """
     yield make_calibration_page(report.calibration, predictions=report.predictions)
-    for number, groups in enumerate(split_pages(report.groups, MAX_PANELS), start=1):
-        yield make_validation_page(f"validation-{number}", groups)
-    for number, panels in enumerate(group_external_curves(report), start=1):
-        name = "external-curves" if number == 1 else f"external-curves-{number}"
+    for index, groups in enumerate(split_pages(report.groups, MAX_PANELS), start=1):
+        yield make_validation_page(f"validation-{index}", groups)
+    for index, panels in enumerate(group_external_curves(report), start=1):
+        name = "external-curves" if index == 1 else f"external-curves-{index}"
         yield make_external_page(name, panels)
-    for number, (name, shapes) in enumerate(report.shapes.items(), start=1):
-        yield make_bent_shapes_page(f"shapes-{number}", name, shapes)
+    for index, (name, shapes) in enumerate(report.shapes.items(), start=1):
+        yield make_bent_shapes_page(f"shapes-{index}", name, shapes)
 
 
 def make_bent_shapes_page(name: str, test: str, shapes: Sequence[BentShape]) -> Page:
@@ -405,7 +405,7 @@ def make_calibration_page(
 def _choose_length_looks(calibration: Calibration) -> dict[float, dict[str, Any]]:
     """Choose a colour and a dash for each length of samples; none has the colour of the model."""
     lengths = sorted({curve.length for curve in calibration.curves})
-    return {length: choose_line_look(number) for number, length in enumerate(lengths, start=1)}
+    return {length: choose_line_look(index) for index, length in enumerate(lengths, start=1)}
 
 
 def _make_loading_plot(calibration: Calibration, predictions: Mapping[float, Prediction]) -> Plot:
@@ -482,10 +482,10 @@ def make_profile_plot(parameter: CalibratedParameter, heading: str = "") -> Plot
     if not parameter.profiles:
         return Plot(heading=heading, reason=typeset(parameter.explanation))
     low, high = compute_panel_range(parameter)
-    lines, last_number = [], len(parameter.intervals) - 1
-    for number, interval in enumerate(parameter.intervals):
-        start = low if number == 0 and parameter.is_open_below else interval.lower
-        stop = high if number == last_number and parameter.is_open_above else interval.upper
+    lines, last_index = [], len(parameter.intervals) - 1
+    for index, interval in enumerate(parameter.intervals):
+        start = low if index == 0 and parameter.is_open_below else interval.lower
+        stop = high if index == last_index and parameter.is_open_above else interval.upper
         lines.append(plots.make_span("interval_of_parameter", start, stop))
     minima = sorted(_get_minimum(profile)[0] for profile in parameter.profiles)
     borders = [low, *np.sqrt(np.array(minima[1:]) * np.array(minima[:-1])).tolist(), high]
@@ -520,8 +520,8 @@ def _compute_panel_top(parameter: CalibratedParameter) -> float:
 
 def _get_minimum(profile: Profile) -> tuple[float, float]:
     """Get value and deviance of the solution from which a profile was traced."""
-    number = int(np.argmin(profile.deviance))
-    return float(profile.value[number]), float(profile.deviance[number])
+    index = int(np.argmin(profile.deviance))
+    return float(profile.value[index]), float(profile.deviance[index])
 
 
 def compute_panel_range(parameter: CalibratedParameter) -> tuple[float, float]:
@@ -746,12 +746,12 @@ def _make_external_plot(panel: ExternalPanel) -> Plot:
         edges = model.deflection, model.lower_mean, model.upper_mean
         lines.append(make_line("model", model.deflection, model.force))
         lines.append(plots.make_area("band_of_model", *edges, alpha=_BAND_OPACITY))
-    for number, comparison in enumerate(panel.comparisons):
+    for index, comparison in enumerate(panel.comparisons):
         curve = comparison.curve
         settings: dict[str, Any] = {
             "label": f"external: {curve.name}",
-            "color": f"C{1 + number % (N_COLOURS - 1)}",  # the first colour is that of the model
-            "marker": _MARKS[number % len(_MARKS)],
+            "color": f"C{1 + index % (N_COLOURS - 1)}",  # the first colour is that of the model
+            "marker": _MARKS[index % len(_MARKS)],
             "markevery": max(1, len(curve.force) // 14),
         }
         lines.append(make_line("external_curve", curve.deflection, curve.force, **settings))
@@ -900,13 +900,13 @@ def _make_parameter_record(parameter: CalibratedParameter) -> tables.Record:
 
 def _list_solution_records(calibration: Calibration) -> Iterator[tables.Record]:
     """Yield a record per solution, a local minimum of the objective; the best is first."""
-    for number, solution in enumerate(calibration.solutions, start=1):
+    for index, solution in enumerate(calibration.solutions, start=1):
         values = {
             SCALES[name].label(LABELS[name]): SCALES[name].factor * value
             for name, value in zip(PARAMETERS, solution.values.tolist(), strict=True)
         }
         yield {
-            "solution": number,
+            "solution": index,
             **values,
             "RMSE (N)": solution.rmse,
             "rise of the objective": solution.rise,

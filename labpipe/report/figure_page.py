@@ -44,16 +44,16 @@ _DASHES: tuple[Any, ...] = (
 )  # fmt: skip
 
 
-def choose_dash(number: int) -> Any:
-    """Choose the dash of a line by its number, from 0; the dashes repeat."""
-    return _DASHES[number % len(_DASHES)]
+def choose_dash(index: int) -> Any:
+    """Choose the dash of a line by its index, from 0; the dashes repeat."""
+    return _DASHES[index % len(_DASHES)]
 
 
-def choose_line_look(number: int) -> dict[str, Any]:
-    """Choose colour and dash of a line by its number, from 0; the first 16 lines all differ."""
+def choose_line_look(index: int) -> dict[str, Any]:
+    """Choose colour and dash of a line by its index, from 0; the first 16 lines all differ."""
     # the dashes are shifted by one whenever the colours repeat
-    dash = choose_dash(number + number // N_COLOURS)
-    return {"color": f"C{number % N_COLOURS}", "linestyle": dash}
+    dash = choose_dash(index + index // N_COLOURS)
+    return {"color": f"C{index % N_COLOURS}", "linestyle": dash}
 
 
 def sample_colour_map(count: int, end: float = 0.85) -> list[str]:

@@ -16,21 +16,18 @@ from labpipe.messages import format_sentence
 from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.schema import Protocol
 from labpipe.records.arrays import Flags, Floats, Ints
-from labpipe.records.causes import IS_COMMON
 from labpipe.records.curve import (
     Branch,
     ClockFit,
     Direction,
-    Interval,
     MeasuredLaw,
     PointFlag,
     Shape,
 )  # fmt: skip
 from labpipe.records.estimates import UnavailableError
-from labpipe.records.group import GroupNumber
 from labpipe.records.quality import Severity
 from labpipe.records.result import Result, Status, TestResult, find_result
-from labpipe.report import figure_page, wording
+from labpipe.report import budgets, figure_page, wording
 from labpipe.report import plot_records as plots
 from labpipe.report.figure_page import DASHED, GREY, N_COLOURS, sample_colour_map
 from labpipe.report.plot_records import Axis, Label, Line, Page, Plot, make_line, make_thinned_line
@@ -38,7 +35,6 @@ from labpipe.results.kinds import compute_loading_sign
 from labpipe.results.stiffness import compute_area
 from labpipe.results.tension import ProofStress, get_gauge_length
 from labpipe.statistics.lots import FORCE_LIMIT
-from labpipe.statistics.means import sort_causes
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Figure  # noqa: PLC0414 - the API imports it from here
@@ -141,8 +137,8 @@ def _plot_curve(result: TestResult) -> Iterator[Line]:
             settings = {"color": key_colour, "linestyle": style}
             yield plots.make_key_entry("branch", label=str(direction), **settings)
     _, cycle_numbers = curve.assign_samples()
-    for number, colour in enumerate(colours, start=1):
-        samples = np.flatnonzero((cycle_numbers == number) & ~np.isnan(y))
+    for cycle, colour in enumerate(colours, start=1):
+        samples = np.flatnonzero((cycle_numbers == cycle) & ~np.isnan(y))
         if len(samples):
             peak = samples[np.argmax(y[samples])]
             yield make_line("peak", x[peak], y[peak], color=colour)
@@ -157,7 +153,7 @@ def choose_cycle_colours(count: int) -> list[str]:
     """Choose a colour per cycle: from the style for up to six cycles, else from a colour map."""
     if count > _MAX_CYCLE_KEYS:
         return figure_page.sample_colour_map(count, 0.92)
-    return [f"C{number}" for number in range(count)]
+    return [f"C{index}" for index in range(count)]
 
 
 def make_stiffness_lines_page(result: TestResult) -> Page:
@@ -306,9 +302,9 @@ def _plot_tension_numbers(result: TestResult, tension: _Tension) -> Iterator[Lin
         if name in values and np.isfinite(array[sample:]).any():
             sample += int(np.nanargmin(np.abs(array[sample:] - values[name])))
             points.append((name, symbol, tension.strain[sample], tension.stress[sample]))
-    for number, (name, symbol, strain, stress) in enumerate(points, start=1):
+    for index, (name, symbol, strain, stress) in enumerate(points, start=1):
         label = f"{symbol} {_describe_number(result, numbers[name])}"
-        colour = f"C{number % N_COLOURS}"
+        colour = f"C{index % N_COLOURS}"
         yield make_line("tension_number", strain, stress, label=label, color=colour)
     name = "elongation_at_maximum_force"
     if name in values:
@@ -367,8 +363,8 @@ def _plot_cloud(result: TestResult) -> Iterator[Line]:
         points = (values[rows].ravel()[::stride] for values in (x, y))
         face = colour if is_loading else "none"
         yield make_line("cloud", *points, color=colour, markerfacecolor=face)
-    for number, colour in enumerate(colours if len(colours) <= _MAX_CYCLE_KEYS else (), 1):
-        yield plots.make_key_entry("cloud_key", label=f"cycle {number}", color=colour)
+    for cycle, colour in enumerate(colours if len(colours) <= _MAX_CYCLE_KEYS else (), 1):
+        yield plots.make_key_entry("cloud_key", label=f"cycle {cycle}", color=colour)
     for label, face in (("loading", GREY), ("unloading", "none")):
         yield plots.make_key_entry("cloud_key", label=label, color=GREY, markerfacecolor=face)
     if law is not None:
@@ -741,9 +737,9 @@ def _make_tracking_plot(result: TestResult, time: Axis) -> Plot:
     if tracks is None or not len(tracks.time):
         return Plot(time, reason=_explain_missing(result, "take"))
     errors = []
-    for number, body in enumerate(tracks.bodies):
+    for index, body in enumerate(tracks.bodies):
         if np.isfinite(body.error).any():
-            settings = {"label": body.name, "color": f"C{number}"}
+            settings = {"label": body.name, "color": f"C{index}"}
             error = plots.make_thinned_line(
                 "body_error", tracks.time, body.error, n_bins=_TIME_BINS, **settings
             )
@@ -756,170 +752,30 @@ def _make_tracking_plot(result: TestResult, time: Axis) -> Plot:
     return Plot(time, Axis("Visible markers", low=0.0, high=len(tracks.names) + 0.5), [line])
 
 
-MAX_BARS = 20
-"""Largest number of bars in a panel."""
-SMALL_CAUSES = "causes under 2 % in every bar"
-"""Name of the sum of the shares of small causes."""
-
-
-class BudgetBar(NamedTuple):
-    """The uncertainty budget of one number, drawn as a bar.
-
-    Parameters
-    ----------
-    name : text left of the bar
-    shares : share of the variance that each cause contributes, keyed by cause; the sum is one.
-        Empty for a row without a bar
-    text : text right of the bar
-    """
-
-    name: str
-    shares: Mapping[str, float]
-    text: str = ""
-
-
 def make_budget_page(result: TestResult) -> Page:
     """Make the page of the uncertainty budgets of a test: a bar of shares for each number.
 
     Parameters
     ----------
-    result : result of the test. The first `MAX_BARS` numbers with a budget have a bar, except those
-        of later cycles, of single slips, of the clocks and of the force limit
+    result : result of the test. The first `budgets.MAX_BARS` numbers with a budget have a bar,
+        except those of later cycles, of single slips, of the clocks and of the force limit
 
     Returns
     -------
     A page; without any bar, a page that gives the reason.
     """
     row_mm, frame_mm = 6.0, 26.0
-    results = (entry for entry in result.results if has_budget_bar(entry.name))
-    numbers = [number for number in results if number.largest_share is not None][:MAX_BARS]
+    results = (entry for entry in result.results if budgets.has_budget_bar(entry.name))
+    numbers = [number for number in results if number.largest_share is not None][: budgets.MAX_BARS]
     bars = []
     for number in numbers:
         causes = [contribution.cause for contribution in number.budget]
         shares = dict(zip(causes, number.shares, strict=True))
-        bars.append(make_budget_bar(number, shares, number.interval, result.display))
-    panel, height = make_budget_plot(bars), frame_mm + row_mm * len(bars)
+        bars.append(budgets.make_budget_bar(number, shares, number.interval, result.display))
+    panel, height = budgets.make_budget_plot(bars), frame_mm + row_mm * len(bars)
     has_cycles = any("." in number.name for number in numbers)
     note = "Numbers per cycle: first cycle only." if has_cycles else ""
     return make_test_page(result, "uncertainty-budget", [panel], note, height=height)
-
-
-def has_budget_bar(name: str) -> bool:
-    """Return whether a result has a bar: not of later cycles, slips, clocks or the force limit."""
-    return wording.is_main(name) and wording.is_first_cycle(name)
-
-
-def make_budget_bar(
-    number: Result | GroupNumber,
-    shares: Mapping[str, float],
-    interval: Interval | None,
-    display: Mapping[str, str],
-) -> BudgetBar:
-    """Make the bar of a number, with half the width of its interval as text.
-
-    Parameters
-    ----------
-    number : number of a test or of a group. The label omits the cycle, because all bars show the
-        first cycle
-    shares : share of the variance that each cause contributes, keyed by cause
-    interval : interval of the number, SI; None without an interval
-    display : display unit of each quantity, keyed by quantity
-    """
-    text, scale = "", wording.choose_scale(number.name, number.unit, display)
-    if interval is not None:
-        half_width = 0.5 * abs(scale.factor) * (interval.upper - interval.lower)
-        half_text = wording.write_number(half_width, None, digits=2).value
-        text = f"\u00b1 {half_text} {scale.unit}".strip()
-    return BudgetBar(wording.write_label(number.name.partition(".")[0]), shares, text)
-
-
-def make_budget_plot(bars: Sequence[BudgetBar]) -> Plot:
-    """Make the plot of bars, the first on top; causes common to all tests of a rig are hatched.
-
-    Parameters
-    ----------
-    bars : budgets of the numbers; a bar without shares leaves its row empty
-    """
-    sorted_shares = sort_shares([bar.shares for bar in bars])
-    causes = list_drawn_causes(sorted_shares)
-    parts: dict[str, list[tuple[float, float, int]]] = {cause: [] for cause in causes}
-    labels = [Label("95 %", np.inf, 0.8, (6.0, 0.0), {"color": GREY})]
-    for row, (bar, shares) in enumerate(zip(bars, sorted_shares, strict=True)):
-        labels.append(Label(bar.text, np.inf, -row, (6.0, 0.0)))
-        ends = np.cumsum([0.0, *shares.values()])
-        for cause, start, stop in zip(shares, ends[:-1], ends[1:], strict=True):
-            parts[cause].append((start, stop, row))
-            labels += _label_share(cause, start, stop, row)
-    lines = []
-    for cause in causes:
-        look = "common_cause" if IS_COMMON.get(cause, False) else "cause"
-        settings = {"label": cause, "facecolor": get_cause_colour(cause)}
-        left, right, rows = np.array(parts[cause]).T
-        lines.append(plots.make_bars(look, left, right, rows, height=0.74, **settings))
-    if any(IS_COMMON.get(cause, False) for cause in causes):
-        lines.append(plots.make_key_entry("common_cause", is_closed=True))
-    row_axis = Axis(low=0.5 - len(bars), high=0.5, row_names=tuple(bar.name for bar in bars))
-    share_axis = Axis("Share of the variance", wording.Scale(100.0, "%"), 0.0, 1.0)
-    reason = format_sentence("report.no_budget")
-    return Plot(share_axis, row_axis, lines, labels=labels, reason=reason)
-
-
-def _label_share(cause: str, start: float, stop: float, row: int) -> Iterator[Label]:
-    """Label a segment of a bar with its share; on a hatched segment, with a plain background."""
-    min_labelled_share = 0.10  # a smaller segment is too narrow for its number
-    max_dark_brightness = 0.45  # on a darker segment, white text is easier to read than black
-    if stop - start < min_labelled_share:
-        return
-    colour = get_cause_colour(cause)
-    red, green, blue = bytes.fromhex(colour.removeprefix("#"))
-    is_dark = 0.3 * red + 0.59 * green + 0.11 * blue < 255 * max_dark_brightness
-    settings: dict[str, Any] = {"ha": "center", "color": "white" if is_dark else "black"}
-    if IS_COMMON.get(cause, False):
-        settings["bbox"] = {"facecolor": colour, "edgecolor": "none", "pad": 1.0}
-    yield Label(f"{100 * (stop - start):.0f}", (start + stop) / 2, -row, settings=settings)
-
-
-def get_cause_colour(cause: str) -> str:
-    """Get the colour of a cause in all figures; light grey for an unknown cause."""
-    colour: str = figure_page.read_looks()["colours_of_causes"].get(cause, "#ededed")
-    return colour
-
-
-def sort_shares(bar_shares: Sequence[Mapping[str, float]]) -> list[dict[str, float]]:
-    """Sort the shares of bars in the order of the key, and add up those of small causes.
-
-    Parameters
-    ----------
-    bar_shares : shares of each bar, keyed by cause
-
-    Returns
-    -------
-    Sorted shares of each bar. The last one, `SMALL_CAUSES`, is the sum of the causes that have less
-    than 2 % in every bar.
-    """
-    min_share = 0.02
-    items = (item for shares in bar_shares for item in shares.items())
-    large_causes = {cause for cause, share in items if share >= min_share}
-    all_sorted_shares = []
-    for shares in bar_shares:
-        sorted_shares = {cause: shares[cause] for cause in sort_causes(large_causes & set(shares))}
-        small_share = sum(share for cause, share in shares.items() if cause not in large_causes)
-        if small_share > 0.0:
-            sorted_shares[SMALL_CAUSES] = small_share
-        all_sorted_shares.append(sorted_shares)
-    return all_sorted_shares
-
-
-def list_drawn_causes(bar_shares: Sequence[Mapping[str, float]]) -> list[str]:
-    """List the causes that bars show, in the order of the key; `SMALL_CAUSES` is last.
-
-    Parameters
-    ----------
-    bar_shares : shares of each bar, from `sort_shares`
-    """
-    causes = {cause for shares in bar_shares for cause in shares}
-    small_causes = [SMALL_CAUSES] if SMALL_CAUSES in causes else []
-    return [*sort_causes(causes - {SMALL_CAUSES}), *small_causes]
 
 
 FIGURES: dict[str, Callable[[TestResult], Page]] = {

@@ -19,7 +19,7 @@ from labpipe.records.result import Status
 from labpipe.report import plot_records as plots
 from labpipe.report import wording
 from labpipe.report.figure_page import N_COLOURS, read_looks
-from labpipe.report.page_tables import PageGroup, PageTest, make_figure_group
+from labpipe.report.page_tables import GroupView, PageTest, make_figure_group
 from labpipe.report.plot_records import Axis, LegendEntry, Line, Page, Plot, join_with_gaps
 from labpipe.statistics.lots import FORCE_LIMIT, PEAK_OVER_LIMIT
 
@@ -30,7 +30,7 @@ MAX_DOT_NUMBERS, MAX_DOT_ROWS = 6, 24
 _SMALL_PLOT_SIZE = (262, 150)
 
 
-def make_group_plots(view: PageGroup) -> list[Plot]:
+def make_group_plots(view: GroupView) -> list[Plot]:
     """Make the plots for which a group has data, for the page or for figures.
 
     Parameters
@@ -45,8 +45,8 @@ def make_group_plots(view: PageGroup) -> list[Plot]:
     return [plot for make_plots in makers for plot in make_plots(view)]
 
 
-def _count_points(view: PageGroup) -> int:
-    """Count the points of the first loading of a test: on the page, a test takes under 3 kB.
+def _choose_point_count(view: GroupView) -> int:
+    """Choose the number of points of a first loading: on the page, a test takes under 3 kB.
 
     All other branches together have a third of this number, but at least 8 points each.
     """
@@ -55,13 +55,13 @@ def _count_points(view: PageGroup) -> int:
     return 90 if view.is_detailed else 43
 
 
-def _count_shapes(view: PageGroup) -> int:
-    """Count the shapes that are drawn for a test."""
+def _choose_shape_count(view: GroupView) -> int:
+    """Choose the number of shapes that are drawn for a test."""
     return 6 if view.is_detailed or not view.stem else 2
 
 
 def _make_plot(
-    view: PageGroup,
+    view: GroupView,
     kind: str,
     axes: Sequence[Axis],
     lines: Sequence[Line],
@@ -151,12 +151,12 @@ def list_group_figures(group: Group) -> Iterator[Page]:
         yield make_page(name, title, panels, 2, panels[0].caption)
 
 
-def _make_curve_plots(view: PageGroup) -> Iterator[Plot]:
+def _make_curve_plots(view: GroupView) -> Iterator[Plot]:
     """Yield the plot of force against displacement, if any sample has a curve."""
     group, band, lines = view.group, view.group.band, list(make_band_lines(view.group.band))
     if all(test.first_loading is None for test in view.tests):
         return
-    n_points = _count_points(view)
+    n_points = _choose_point_count(view)
     for test in view.rejected:
         if (curve := test.first_loading) is not None:
             lines.append(
@@ -312,9 +312,9 @@ def list_key_entries(
     ]
 
 
-def _make_shape_plots(view: PageGroup) -> Iterator[Plot]:
+def _make_shape_plots(view: GroupView) -> Iterator[Plot]:
     """Yield the plot of the markers at equal steps of the first loading, with equal axis scales."""
-    lines, point_sets, steps, n_shapes = [], [], np.zeros(0), _count_shapes(view)
+    lines, point_sets, steps, n_shapes = [], [], np.zeros(0), _choose_shape_count(view)
     for test in view.tests:
         shapes = test.sample.shapes
         if shapes is not None and np.isfinite(shapes.positions).any():
@@ -339,7 +339,7 @@ def _make_shape_plots(view: PageGroup) -> Iterator[Plot]:
     yield _make_plot(view, "shapes", axes, lines, title, caption=caption, **layout)
 
 
-def _make_moment_plots(view: PageGroup) -> Iterator[Plot]:
+def _make_moment_plots(view: GroupView) -> Iterator[Plot]:
     """Yield the plot of the measured laws; with few samples, areas show their 95 % intervals."""
     areas, lines, max_detailed_laws = [], [], 6
     n_laws = sum(test.sample.law is not None for test in view.tests)
@@ -367,7 +367,7 @@ def _make_moment_plots(view: PageGroup) -> Iterator[Plot]:
     yield _make_plot(view, "moment", axes, all_lines, title, hidden=("band",), caption=caption)
 
 
-def _make_scaled_plots(view: PageGroup) -> Iterator[Plot]:
+def _make_scaled_plots(view: GroupView) -> Iterator[Plot]:
     """Yield the plot of force over the peak force of each sample."""
     band, curves = view.group.band_scaled, []
     if band is None:
@@ -376,7 +376,7 @@ def _make_scaled_plots(view: PageGroup) -> Iterator[Plot]:
         peak, curve = test.find_value("peak_force.1"), test.first_loading
         if curve is not None and peak:
             look, force_ratio = f"curve {test.colour}", curve.force / peak
-            n_points, number = _count_points(view) // 4, test.number
+            n_points, number = _choose_point_count(view) // 4, test.number
             curves.append(_make_curve_line(look, curve, force_ratio, number, n_points))
     lines = [*list(make_band_lines(band))[:1], *curves, *make_mean_lines(band)]
     if not lines:

@@ -1,4 +1,4 @@
-"""Write the report of a campaign to a folder: its page, its workbook and, on request, figures."""
+"""Write the report of a campaign to a folder (page, workbook, figures), and the page of a test."""
 
 from __future__ import annotations
 
@@ -16,21 +16,17 @@ from markupsafe import Markup
 
 from labpipe.errors import UsageError
 from labpipe.records.group import Campaign, Group, GroupNumber, MeanInterval
-from labpipe.records.result import Result
+from labpipe.records.result import Result, Status, TestResult
 from labpipe.report import comparisons, page_tables, wording
-from labpipe.report.figure_page import convert_write_errors, save_pages
+from labpipe.report import plot_records as plots
+from labpipe.report.figure_page import convert_write_errors, encode_figure, save_pages, use_style
+from labpipe.report.figures import FIGURES, is_for_journal
 from labpipe.report.group_plots import list_group_figures, make_group_plots
 from labpipe.report.issues import Cause, Kind, find_causes
-from labpipe.report.page_tables import PageGroup, PageTest, compute_report_id, list_samples
-from labpipe.report.plot_records import (
-    Page,
-    clip_range,
-    make_mean_strip,
-    simplify_line,
-    write_sparkline,
-)
+from labpipe.report.page_tables import GroupView, PageTest, compute_report_id, list_samples
 from labpipe.report.report_workbook import save_workbook
-from labpipe.report.table_records import DASH, Cell
+from labpipe.report.table_records import DASH, Cell, Record, Table, sort_notes, tabulate
+from labpipe.statistics.lots import judge_results
 
 PAGE_FILE, TABLES_FILE, FIGURES_FOLDER = "report.html", "tables.xlsx", "figures"
 SCRIPTS = ("page_tables.js", "page_plots.js", "page_decisions.js")
@@ -85,7 +81,7 @@ def write_report(
     return [page_file, folder / TABLES_FILE, *test_page_files, *figures]
 
 
-def _list_figures(campaign: Campaign) -> Iterator[Page]:
+def _list_figures(campaign: Campaign) -> Iterator[plots.Page]:
     """Yield the figures of each group, and those of comparisons."""
     stems = page_tables.make_stems(group.name for group in campaign.groups)
     for group, stem in zip(campaign.groups, stems, strict=True):
@@ -167,7 +163,7 @@ def render_page(
     )
 
 
-def _list_key_blocks(groups: Sequence[PageGroup], max_rows: int) -> list[dict[str, Any]]:
+def _list_key_blocks(groups: Sequence[GroupView], max_rows: int) -> list[dict[str, Any]]:
     """List a block for the groups whose first numbers have common headings.
 
     Returns
@@ -177,7 +173,7 @@ def _list_key_blocks(groups: Sequence[PageGroup], max_rows: int) -> list[dict[st
     sparkline, ``spark``; ``n_shown``, the number of rows that the page shows before it is unfolded,
     `max_rows` in all blocks.
     """
-    members_by_heads: dict[tuple[tuple[str, str], ...], list[PageGroup]] = {}
+    members_by_heads: dict[tuple[tuple[str, str], ...], list[GroupView]] = {}
     for protocol in dict.fromkeys(view.group.protocol for view in groups):
         members = [view for view in groups if view.group.protocol == protocol]
         members_by_heads.setdefault(_list_key_heads(members), []).extend(members)
@@ -189,7 +185,7 @@ def _list_key_blocks(groups: Sequence[PageGroup], max_rows: int) -> list[dict[st
     return blocks
 
 
-def _list_key_heads(groups: Sequence[PageGroup]) -> tuple[tuple[str, str], ...]:
+def _list_key_heads(groups: Sequence[GroupView]) -> tuple[tuple[str, str], ...]:
     """List names and headings of the first numbers of groups of one protocol."""
     n_numbers = 3
     heads: dict[str, str] = {}
@@ -200,13 +196,13 @@ def _list_key_heads(groups: Sequence[PageGroup]) -> tuple[tuple[str, str], ...]:
     return tuple(heads.items())[:n_numbers]
 
 
-def _list_key_rows(groups: Sequence[PageGroup], heads: Mapping[str, str]) -> list[dict[str, Any]]:
+def _list_key_rows(groups: Sequence[GroupView], heads: Mapping[str, str]) -> list[dict[str, Any]]:
     """List the rows of groups; the strips of the first number have a common scale."""
     numbers = [_find_averaged_number(view.group, next(iter(heads), "")) for view in groups]
     means = [number.mean.chosen for number in filter(None, numbers)]
     intervals = [mean.interval for mean in means if mean.interval is not None]
     ends = [end for interval in intervals for end in (interval.lower, interval.upper)]
-    strip_ends, rows = clip_range([mean.mean for mean in means], ends, 1.0), []
+    strip_ends, rows = plots.clip_range([mean.mean for mean in means], ends, 1.0), []
     for view, first_number in zip(groups, numbers, strict=True):
         strip = None
         if first_number is not None:
@@ -214,7 +210,7 @@ def _list_key_rows(groups: Sequence[PageGroup], heads: Mapping[str, str]) -> lis
                 _choose_interval_source(first_number).interval,
                 first_number.mean.chosen.mean,
             )
-            strip = make_mean_strip(strip_ends, interval, mean)
+            strip = plots.make_mean_strip(strip_ends, interval, mean)
         cells, spark = [_make_key_cell(view.group, name) for name in heads], _write_mean_curve(view)
         rows.append({"view": view, "strip": strip, "cells": cells, "spark": spark})
     return rows
@@ -247,7 +243,7 @@ def _make_key_cell(group: Group, name: str) -> Cell:
     return Cell(wording.write_with_interval(mean.mean, source.interval, scale.factor), tip=tip)
 
 
-def _write_mean_curve(view: PageGroup) -> str:
+def _write_mean_curve(view: GroupView) -> str:
     """Write the mean curve of a group, or its first curve without a mean, as a sparkline."""
     band = view.group.band
     x, y = band.displacement, band.mean
@@ -256,8 +252,8 @@ def _write_mean_curve(view: PageGroup) -> str:
         if curve is None:
             return ""
         x, y = curve.displacement, curve.force
-    rows = simplify_line(x, y, max_points=24, tolerance=0.01)
-    return write_sparkline(x[rows], y[rows])
+    rows = plots.simplify_line(x, y, max_points=24, tolerance=0.01)
+    return plots.write_sparkline(x[rows], y[rows])
 
 
 class OpenDecision(NamedTuple):
@@ -452,3 +448,99 @@ def read_logo(path: Path) -> str:
     except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
         fault = f"a file that cannot be read ({error})"
     raise UsageError.about("report.logo", path, "", kilobytes=max_kilobytes, fault=fault)
+
+
+def render_test(result: TestResult, *, report: str = "") -> str:
+    """Render the page of a test: facts, numbers, figures, notes and exports.
+
+    Parameters
+    ----------
+    result : result of the test, with the names of the figures to draw
+    report : identifier of the report that links to the page; empty if there is none
+
+    Returns
+    -------
+    A self-contained HTML document without scripts.
+    """
+    exports = [(source.role, source.file, source.sha256) for source in result.inputs]
+    with use_style(is_journal=is_for_journal(result)):
+        figures = [
+            (encode_figure(FIGURES[name](result)), f"{name} of {result.test}")
+            for name in result.figures
+            if name in FIGURES
+        ]
+    return fill_template(
+        "single_test.html",
+        result=result,
+        report=report,
+        facts=_list_facts(result),
+        numbers=_make_number_table(result),
+        figures=figures,
+        notes=_make_note_table(result),
+        exports=Table("Exports", ("Role", "File", "SHA-256"), exports),
+        **make_style(" \u00b7 ".join(filter(None, [result.test, report and f"report {report}"]))),
+    )
+
+
+def _list_facts(result: TestResult) -> list[tuple[str, str]]:
+    specimen, length = result.specimen, wording.get_scale(result.display, "displacement")
+    sizes = specimen.dimensions.items()
+    texts = {name: f"{length.factor * size:.4g} {length.unit}" for name, size in sizes}
+    texts |= specimen.labels
+    dimensions = [f"{name.replace('_', ' ')} {text}" for name, text in texts.items()]
+    observations = [f"{name.replace('_', ' ')}: {text}" for name, text in specimen.observed.items()]
+    verdict = judge_results(result.results)
+    instruments = ", ".join(
+        f"{instrument.channel} {instrument.certificate} (calibrated {instrument.calibrated},"
+        f" {f'due {instrument.due}' if instrument.due else 'no due date'})"
+        for instrument in result.instruments
+    )
+    tested = f"{result.date or 'date not stated'} by {result.operator or 'operator not stated'}"
+    return [
+        ("Specimen", f"{specimen.type}, spool {specimen.spool}, sample {specimen.sample}"),
+        *([] if verdict is None else [("Verdict", verdict.text)]),
+        *([("Observed", "; ".join(observations))] if observations else []),
+        ("Dimensions", ", ".join(dimensions) or DASH),
+        ("Tested", tested),
+        ("Instruments", instruments or "no calibration certificate stated in the protocol"),
+        ("Protocol", result.protocol),
+        ("Run", f"{result.run[:16] or DASH}, labpipe {result.labpipe_version}"),
+    ]
+
+
+def _make_number_table(result: TestResult) -> Table:
+    rows: list[Record] = []
+    reason_above = ""
+    for number in result.results:
+        scale = wording.choose_scale(number.name, number.unit, result.display)
+        value = wording.write_result(number, scale.factor)
+        reason = wording.join_sentences(number.reasons)
+        rows.append({
+            "Number": Cell(wording.write_heading(number.name, scale), tip=number.name),
+            "Value, 95 %": Cell(value, mark="?" if number.status is Status.DOUBTFUL else ""),
+            "State": Cell(str(number.status), tip=", ".join(number.codes)),
+            "Why": "As above." if reason and reason == reason_above else reason,
+            "Largest causes of the interval": _list_largest_causes(number),
+        })  # fmt: skip
+        reason_above = reason
+    return tabulate("Numbers of this test", rows)
+
+
+def _list_largest_causes(number: Result) -> str:
+    """List up to three causes of at least 1 % of the variance, with their shares."""
+    n_causes, min_share = 3, 0.01
+    shares = sorted(zip(number.shares, number.budget, strict=True), key=lambda pair: -pair[0])
+    largest = [(share, entry) for share, entry in shares[:n_causes] if share >= min_share]
+    return "; ".join(f"{entry.cause} {100 * share:.0f} %" for share, entry in largest)
+
+
+def _make_note_table(result: TestResult) -> Table:
+    rows: list[Record] = [
+        {
+            "Where": Cell(wording.replace_names(note.where), tip=note.code),
+            "Kind": str(note.severity),
+            "Note": wording.write_sentence(note.message),
+        }
+        for _, note in sort_notes(("", note) for note in result.quality)
+    ]
+    return tabulate("Notes", rows, ("Where", "Kind", "Note"))

@@ -6,7 +6,6 @@ import hashlib
 import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from math import isfinite, isnan, nan
 from typing import Any, NamedTuple
 from urllib.parse import quote
@@ -16,7 +15,7 @@ from labpipe.records.causes import IS_COMMON
 from labpipe.records.group import Campaign, Group, GroupNumber, Lot, Sample, SampleCurve
 from labpipe.records.quality import Reason, Severity
 from labpipe.records.result import Instrument, Result, Status, find_result
-from labpipe.report import figures, wording
+from labpipe.report import budgets, wording
 from labpipe.report.figure_page import N_COLOURS, split_pages
 from labpipe.report.issues import DECISIONS, Cause
 from labpipe.report.plot_records import MeanStrip, clip_range, make_mean_strip
@@ -62,7 +61,7 @@ class PageTest(NamedTuple):
         return None if result is None else result.value
 
 
-class PageGroup(NamedTuple):
+class GroupView(NamedTuple):
     """A group on the page of a report, or in a figure.
 
     Parameters
@@ -89,14 +88,14 @@ class PageGroup(NamedTuple):
         return wording.get_scale(wording.get_display(self.group), quantity)
 
 
-def make_figure_group(group: Group) -> PageGroup:
+def make_figure_group(group: Group) -> GroupView:
     """Make the group of a figure, with a colour per spool, or per sample for few of one spool.
 
     Parameters
     ----------
     group : group of samples; may be empty
     """
-    page_group = PageGroup(group, "", [PageTest(None, sample, "") for sample in group.samples])
+    page_group = GroupView(group, "", [PageTest(None, sample, "") for sample in group.samples])
     spools = [sample.specimen.spool for sample in group.samples]
     is_one_spool = len(set(spools)) == 1 and page_group.is_detailed
     keys = range(len(spools)) if is_one_spool else spools
@@ -105,7 +104,7 @@ def make_figure_group(group: Group) -> PageGroup:
     return page_group._replace(tests=[test._replace(colour=colours[key]) for test, key in pairs])
 
 
-def arrange_tests(campaign: Campaign) -> tuple[list[PageGroup], list[PageTest]]:
+def arrange_tests(campaign: Campaign) -> tuple[list[GroupView], list[PageTest]]:
     """Arrange the tests of a report in groups and number them; rejected tests are last.
 
     Parameters
@@ -134,7 +133,7 @@ def arrange_tests(campaign: Campaign) -> tuple[list[PageGroup], list[PageTest]]:
         members = [test for test in tests if test.stem == stem]
         included = [test for test in members if test.state != REJECTED]
         rejected = [test for test in members if test.state == REJECTED]
-        groups.append(PageGroup(group, stem, included, rejected))
+        groups.append(GroupView(group, stem, included, rejected))
     return groups, tests
 
 
@@ -149,10 +148,10 @@ def make_stems(names: Iterable[str]) -> list[str]:
     stems: list[str] = []
     for name in names:
         ascii_name = re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")[:60] or "group"
-        stem, number = ascii_name, 1
+        stem, count = ascii_name, 1
         while stem in stems:
-            number += 1
-            stem = f"{ascii_name}-{number}"
+            count += 1
+            stem = f"{ascii_name}-{count}"
         stems.append(stem)
     return stems
 
@@ -234,8 +233,7 @@ def describe_testing(samples: Sequence[Sample]) -> str:
     return f"{period} by {names}"
 
 
-@dataclass(frozen=True, slots=True)
-class InstrumentLine:
+class InstrumentLine(NamedTuple):
     """An instrument of a report.
 
     Parameters
@@ -418,7 +416,7 @@ def _list_mark_notes(group: Group) -> Iterator[str]:
         yield format_sentence("report.outlier_in_mean", test=test, numbers="; ".join(labels))
 
 
-def make_sample_tables(page_group: PageGroup) -> list[Table]:
+def make_sample_tables(page_group: GroupView) -> list[Table]:
     """Make tables with a row per sample and up to eight numbers each.
 
     Parameters
@@ -451,7 +449,7 @@ def make_sample_tables(page_group: PageGroup) -> list[Table]:
     return tables
 
 
-def make_budget_bars(group: Group) -> tuple[list[figures.BudgetBar], Mapping[str, Any]]:
+def make_budget_bars(group: Group) -> tuple[list[budgets.BudgetBar], Mapping[str, Any]]:
     """Make the bars of the uncertainty budgets of a group.
 
     Parameters
@@ -464,26 +462,26 @@ def make_budget_bars(group: Group) -> tuple[list[figures.BudgetBar], Mapping[str
     ``colour`` and ``is_common`` of each of their causes.
     """
     n_bars, display = 5, wording.get_display(group)
-    numbers = [number for number in group.numbers if figures.has_budget_bar(number.name)]
+    numbers = [number for number in group.numbers if budgets.has_budget_bar(number.name)]
     all_budgets = ((number, summarise_budget(number)) for number in numbers)
-    budgets = [(number, budget) for number, budget in all_budgets if budget.test_shares]
+    numbered_budgets = [(number, budget) for number, budget in all_budgets if budget.test_shares]
     bars = [
-        figures.make_budget_bar(number, budget.mean_shares, number.mean.chosen.interval, display)
-        for number, budget in budgets
+        budgets.make_budget_bar(number, budget.mean_shares, number.mean.chosen.interval, display)
+        for number, budget in numbered_budgets
         if budget.mean_shares
     ]
     if not bars:
         n = max((len(number.values) for number in group.numbers), default=0)
         text = "one test" if n == 1 else f"{n} tests"
         bars = [
-            figures.make_budget_bar(number, budget.test_shares, None, display)._replace(text=text)
-            for number, budget in budgets
+            budgets.make_budget_bar(number, budget.test_shares, None, display)._replace(text=text)
+            for number, budget in numbered_budgets
         ]
     bars = bars[:n_bars]
-    shares = figures.sort_shares([bar.shares for bar in bars])
+    shares = budgets.sort_shares([bar.shares for bar in bars])
     cause_looks = {
-        name: {"colour": figures.get_cause_colour(name), "is_common": IS_COMMON.get(name)}
-        for name in figures.list_drawn_causes(shares)
+        name: {"colour": budgets.get_cause_colour(name), "is_common": IS_COMMON.get(name)}
+        for name in budgets.list_drawn_causes(shares)
     }
     bars = [bar._replace(shares=part) for bar, part in zip(bars, shares, strict=True)]
     return bars, cause_looks
@@ -554,7 +552,7 @@ def describe_observations(samples: Sequence[Sample]) -> str:
     return ", ".join(f"{answer} {count}" for answer, count in counts.most_common())
 
 
-def make_lot_table(groups: Iterable[PageGroup]) -> Table | None:
+def make_lot_table(groups: Iterable[GroupView]) -> Table | None:
     """Make the table of the lots and their acceptance; None if no protocol states a limit.
 
     Parameters

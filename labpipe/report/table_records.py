@@ -363,8 +363,8 @@ def save_tables(
     layouts = {table.title: description["sheets"].get(table.title, {}) for table in all_tables}
     writer = _WorkbookWriter(memory, title, footer or title)
     writer.add_read_me([title, *facts, *description["about"]], layouts)
-    for number, table in enumerate(all_tables):
-        writer.add_table(table, layouts[table.title], is_first=not number)
+    for index, table in enumerate(all_tables):
+        writer.add_table(table, layouts[table.title], is_first=not index)
     writer.book.close()
     with convert_write_errors(path, "a workbook"):
         path.write_bytes(memory.getvalue())
@@ -426,17 +426,17 @@ class _WorkbookWriter:
         heads = make_unique_heads(table.heads or ["no rows"])
         if is_first:
             sheet.activate()
-        for number, width in enumerate(_compute_widths(table, wrapped_heads)):
-            sheet.set_column(number, number, width)
+        for index, width in enumerate(_compute_widths(table, wrapped_heads)):
+            sheet.set_column(index, index, width)
         columns = [{"header": head, "header_format": self.head_format} for head in heads]
         if table.rows:
             table_options = {"columns": columns, "style": "Table Style Light 1"}
             sheet.add_table(0, 0, len(table.rows), len(heads) - 1, table_options)
-        for number, head in enumerate(() if table.rows else heads):
-            _write_text(sheet, 0, number, head, self.head_format)
-        for number, column in enumerate(zip(*table.rows, strict=True)):
-            is_wrapped = table.heads[number] in wrapped_heads
-            self.write_column(sheet, number, column, is_wrapped=is_wrapped)
+        for index, head in enumerate(() if table.rows else heads):
+            _write_text(sheet, 0, index, head, self.head_format)
+        for index, column in enumerate(zip(*table.rows, strict=True)):
+            is_wrapped = table.heads[index] in wrapped_heads
+            self.write_column(sheet, index, column, is_wrapped=is_wrapped)
         sheet.freeze_panes(1, layout.get("frozen", 0))
         sheet.repeat_rows(0)
         self.place_charts(sheet, table)
@@ -472,8 +472,8 @@ class _WorkbookWriter:
         if table.charts and len(table.rows) > max_rows_above:
             top, left = 1, len(table.heads) + 1
             sheet.print_area(0, 0, len(table.rows), len(table.heads) - 1)
-        for number, chart in enumerate(table.charts):
-            row, column = divmod(number, 2)
+        for index, chart in enumerate(table.charts):
+            row, column = divmod(index, 2)
             chart_object = _draw_chart(self.book, table, chart)
             chart_object.set_size({"width": width - gap, "height": height - gap})
             offset = {"x_offset": column * width, "y_offset": row * height, "object_position": 3}
@@ -485,10 +485,10 @@ def make_unique_heads(heads: Sequence[str]) -> list[str]:
     unique_heads: dict[str, str] = {}
     for head in heads:
         printable_head = replace_unprintable(head)[:250] or "column"
-        name, number = printable_head, 1
+        name, count = printable_head, 1
         while name.casefold() in unique_heads:
-            number += 1
-            name = f"{printable_head} {number}"
+            count += 1
+            name = f"{printable_head} {count}"
         unique_heads[name.casefold()] = name
     return list(unique_heads.values())
 
@@ -514,9 +514,9 @@ def _draw_chart(book: Any, table: Table, chart: Chart) -> Any:
     """Draw a chart of a table for a workbook."""
     chart_object = book.add_chart({"type": "scatter", "subtype": "straight"})
     x, y = (table.heads.index(head) for head in (chart.x, chart.y))
-    for number, (name, (first, last)) in enumerate(list(chart.lines.items())[:12]):
-        dash = _CHART_DASHES[number // len(_CHART_COLOURS) % len(_CHART_DASHES)]
-        colour = _CHART_COLOURS[number % len(_CHART_COLOURS)]
+    for index, (name, (first, last)) in enumerate(list(chart.lines.items())[:12]):
+        dash = _CHART_DASHES[index // len(_CHART_COLOURS) % len(_CHART_DASHES)]
+        colour = _CHART_COLOURS[index % len(_CHART_COLOURS)]
         chart_object.add_series({
             "name": _escape_formula(name),
             "categories": [table.title, first + 1, x, last + 1, x],

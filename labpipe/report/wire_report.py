@@ -162,10 +162,10 @@ def plot_strands(layout: WireLayout, orientation: float = 0.0) -> Iterator[Line]
     areas = np.bincount(layout.layer, weights=layout.diameter**2)
     edges = np.sqrt(np.concatenate([[0.0], np.cumsum(areas)])) / 2.0
     has_core = np.sum(layout.layer == 0) == 1
-    for number in range(int(layout.layer.max()) + 1):
-        label = "core" if has_core and number == 0 else f"ring {number + (not has_core)}"
-        settings: dict[str, Any] = {"facecolor": f"C{number}", "label": label}
-        rows = layout.layer == number
+    for index in range(int(layout.layer.max()) + 1):
+        label = "core" if has_core and index == 0 else f"ring {index + (not has_core)}"
+        settings: dict[str, Any] = {"facecolor": f"C{index}", "label": label}
+        rows = layout.layer == index
         if layout.kind != "compressed":
             radii = layout.diameter[rows] / 2.0
             yield plots.make_circles("strand", x[rows], y[rows], radii, **settings)
@@ -173,7 +173,7 @@ def plot_strands(layout: WireLayout, orientation: float = 0.0) -> Iterator[Line]
         outlines = []
         for angle in np.arctan2(y, x)[rows]:
             angles = angle + np.linspace(-np.pi, np.pi, 91) / rows.sum()
-            radii = np.concatenate([np.full(91, edges[number + 1]), np.full(91, edges[number])])
+            radii = np.concatenate([np.full(91, edges[index + 1]), np.full(91, edges[index])])
             angles = np.concatenate([angles, angles[::-1]])
             outlines += [np.stack([radii * np.cos(angles), radii * np.sin(angles)])]
             outlines += [np.full((2, 1), np.nan)]
@@ -341,8 +341,8 @@ def make_comparison_page(name: str, tables: Sequence[WireTable]) -> Page:
     tables : laws of at most `MAX_WIRES` wires
     """
     secants, moments = [], []
-    for number, table in enumerate(tables):
-        settings = {**choose_line_look(number), "label": _shorten_name(table)}
+    for index, table in enumerate(tables):
+        settings = {**choose_line_look(index), "label": _shorten_name(table)}
         for part, opacity in plots.split_doubtful(table.curvature <= table.doubtful_curvature):
             is_drawn, settings["alpha"] = part & is_curved(table), opacity
             curvature, secant = table.curvature[is_drawn], table.secant_stiffness[is_drawn]
@@ -380,10 +380,10 @@ def list_wire_figures(tables: Sequence[WireTable]) -> Iterator[Page]:
     further wires; then ``NAME.stiffness``, ``NAME.moment`` and ``NAME.cantilever`` of each wire. A
     single wire has no comparison.
     """
-    for number, page_tables in enumerate(split_pages(tables, MAX_WIRES), start=1):
-        yield make_sections_page(f"sections-{number}", page_tables)
+    for index, page_tables in enumerate(split_pages(tables, MAX_WIRES), start=1):
+        yield make_sections_page(f"sections-{index}", page_tables)
         if len(page_tables) > 1:
-            yield make_comparison_page(f"comparison-{number}", page_tables)
+            yield make_comparison_page(f"comparison-{index}", page_tables)
     for table in tables:
         yield from (make_page(table) for make_page in _WIRE_FIGURES.values())
 

@@ -67,9 +67,9 @@ def shorten(name: str, max_length: int) -> str:
     return f"{name[: max_length - 1 - end]}…{name[len(name) - end :]}"
 
 
-def write_count(number: int, noun: str) -> str:
+def write_count(count: int, noun: str) -> str:
     """Write a count, such as ``1 sample`` or ``3 samples``."""
-    return f"{number} {noun}{'s' * (number != 1)}"
+    return f"{count} {noun}{'s' * (count != 1)}"
 
 
 def describe_counts(group: Group) -> str:

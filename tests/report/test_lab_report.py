@@ -24,10 +24,10 @@ from labpipe.report.lab_report import (
     read_logo,
     read_page_script,
     render_page,
+    render_test,
     write_page_data,
     write_report,
 )
-from labpipe.report.page_of_test import render_test
 from tests.approved import Approve
 from tests.builders.bundle_campaigns import bundle_campaign, conduit_cases
 from tests.builders.campaigns import build_campaign, build_group, build_sample, six_samples
