@@ -437,10 +437,8 @@ def _check_partial_breaks(record: CheckedRecord) -> Iterator[Finding]:
                 losses.append((segment, relative_loss[run].max()))
     for segment, loss in losses if len(losses) <= max_losses else ():
         # The peak force is not doubtful, because the specimen was whole when it was reached.
-        at = segment[0]
-        yield record.report(
-            "process.partial_break", "displacement", at=at, segment=segment, loss=loss
-        )
+        facts: dict[str, Any] = {"at": segment[0], "segment": segment, "loss": loss}
+        yield record.report("process.partial_break", "displacement", **facts)
 
 
 def _check_cycle_changes(record: CheckedRecord) -> Iterator[Finding]:
@@ -456,16 +454,15 @@ def _check_cycle_changes(record: CheckedRecord) -> Iterator[Finding]:
         max_shift = record.limits.cycle_change * (old_travel[-1] - old_travel[0])
         is_turn_shifted = abs(new_travel[-1] - old_travel[-1]) > max_shift
         is_force_alone = kind == "level" and not is_turn_shifted
-        yield record.report(
-            "process.cycle_level"
-            if kind == "level"
-            else ("process.cycle_scale" if kind == "scale" else "process.cycle_travel"),
-            *(("force",) if is_force_alone else BOTH),
-            at=new_cycle.loading.start,
-            segment=(old_cycle.unloading.stop - 1, -1),
-            cycle=new_cycle.loading.cycle,
-            size=size,
-        )
+        facts: dict[str, Any] = {"cycle": new_cycle.loading.cycle, "size": size}
+        facts |= {"at": new_cycle.loading.start, "segment": (old_cycle.unloading.stop - 1, -1)}
+        quantities = ("force",) if is_force_alone else BOTH
+        if kind == "level":
+            yield record.report("process.cycle_level", *quantities, **facts)
+        elif kind == "scale":
+            yield record.report("process.cycle_scale", *quantities, **facts)
+        else:
+            yield record.report("process.cycle_travel", *quantities, **facts)
 
 
 def _find_cycle_change(
@@ -531,14 +528,8 @@ def _check_loading_directions(record: CheckedRecord) -> Iterator[Finding]:
         fall = median(branch_force[:n_end]) - median(branch_force[-n_end:])
         if branch.direction is Direction.LOADING and fall > min_fall * record.largest_force:
             facts: dict[str, Any] = {"cycle": branch.cycle, "ratio": fall / record.largest_force}
-            yield record.report(
-                "process.loading_reversed",
-                *BOTH,
-                channel="displacement",
-                at=branch.start,
-                segment=(previous.start, -1),
-                **facts,
-            )
+            facts |= {"at": branch.start, "segment": (previous.start, -1)}
+            yield record.report("process.loading_reversed", *BOTH, channel="displacement", **facts)
             return
 
 
@@ -573,10 +564,9 @@ def _check_turns(record: CheckedRecord) -> Iterator[Finding]:
         }
         yield record.report("process.force_late", "clock", **facts)
     elif growth > record.compute_limit(limits.turn_jump, record.force_noise):
-        at, segment = branch.start, (branch.start, -1)
-        yield record.report(
-            "process.turn_jump", "force", at=at, segment=segment, growth=growth, branch=branch
-        )
+        facts = {"growth": growth, "branch": branch}
+        facts |= {"at": branch.start, "segment": (branch.start, -1)}
+        yield record.report("process.turn_jump", "force", **facts)
 
 
 def _check_skipped_turns(record: CheckedRecord) -> Iterator[Finding]:
@@ -640,14 +630,9 @@ def _check_held_turns(record: CheckedRecord) -> Iterator[Finding]:
         growth = float(force.max() - max(force[0], force[-1])) if len(force) else 0.0
         if growth > record.compute_limit(min_growth, record.force_noise):
             facts: dict[str, Any] = {"growth": growth, "position": 1e3 * curve.displacement[turn]}
-            yield record.report(
-                "process.displacement_limited",
-                "displacement",
-                channel="displacement",
-                at=turn,
-                segment=(first.start, second.stop - 1),
-                **facts,
-            )
+            facts |= {"at": turn, "segment": (first.start, second.stop - 1)}
+            doubted: Quantity = "displacement"
+            yield record.report("process.displacement_limited", doubted, channel=doubted, **facts)
 
 
 def _check_saturation(record: CheckedRecord) -> Iterator[Finding]:
@@ -735,14 +720,9 @@ def _check_second_specimen(record: CheckedRecord) -> Iterator[Finding]:
         )
         is_broken = unloading_force < limits.broken_force * first_force
         if is_broken and second_force > limits.second_loading * first_force:
-            yield record.report(
-                "process.second_specimen",
-                *BOTH,
-                cycle=cycle.loading.cycle,
-                unloading_force=unloading_force,
-                next_cycle=later[0].cycle,
-                second_force=second_force,
-            )
+            facts: dict[str, Any] = {"cycle": cycle.loading.cycle, "next_cycle": later[0].cycle}
+            facts |= {"unloading_force": unloading_force, "second_force": second_force}
+            yield record.report("process.second_specimen", *BOTH, **facts)
             return
 
 

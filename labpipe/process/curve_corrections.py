@@ -133,19 +133,17 @@ def correct_curve(test: ReducedTest, settings: CurveBlock) -> CorrectionOutcome:
     if settings.elastic_line is not None:
         test = replace(test, pull=fit_pull(test, ElasticWindow(**dict(settings.elastic_line))))
     # The notes on slips are made last, because the slack changes the positions of the slips.
-    for slip in test.slips:
-        facts: dict[str, Any] = {"drop": slip.drop, "position": 1e3 * slip.position}
-        note = Finding.of(
-            "process.slip_marked"
-            if slip.decision is SlipDecision.MARKED
-            else "process.slip_repaired"
-            if slip.decision is SlipDecision.REPAIRED
-            else "process.slip_cut",
-            test.signals.force,
-            **facts,
-        )
-        findings.append(note)
-    return test, findings
+    return test, [*findings, *(_make_slip_note(test.signals.force, slip) for slip in test.slips)]
+
+
+def _make_slip_note(channel: str, slip: Slip) -> Finding:
+    """Make the note on a slip, which states how it was treated."""
+    facts: dict[str, Any] = {"drop": slip.drop, "position": 1e3 * slip.position}
+    if slip.decision is SlipDecision.MARKED:
+        return Finding.of("process.slip_marked", channel, **facts)
+    if slip.decision is SlipDecision.REPAIRED:
+        return Finding.of("process.slip_repaired", channel, **facts)
+    return Finding.of("process.slip_cut", channel, **facts)
 
 
 def bridge_outliers(signals: Signals) -> tuple[Signal, list[Finding]]:

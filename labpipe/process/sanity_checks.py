@@ -300,21 +300,16 @@ def check_signs(prepared: PreparedTest, motion: Motion, protocol: Protocol) -> l
     else:
         override = format_overrides("curve.reverse", f"[{name_list}]")
         remedy = format_sentence("process.signs_to_reverse", names=override)
+    facts: dict[str, Any] = {"signs": signs, "remedy": remedy}
+    doubted = {name: f"{name}_sign" if len(names) > 1 else name for name in names}
     findings = []
-    for name in names:
-        quantities = [f"{name}_sign" if len(names) > 1 else name]
-        if name == "force" and motion.clocks.force is not None:
-            quantities.append("clock")  # the clocks are aligned at peaks of the force
-        facts: dict[str, Any] = {"signs": signs, "remedy": remedy}
-        channel = getattr(signals, name)
-        findings.append(
-            Finding.of(
-                "process.force_reversed" if name == "force" else "process.displacement_reversed",
-                channel,
-                *quantities,
-                **facts,
-            )
-        )
+    if "force" in doubted:
+        # The clocks are aligned at peaks of the force.
+        quantities = (doubted["force"], "clock")[: 1 if motion.clocks.force is None else 2]
+        findings.append(Finding.of("process.force_reversed", signals.force, *quantities, **facts))
+    if "displacement" in doubted:
+        name, quantity = signals.displacement, doubted["displacement"]
+        findings.append(Finding.of("process.displacement_reversed", name, quantity, **facts))
     return findings
 
 
