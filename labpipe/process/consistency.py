@@ -624,7 +624,9 @@ def _check_held_turns(record: CheckedRecord) -> Iterator[Finding]:
     """Report a force that grows and returns while the displacement is constant at a turn."""
     min_growth = 0.05  # fraction of the largest force
     curve = record.curve
-    for first, second, sign in record.turns:
+    for first, second, _ in record.turns:
+        # A damper reverses its force at a turn, so that each branch has a sign of its own.
+        sign = record.compute_sign(first) * (1 if first.direction is Direction.LOADING else -1)
         turn = first.stop - 1
         force = drop_missing(sign * curve.force[turn : second.start + 1])
         growth = float(force.max() - max(force[0], force[-1])) if len(force) else 0.0
