@@ -360,6 +360,11 @@ def _convert_tracks(header: Header, columns: Columns) -> tuple[MarkerTracks, lis
         ),
         unit_in_file=header.properties["Length Units"],
     )
+    if converted_names := ", ".join(
+        body.name for body in bodies if _find_euler_axes(body, header.properties)
+    ):
+        order = header.properties["Rotation Type"]
+        notes.append(QualityNote.of("readers.rotation_from_euler", converted_names, order=order))
     return tracks, notes
 
 
@@ -478,11 +483,31 @@ def _convert_body(name: str, group: ObjectColumns, header: Header, columns: Colu
     position = _stack_columns(columns, _find_position(group, header)) * header.length_unit
     error_columns = [i for (x, axis), i in group.columns.items() if "Error" in x and not axis]
     error = columns[error_columns[0]] if error_columns else np.full(len(position), np.nan)
-    quaternion = group.find_columns("Rotation", "XYZW")
-    rotation = (
-        _stack_columns(columns, quaternion) if quaternion else np.full((len(position), 4), np.nan)
-    )
+    rotation = _convert_rotation(group, header.properties, columns)
     return RigidBody(name, position, rotation, error * header.length_unit)
+
+
+def _convert_rotation(group: Group, properties: Mapping[str, str], columns: Columns) -> Floats:
+    """Convert quaternions x, y, z, w or, without them, Euler angles; NaN without both."""
+    if (quaternion := group.find_columns("Rotation", "XYZW")) is not None:
+        return _stack_columns(columns, quaternion)
+    rotation = np.full((len(columns[0]), 4), np.nan)
+    if angles := _find_euler_axes(group, properties):
+        from scipy.spatial.transform import Rotation
+
+        degrees = _stack_columns(columns, angles)
+        rows, order = np.isfinite(degrees).all(axis=1), properties["Rotation Type"]
+        if rows.any():
+            rotation[rows] = Rotation.from_euler(order, degrees[rows], degrees=True).as_quat()
+    return rotation
+
+
+def _find_euler_axes(group: Group, properties: Mapping[str, str]) -> list[int] | None:
+    """Find the columns of Euler angles in their order, if there are any and no quaternions."""
+    order = properties.get("Rotation Type", "")
+    if sorted(order) != ["X", "Y", "Z"] or group.find_columns("Rotation", "XYZW"):
+        return None
+    return group.find_columns("Rotation", order)
 
 
 NumbersByFrame = dict[int, list[float]]

@@ -13,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from openpyxl import Workbook, load_workbook
+from scipy.spatial.transform import Rotation
 
 from labpipe.errors import ReadError
 from labpipe.readers import motive_takes
@@ -220,10 +221,22 @@ def test_names_become_unique() -> None:
     assert make_object_names([("a", "1"), ("a", "2")]) == ("a 1", "a 2")
 
 
-def test_euler_angles_are_left_out(tmp_path: Path) -> None:
-    columns, layout = rigid_body("Clamp", CLAMP, CLAMP), replace(LAYOUT, rotation="XYZ")
+def test_euler_angles_become_quaternions(tmp_path: Path) -> None:
+    degrees = np.random.default_rng(2).uniform(-80, 80, (FRAMES, 3)).round(6)
+    degrees[3] = np.nan
+    columns, layout = rigid_body("Clamp", CLAMP, degrees), replace(LAYOUT, rotation="XYZ")
     recording = motive_takes.read(write_table(tmp_path / "synthetic.csv", columns, FRAMES, layout))
-    assert np.isnan(tracks(recording).bodies[0].rotation).all()
+    visible = np.arange(FRAMES) != 3
+    x, y, z = (
+        Rotation.from_euler(axis, angles[:, None], degrees=True)
+        for axis, angles in zip("XYZ", degrees[visible].T, strict=True)
+    )
+    rotation = tracks(recording).bodies[0].rotation
+    apart = Rotation.from_quat(rotation[visible]).inv() * (x * y * z)
+    np.testing.assert_allclose(apart.magnitude(), 0.0, atol=1e-12)
+    assert np.isnan(rotation[3]).all()
+    message = notes(recording)["rotation_from_euler"]
+    assert message.startswith("Euler angles of type 'XYZ' in degrees")
 
 
 def test_the_derived_rate_leaves_holes_out() -> None:
