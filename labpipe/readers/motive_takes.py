@@ -487,7 +487,9 @@ def _convert_body(name: str, group: ObjectColumns, header: Header, columns: Colu
     return RigidBody(name, position, rotation, error * header.length_unit)
 
 
-def _convert_rotation(group: Group, properties: Mapping[str, str], columns: Columns) -> Floats:
+def _convert_rotation(
+    group: ObjectColumns, properties: Mapping[str, str], columns: Columns
+) -> Floats:
     """Convert quaternions x, y, z, w or, without them, Euler angles; NaN without both."""
     if (quaternion := group.find_columns("Rotation", "XYZW")) is not None:
         return _stack_columns(columns, quaternion)
@@ -502,7 +504,7 @@ def _convert_rotation(group: Group, properties: Mapping[str, str], columns: Colu
     return rotation
 
 
-def _find_euler_axes(group: Group, properties: Mapping[str, str]) -> list[int] | None:
+def _find_euler_axes(group: ObjectColumns, properties: Mapping[str, str]) -> list[int] | None:
     """Find the columns of Euler angles in their order, if there are any and no quaternions."""
     order = properties.get("Rotation Type", "")
     if sorted(order) != ["X", "Y", "Z"] or group.find_columns("Rotation", "XYZW"):
