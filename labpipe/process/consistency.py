@@ -368,16 +368,14 @@ def _check_zero_drift(record: CheckedRecord) -> Iterator[Finding]:
         return
     # Only the end of a long rest is used, because specimens relax.
     level, end = median(rests[0]), median(rests[1][-len(rests[0]) :])
-    change = compute_loading_sign(curve.force[first.start : last.stop]) * (end - level)
+    branch_forces = curve.force[first.start : last.stop]
+    change = compute_loading_sign(branch_forces) * (end - level)
     if any(kind == "level" for kind, *_ in record.cycle_changes):
         change = abs(change)
+    largest_force = float(np.nanmax(np.abs(branch_forces - level)))
     error = record.force_noise * sqrt(2.0 / count)
-    if change >= record.compute_limit(record.limits.rest_force_drift, error):
-        facts: dict[str, Any] = {
-            "level": level,
-            "end": end,
-            "ratio": abs(change) / record.largest_force,
-        }
+    if change >= max(record.limits.rest_force_drift * largest_force, MIN_ERROR_RATIO * error):
+        facts: dict[str, Any] = {"level": level, "end": end, "ratio": abs(change) / largest_force}
         yield record.report("process.zero_drift", "force", **facts)
 
 
