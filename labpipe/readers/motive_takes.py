@@ -24,10 +24,10 @@ from __future__ import annotations
 import csv
 import re
 from codecs import BOM_UTF8
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import zip_longest
+from itertools import count, zip_longest
 from pathlib import Path
 
 import numpy as np
@@ -391,10 +391,8 @@ def make_object_names(objects: Sequence[tuple[str, str]]) -> tuple[str, ...]:
     """
     total = Counter(name for name, _ in objects)
     names = [f"{name} {id_}".strip() if total[name] > 1 else name for name, id_ in objects]
-    return tuple(
-        f"{name} #{names[: i + 1].count(name)}" if names.count(name) > 1 else name
-        for i, name in enumerate(names)
-    )
+    total, numbers = Counter(names), defaultdict[str, Iterator[int]](lambda: count(1))
+    return tuple(f"{name} #{next(numbers[name])}" if total[name] > 1 else name for name in names)
 
 
 def _make_header_notes(header: Header, path: Path) -> Iterator[QualityNote]:
@@ -632,6 +630,7 @@ def _read_line(take: _RowStyleTake, cells: list[str]) -> None:
                 _read_body(take, cells)
             else:
                 name, id_, count = cells[1], cells[2], int(cells[3])
+                require(len(cells) == 4 + 3 * count, f"{len(cells)} cells for {count} markers")
                 take.bodies[name], take.poses[name] = (id_, count), {}
                 for number in range(1, count + 1):
                     take.markers[f"{name}-Marker {number}", id_] = {}

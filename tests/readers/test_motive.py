@@ -370,6 +370,16 @@ def test_rows_that_were_written_are_read(
     np.testing.assert_array_equal(tracks.time, TIMES.round(8))
 
 
+def test_a_body_of_more_markers_than_it_lists_is_refused(tmp_path: Path) -> None:
+    """A damaged count of markers made as many empty markers, and the reader took minutes."""
+    file = write_row_style(tmp_path / "take.csv", TIMES, [body()])
+    n_markers = body().measured.shape[1]
+    text = file.read_text(encoding="utf-8")
+    file.write_text(text.replace(f",{n_markers},0.01", ",40000000,0.01", 1), encoding="utf-8")
+    with pytest.raises(ReadError, match="cells for 40000000 markers"):
+        motive_takes.read(file)
+
+
 def test_what_rows_say_of_themselves(tmp_path: Path) -> None:
     """A lost body may keep its last pose; the last line is cut off."""
     clamp = replace(body(lost=(5, 6)), keeps_pose=True)
