@@ -9,6 +9,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from importlib.resources import files
 from io import BytesIO
+from math import nan
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -197,20 +198,20 @@ def _list_key_heads(groups: Sequence[GroupView]) -> tuple[tuple[str, str], ...]:
 
 
 def _list_key_rows(groups: Sequence[GroupView], heads: Mapping[str, str]) -> list[dict[str, Any]]:
-    """List the rows of groups; the strips of the first number have a common scale."""
+    """List the rows of groups; several groups have strips of the first number on one scale."""
     numbers = [_find_averaged_number(view.group, next(iter(heads), "")) for view in groups]
-    means = [number.mean.chosen for number in filter(None, numbers)]
-    intervals = [mean.interval for mean in means if mean.interval is not None]
-    ends = [end for interval in intervals for end in (interval.lower, interval.upper)]
-    strip_ends, rows = plots.clip_range([mean.mean for mean in means], ends, 1.0), []
-    for view, first_number in zip(groups, numbers, strict=True):
-        strip = None
-        if first_number is not None:
-            interval, mean = (
-                _choose_interval_source(first_number).interval,
-                first_number.mean.chosen.mean,
-            )
-            strip = plots.make_mean_strip(strip_ends, interval, mean)
+    shown = [
+        (nan, None)
+        if number is None
+        else (number.mean.chosen.mean, _choose_interval_source(number).interval)
+        for number in numbers
+    ]
+    ends = [end for _, x in shown if x is not None for end in (x.lower, x.upper)]
+    strip_ends = plots.clip_range([mean for mean, _ in shown], ends, 1.0)
+    strips = [plots.make_mean_strip(strip_ends, interval, mean) for mean, interval in shown]
+    rows = []
+    for view, mean_strip in zip(groups, strips, strict=True):
+        strip = mean_strip if len(groups) > 1 else None
         cells, spark = [_make_key_cell(view.group, name) for name in heads], _write_mean_curve(view)
         rows.append({"view": view, "strip": strip, "cells": cells, "spark": spark})
     return rows
