@@ -554,7 +554,8 @@ def _list_met_needs(protocol: Protocol) -> Iterator[str]:
     sources, steps = protocol.sources or {}, {step.step for step in protocol.steps}
     readers = {reader for source in sources.values() for reader in source.reader or ()}
     conditions = {
-        _MARKER_SOURCE: "markers" in sources or MARKER_READERS & readers,
+        # Sources with a fault are None in a draft; which of them exist is then unknown.
+        _MARKER_SOURCE: not protocol.sources or "markers" in sources or MARKER_READERS & readers,
         _CLAMP: protocol.has_clamp,
         _ALIGNMENT: protocol.align.method != "none",
         _SHAPE_STEP: steps & {"fit-shape", "three-point-shape"},
