@@ -34,6 +34,7 @@ from labpipe.protocol.yaml_text import (
     Document,
     LocatedBlock,
     LocatedList,
+    PlacedFault,
     build_choice_fault,
     build_error,
     get_block,
@@ -308,19 +309,14 @@ def resolve_protocol(
     merged = parse_yaml(text, name)
     merged.faults += map(sheet_document.place, apply_overrides(merged, sheet_document))
     protocol, protocol_faults = Protocol.read(merged.data)
-    is_file_valid = protocol_faults and Protocol.read(parse_yaml(text, name).data)[1] == []
-    placed_faults = []
-    for fault in protocol_faults:
-        is_in_sheet = merged.find_location(fault.path)[0].file == str(sheet_path)
-        is_due_to_sheet = is_file_valid and not is_in_sheet
-        remark = f"(With the overrides of {sheet_path}.)" if is_due_to_sheet else ""
-        # A main result that an override removes is removed from the groups, too.
-        if not (is_due_to_sheet and fault.path[:2] == ("groups", "main")):
-            placed_faults.append(merged.place(fault, remark))
+    placed_faults: list[PlacedFault] = []
+    if protocol_faults:
+        file_protocol = Protocol.read(parse_yaml(text, name).data)
+        placed_faults += _place_merged_faults(protocol_faults, merged, sheet_path, *file_protocol)
     faults: list[Fault] = []
     if protocol is not None:
         # A test sheet cannot override whether links are followed.
-        follow_links |= protocol.follow_links
+        follow_links |= protocol.follow_links is True  # it is None if its value is at fault
         faults += _find_role_faults(sheet, protocol)
         faults += _find_link_faults(sheet, sheet_path.parent, follow_links=follow_links)
         faults += _find_wrong_answers(sheet, protocol)
@@ -406,6 +402,41 @@ def validate_document(model: type[_B], document: Document) -> _B:
     if placed_faults := [*document.faults, *map(document.place, faults)]:
         raise build_error(placed_faults)
     return cast("_B", block)
+
+
+def _place_merged_faults(
+    faults: list[Fault],
+    merged: Document,
+    sheet_path: Path,
+    file_protocol: Protocol | None,
+    file_faults: list[Fault],
+) -> Iterator[PlacedFault]:
+    """Place the faults of a protocol with overrides; the file without them may have faults, too."""
+    is_file_valid = file_protocol is not None and not file_faults
+    removed_names = set[str]()
+    if file_protocol is not None and is_file_valid:
+        removed_names = _find_removed_main_results(merged, file_protocol, str(sheet_path))
+    for fault in faults:
+        is_in_sheet = merged.find_location(fault.path)[0].file == str(sheet_path)
+        is_due_to_sheet = is_file_valid and not is_in_sheet
+        remark = f"(With the overrides of {sheet_path}.)" if is_due_to_sheet else ""
+        # A main result that an override removes is removed from the groups, too.
+        is_main = fault.path[:2] == ("groups", "main") and is_due_to_sheet
+        if not (is_main and merged.get_value(fault.path) in removed_names):
+            yield merged.place(fault, remark)
+
+
+def _find_removed_main_results(merged: Document, protocol: Protocol, sheet: str) -> set[str]:
+    """Find the main results of a protocol file whose results the overrides of a sheet remove."""
+    if merged.find_location(("results",))[0].file == sheet:
+        return set()  # the sheet has replaced the list
+    results = get_block(merged.data).get("results")
+    indices = range(len(results) if isinstance(results, list) else 0)
+    kept = {merged.find_location(("results", index))[0].name for index in indices}
+    removed = tuple(x for index, x in enumerate(protocol.results) if str(index) not in kept)
+    faults = find_unknown_main_results(protocol.model_copy(update={"results": removed}))
+    other_indices = {fault.path[-1] for fault in faults}
+    return {x for index, x in enumerate(protocol.groups.main) if index not in other_indices}
 
 
 def _find_wrong_answers(sheet: TestSheet, protocol: Protocol) -> Iterator[Fault]:
