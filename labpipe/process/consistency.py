@@ -34,8 +34,9 @@ COMPARED_POINTS = 40
 """Number of displacements at which the branches of two cycles are compared."""
 MIN_COMPARED_SAMPLES = 5
 """Smallest number of samples of a branch that is compared."""
-MIN_ERROR_RATIO = 8.0
-"""Smallest change of the force that is reported, divided by the standard error of the change."""
+MIN_ERROR_RATIO, MIN_REST_ERROR_RATIO = 8.0, 6.0
+"""Smallest changes of the force that are reported, divided by their standard errors: changes in the
+motion or between cycles, and levels at rest."""
 TURN_REACH = 3
 """Number of samples on each side of a turn that belong to it."""
 
@@ -139,15 +140,18 @@ class CheckedRecord:
         """Compute the sign of the force with which the specimen is loaded in a branch."""
         return compute_loading_sign(self.curve.force[branch.start : branch.stop])
 
-    def compute_limit(self, fraction: float, error: float) -> float:
+    def compute_limit(
+        self, fraction: float, error: float, min_error_ratio: float = MIN_ERROR_RATIO
+    ) -> float:
         """Compute the smallest change of the force that is reported, N.
 
         Parameters
         ----------
         fraction : smallest change as a fraction of the largest force
-        error : standard error of the change, N; the change must exceed `MIN_ERROR_RATIO` errors
+        error : standard error of the change, N
+        min_error_ratio : smallest change divided by its standard error
         """
-        return max(fraction * self.largest_force, MIN_ERROR_RATIO * error)
+        return max(fraction * self.largest_force, min_error_ratio * error)
 
     def find_jumps(self, quantity: Quantity) -> list[tuple[int, float]]:
         """Find the sample and the size of each jump of a quantity.
@@ -274,7 +278,8 @@ def _check_rest_levels(record: CheckedRecord) -> Iterator[Finding]:
     rest_forces = drop_missing(curve.force[first:start])
     level, count = median(rest_forces), max(1, len(rest_forces))
     ratio, error = abs(level) / record.largest_force, record.force_noise / sqrt(count)
-    if count >= min_samples and abs(level) > record.compute_limit(min_force, error):
+    limit = record.compute_limit(min_force, error, MIN_REST_ERROR_RATIO)
+    if count >= min_samples and abs(level) > limit:
         is_small = ratio <= max(
             record.limits.rest_force, 2.0 * signals.raw[signals.force].zero_drift
         )
@@ -374,7 +379,7 @@ def _check_zero_drift(record: CheckedRecord) -> Iterator[Finding]:
         change = abs(change)
     largest_force = float(np.nanmax(np.abs(branch_forces - level)))
     error = record.force_noise * sqrt(2.0 / count)
-    if change >= max(record.limits.rest_force_drift * largest_force, MIN_ERROR_RATIO * error):
+    if change >= max(record.limits.rest_force_drift * largest_force, MIN_REST_ERROR_RATIO * error):
         facts: dict[str, Any] = {"level": level, "end": end, "ratio": abs(change) / largest_force}
         yield record.report("process.zero_drift", "force", **facts)
 
@@ -401,7 +406,8 @@ def check_force_after_break(record: CheckedRecord, failure: object) -> Iterator[
         return
     level, error = median(tail[len(tail) // 2 :]), record.force_noise * sqrt(2.0 / len(tail))
     reversed_force = -compute_loading_sign(force[: failure.sample + 1]) * level
-    if reversed_force >= record.compute_limit(record.limits.rest_force_drift, error):
+    limit = record.compute_limit(record.limits.rest_force_drift, error, MIN_REST_ERROR_RATIO)
+    if reversed_force >= limit:
         facts: dict[str, Any] = {"level": level, "ratio": reversed_force / record.largest_force}
         yield record.report("process.zero_drift_after_break", "force", **facts)
 
@@ -646,17 +652,18 @@ def _check_jump_to_peak(record: CheckedRecord) -> Iterator[Finding]:
     """Report a largest force that is reached by a jump and lost just after it."""
     min_step_ratio = 5.0  # jump divided by the largest step before it
     min_jump, max_remaining = 0.02, 0.5  # fractions of the largest force
+    reach = 3  # number of samples before and after the jump
     force = record.loading_sign * record.curve.force
     peak = int(np.nanargmax(force))
-    steps = np.diff(force[max(0, peak - 2 * TURN_REACH) : peak + 1])
-    forces_after = force[peak + 1 : peak + 1 + TURN_REACH]
-    if len(steps) < 2 * TURN_REACH or not len(forces_after):
+    steps = np.diff(force[max(0, peak - 2 * reach) : peak + 1])
+    forces_after = force[peak + 1 : peak + 1 + reach]
+    if len(steps) < 2 * reach or not len(forces_after):
         return
-    jump, largest_step = float(steps[TURN_REACH:].max()), np.abs(steps[:TURN_REACH]).max()
+    jump, largest_step = float(steps[reach:].max()), np.abs(steps[:reach]).max()
     limit = record.compute_limit(min_jump, record.force_noise)
     is_lost = float(np.min(forces_after)) < max_remaining * force[peak]
     if is_lost and jump > max(limit, min_step_ratio * float(largest_step)):
-        segment = peak - TURN_REACH, peak
+        segment = peak - reach, peak
         yield record.report("process.last_rise", "force", at=peak, segment=segment, size=jump)
 
 

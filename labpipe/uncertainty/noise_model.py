@@ -461,6 +461,13 @@ def cut_into_polynomials(values: Floats) -> tuple[Piece, ...]:
     >>> [piece.degree for piece in cut_into_polynomials(knee + noise)]
     [1, 1]
     """
+    return _find_pieces(np.ascontiguousarray(values, dtype=np.float64).tobytes())
+
+
+@lru_cache(maxsize=64)
+def _find_pieces(record: bytes) -> tuple[Piece, ...]:
+    """Find the pieces of a record, cached because noise model and smooth curve both use them."""
+    values = np.frombuffer(record)
     # Correlations of neighbouring samples of the noise, up to a correlation time of six samples.
     correlations: tuple[float, ...] = (0.0, 0.3, 0.5, 0.7, 0.85)
     # Fewer samples do not distinguish correlated noise from a bend of the curve.
