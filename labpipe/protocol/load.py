@@ -433,7 +433,7 @@ def _find_removed_main_results(merged: Document, protocol: Protocol, sheet: str)
     results = get_block(merged.data).get("results")
     indices = range(len(results) if isinstance(results, list) else 0)
     kept = {merged.find_location(("results", index))[0].name for index in indices}
-    removed = tuple(x for index, x in enumerate(protocol.results) if str(index) not in kept)
+    removed = tuple(x for index, x in enumerate(protocol.results) if index not in kept)
     faults = find_unknown_main_results(protocol.model_copy(update={"results": removed}))
     other_indices = {fault.path[-1] for fault in faults}
     return {x for index, x in enumerate(protocol.groups.main) if index not in other_indices}

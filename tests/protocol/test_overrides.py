@@ -151,6 +151,14 @@ def test_a_result_is_taken_out(resolved: Resolved) -> None:
     assert protocol.groups.main == ("peak_force.1", "slack")
     with pytest.raises(ProtocolError, match=r"\(results\.3\.of\): expected one of the st"):
         resolved(*gone("results.stiffness_first"), sheet=TUBE_SHEET)
+    for override in (
+        "results: {value: [{result: peak-force}], because: x}",
+        "results.stiffness_first.name: {value: k_1, because: x}",
+    ):
+        with pytest.raises(
+            ProtocolError, match=r"\(groups\.main\.0\): expected one of the results"
+        ):
+            resolved(override, sheet=TUBE_SHEET)
     no_steps = ("steps:\n  - {step: zero, channel: force, over: 0.1 s, by: line}\n", "")
     with pytest.raises(
         ProtocolError, match=r"no 'steps', found 'steps\.0\.over'\. Override 'steps'"
@@ -268,6 +276,7 @@ LOOP = "expected a file, found 'force.mat', a link to itself."
         ("../store/001.mat", "", "", True, ""),
         ("../store/001.mat", "follow_links: true\n", "", False, ""),
         ("../store/001.mat", "follow_links: True\n", "", False, ""),
+        ("../store/001.mat", "follow_links: perhaps\n", "", False, "expected true or false"),
         ("../store/001.mat", "", FOLLOWED_BY_TEST, False, "a link out of it"),
         ("../store/001.mat", "", FOLLOWED_BY_TEST, False, "(overrides.follow_links): expected"),
         ("first.mat", "", "", False, ""),
