@@ -582,10 +582,10 @@ def open_catalog(folder: Path, notes: list[str]) -> Catalog:
 
     Parameters
     ----------
-    folder : folder of the results. It is made if it does not exist. If it is read-only, an empty
-        catalog is made in memory
-    notes : list to which a message is added if the catalog is in memory, or if an unusable catalog
-        was replaced; that one is kept as ``catalog.sqlite.damaged``
+    folder : folder of the results. It is made if it does not exist. If it is read-only, the catalog
+        is a copy in memory, or an empty one if there is none that is usable
+    notes : list to which a message is added if the catalog is empty in memory, or if an unusable
+        catalog was replaced; that one is kept as ``catalog.sqlite.damaged``
 
     Raises
     ------
@@ -598,25 +598,44 @@ def open_catalog(folder: Path, notes: list[str]) -> Catalog:
         folder.mkdir(parents=True, exist_ok=True)
     is_file_writable = not path.exists() or os.access(path, os.W_OK)
     if not (is_file_writable and os.access(folder, os.W_OK | os.X_OK)):
+        memory = _connect(None)
+        with suppress(sqlite3.DatabaseError):  # a file that cannot be read is no catalog here
+            with closing(_open_file(path)) as file:
+                file.backup(memory)
+            return Catalog(memory, path, is_in_memory=True)
         notes.append(format_sentence("campaign.catalog_in_memory", path=path))
-        return Catalog(_make_tables(_connect(None)), path, is_in_memory=True)
-    with lock(folder, timeout=lock_timeout), convert_sqlite_errors(path), map_errors(path):
-        if path.exists():
+        return Catalog(_make_tables(memory), path, is_in_memory=True)
+    with convert_sqlite_errors(path):
+        try:
+            return Catalog(_open_file(path), path)
+        except sqlite3.DatabaseError as error:
+            _raise_if_refused(error, path)
+        with lock(folder, timeout=lock_timeout), map_errors(path):
             try:
-                return Catalog(_open_file(path), path)
+                return Catalog(_open_file(path), path)  # another process has just made it
             except sqlite3.DatabaseError as error:
-                if _get_primary_code(error) in _BUSY_CODES | _REFUSED_CODES:
-                    raise
-                why = format_sentence("campaign.damaged_catalog", why=error)
-                notes.append(format_sentence("campaign.catalog_rebuilt", path=path, why=why))
-            path.replace(path.with_name(f"{CATALOG}.damaged"))
-        for ending in ("-wal", "-shm", "-journal"):
-            path.with_name(CATALOG + ending).unlink(missing_ok=True)
-        return Catalog(_make_tables(_connect(path)), path)
+                _raise_if_refused(error, path)
+                is_damaged = _get_primary_code(error) != 0  # an error of SQLite itself
+                damage = format_sentence("campaign.damaged_catalog", why=error)
+                reason = damage if is_damaged else str(error)
+            if path.exists():
+                notes.append(format_sentence("campaign.catalog_rebuilt", path=path, why=reason))
+                path.replace(path.with_name(f"{CATALOG}.damaged"))
+            for ending in ("-wal", "-shm", "-journal"):
+                path.with_name(CATALOG + ending).unlink(missing_ok=True)
+            return Catalog(_make_tables(_connect(path)), path)
+
+
+def _raise_if_refused(error: sqlite3.DatabaseError, path: Path) -> None:
+    """Raise an error again if the file exists and may be usable, but cannot be opened now."""
+    if path.exists() and _get_primary_code(error) in _BUSY_CODES | _REFUSED_CODES:
+        raise error
 
 
 def _open_file(path: Path) -> sqlite3.Connection:
-    """Connect to an existing catalog after checking its tables."""
+    """Connect to a catalog after checking its tables; an absent file is an SQLite error."""
+    if not path.exists():
+        raise sqlite3.DatabaseError
     connection = _connect(path)
     try:
         _check_tables(connection, path)
@@ -647,6 +666,9 @@ def _check_tables(connection: sqlite3.Connection, path: Path) -> None:
         raise UsageError.about("campaign.foreign_catalog", path)
     if version > SCHEMA:
         raise UsageError.about("campaign.newer_catalog", path, known=SCHEMA, found=version)
+    if 0 < version < SCHEMA:
+        raise sqlite3.DatabaseError(format_sentence("campaign.older_catalog"))
     (integrity,) = connection.execute("pragma quick_check(1)").fetchone()
     if version != SCHEMA or integrity != "ok":
-        raise sqlite3.DatabaseError("without a version" if version != SCHEMA else integrity)
+        why = integrity if version else "without a version"
+        raise sqlite3.DatabaseError(format_sentence("campaign.damaged_catalog", why=why))

@@ -290,7 +290,10 @@ def process_on_cluster(
         with _connect(address) as client:
             try:
                 if first_task.sheet.exists():
-                    client.run(check_worker, Path.cwd() / first_task.sheet, _VERSIONS)
+                    arguments = Path.cwd() / first_task.sheet, _VERSIONS
+                    answers = client.run(check_worker, *arguments, on_error="return")
+                    for error in filter(None, answers.values()):
+                        raise _convert_worker_error(error)
                 yield from _process_all(client, all_tasks, limit)
             except LabpipeError:
                 raise
@@ -299,10 +302,15 @@ def process_on_cluster(
                     "campaign.lost_scheduler", "--executor", address=address
                 ) from error
             except Exception as error:
-                kind, message = type(error).__name__, (str(error).splitlines() or [""])[0]
-                raise ProcessingError.about(
-                    "campaign.bad_cluster", "--executor", kind=kind, message=message
-                ) from error
+                raise _convert_worker_error(error) from error
+
+
+def _convert_worker_error(error: Exception) -> LabpipeError:
+    """Convert an error of a worker that cannot run labpipe; errors of labpipe remain."""
+    if isinstance(error, LabpipeError):
+        return error
+    kind, message = type(error).__name__, (str(error).splitlines() or [""])[0]
+    return ProcessingError.about("campaign.bad_cluster", "--executor", kind=kind, message=message)
 
 
 @contextmanager
@@ -342,10 +350,12 @@ def _process_all(client: Client, tasks: Iterator[Task], limit: float | None) -> 
     check_interval, worker_timeout = 5.0, 120.0  # s
     last_time_with_worker = time.monotonic()
     submitted: dict[Any, Task] = {}
-    while time.monotonic() - last_time_with_worker < worker_timeout:
+    while True:
         n_threads = sum(client.nthreads().values())
         if n_threads:
             last_time_with_worker = time.monotonic()
+        elif time.monotonic() - last_time_with_worker >= worker_timeout:
+            raise TimeoutError
         # No more tests are submitted than there are threads: when a worker dies, dask counts the
         # tests in its queue as failed.
         for task in islice(tasks, max(not submitted, n_threads - len(submitted))):
@@ -359,27 +369,24 @@ def _process_all(client: Client, tasks: Iterator[Task], limit: float | None) -> 
         for future in completed:
             task = submitted.pop(future)
             yield task, _fetch_outcome(task, future)
-    raise TimeoutError
 
 
 def _fetch_outcome(task: Task, future: Any) -> Outcome:
     """Return the outcome of a completed test, and record a failure if a worker failed."""
     from distributed import KilledWorker
 
-    try:
-        outcome = cast("Outcome", future.result())
-    except KilledWorker as error:
+    error = future.exception() if future.status == "error" else None
+    if isinstance(error, KilledWorker):
         times = error.allowed_failures + 1
-        died = ProcessingError.about("campaign.worker_died", task.sheet, times=times)
-        return _record_failure(task, died)
-    except ProcessingError as error:
+        error = ProcessingError.about("campaign.worker_died", task.sheet, times=times)
+    if isinstance(error, ProcessingError):
         return _record_failure(task, error)
-    except UsageError as error:
-        if error.code != "worker_without_data":
-            raise
-    else:
+    if error is None:
+        outcome = cast("Outcome", future.result())
         if isinstance(outcome, RefusedTest) or _can_read_results(outcome):
             return outcome
+    elif not isinstance(error, UsageError) or error.code != "worker_without_data":
+        raise _convert_worker_error(error) from error
     if not task.sheet.exists():
         return attempt(task)
     return _record_failure(task, UsageError.about("campaign.without_data", task.sheet))

@@ -130,6 +130,28 @@ def test_damaged_or_missing_catalog_is_rebuilt(campaign: LabCampaign, length: in
     assert campaign.stand_in.processed == []
 
 
+def test_a_catalog_of_an_earlier_labpipe_is_rebuilt(campaign: LabCampaign) -> None:
+    path = campaign.processed / "catalog.sqlite"
+    with closing(sqlite3.connect(path)) as connection:
+        connection.execute(f"pragma user_version = {SCHEMA - 1}")
+    notes = read_overview(campaign.folders).notes
+    message = "rebuilt from the files of the tests: it was made by an earlier labpipe"
+    assert [*notes] == [f"{path}: {message}"]
+
+
+def test_a_usable_catalog_is_opened_without_the_lock(
+    campaign: LabCampaign, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A report that is being written holds the lock for minutes, and a status must not wait."""
+    monkeypatch.setattr("labpipe.campaign.catalog.lock", None)
+    assert read_overview(campaign.folders).counts == {OK: 1}
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    notes = list[str]()
+    copy = open_catalog(campaign.processed, notes)
+    assert (copy.is_in_memory, notes, [*copy.read_rows()]) == (True, [], ["T1"])
+    copy.close()
+
+
 @pytest.mark.parametrize(
     ("statement", "message"),
     [

@@ -253,7 +253,7 @@ def _fit_without_prior(minima: Minima, index: int, choice: ParameterChoice) -> P
 
 
 def _compute_correlations(minima: Minima) -> Floats:
-    """Compute the correlations of the free parameters, shape (3, 3); NaN for alternatives."""
+    """Compute the correlations of the free parameters, shape (3, 3); NaN for others."""
     covariance, free = minima.lowest.uncertainty.covariance[:P, :P], minima.fit.problem.is_free
     errors = np.sqrt(np.diag(covariance))
     correlations = np.full((P, P), np.nan)
