@@ -41,7 +41,7 @@ CORNER_WIDTHS = (0.05, 0.25)
 MAX_CORNER_CUT = 5e-6
 """Largest distance by which a motion may round a corner, m."""
 MAX_CORNER_ERROR = 0.1
-"""Standard error above which a corner of the force is not used to align clocks, s."""
+"""Limit of the standard error of the time of a force corner that is used to align clocks, s."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,10 +100,10 @@ def find_motion_strokes(signal: Signal, settings: Branches) -> tuple[Motion, lis
 
     Returns
     -------
-    The motion with its strokes, and at most one finding. It blocks the curve, because there are no
-    strokes or noise hides them.
+    The motion with its strokes, and at most one finding, which blocks the curve. It reports that
+    there are no strokes, or that noise hides them.
     """
-    noise_factor = 5.0  # standard deviations that noise alone may reach
+    noise_factor = 5.0  # smallest allowed minimum stroke, in standard deviations of the noise
     time, values, min_stroke = signal.time, signal.values, settings.min_stroke
     noise = estimate_noise_level(values)
     if noise_factor * noise > min_stroke:
@@ -125,13 +125,13 @@ def find_motion_turns(motion: Motion, *, window: float) -> tuple[Turn, ...]:
     Parameters
     ----------
     motion : motion with its strokes
-    window : width of the fitted stretch on each side of a turn, s; limited to 95 % of the shorter
-        of the two strokes
+    window : width of the fitted stretch on each side of a turn, s; at most 95 % of the shorter of
+        the two strokes is fitted
 
     Returns
     -------
-    The turns in order. Turns without a clear corner are omitted, as are turns with more than 30 %
-    of the samples missing within 0.5 s.
+    The turns in order of time. Turns without a clear corner are omitted, as are turns around which
+    more than 30 % of the samples within 0.5 s are missing.
 
     Notes
     -----
@@ -139,9 +139,9 @@ def find_motion_turns(motion: Motion, *, window: float) -> tuple[Turn, ...]:
     turn, and one of 50 ms in some tests with five turns. A dwell of up to three samples is treated
     as a corner, unless the machine dwells at every turn or the dwell separates the strokes.
     """
-    # Both factors apply to the apparent dwell that noise causes. A dwell is real if its ratio to
-    # the apparent dwell is above the first factor. The machine dwells at every turn if the median
-    # ratio of at least three turns is above the second factor.
+    # Noise causes an apparent dwell. A fitted dwell is real if its ratio to the apparent dwell is
+    # above the first factor. The machine dwells at every turn if the median ratio of at least three
+    # turns is above the second factor.
     min_dwell_factor, min_median_factor, min_turns = 2.4, 1.5, 3
     min_dwell_samples, min_apparent_dwell = 3, 1e-6  # s
     signal, time = motion.signal, motion.signal.time
@@ -156,12 +156,12 @@ def find_motion_turns(motion: Motion, *, window: float) -> tuple[Turn, ...]:
         turn.dwell / max(apparent_dwell, min_apparent_dwell) if turn else 0.0
         for _, turn, apparent_dwell in candidates
     ]
-    dwells_everywhere = len(ratios) >= min_turns and median(np.array(ratios)) > min_median_factor
+    is_dwell_regular = len(ratios) >= min_turns and median(np.array(ratios)) > min_median_factor
     min_dwell = min_dwell_samples * compute_median_step(time)
     turns = []
     for sharp_turn, dwell_turn, apparent_dwell in candidates:
         limit = max(min_dwell_factor * apparent_dwell, min_dwell)
-        if dwell_turn and (not sharp_turn or dwells_everywhere or dwell_turn.dwell > limit):
+        if dwell_turn and (not sharp_turn or is_dwell_regular or dwell_turn.dwell > limit):
             turns.append(dwell_turn)
         elif sharp_turn:
             turns.append(sharp_turn)
@@ -178,7 +178,7 @@ def split_at_turns(motion: Motion) -> tuple[Branch, ...]:
 
 
 def orient_force(force: Signal) -> Signal:
-    """Reverse a force that falls in loading, so that its turns are peaks."""
+    """Reverse the sign of a force that falls in loading, so that its turns are peaks."""
     is_falling = turning_points.goes_down(force.values)
     return replace(force, values=-force.values) if is_falling else force
 
@@ -190,19 +190,19 @@ def _fit_turn(
 
     Parameters
     ----------
-    signal : motion
+    signal : channel of the motion
     stroke_index : index of the stroke that ends at the turn
-    turn_times : end of this stroke and start of the next one, s
+    turn_times : times of the end of this stroke and of the start of the next one, s
     window : width of the fitted stretch on each side, s
 
     Returns
     -------
-    One pair with the turn of one corner and the turn with a dwell, each None if it does not fit.
-    One corner is fitted only if the stroke ends where the next one begins. The list is empty if too
-    many samples are missing at the turn, or if one corner is fitted without success.
+    One pair with the turn of one corner and the turn with a dwell, each None if it is not found.
+    One corner is fitted only if the next stroke begins at the sample at which the stroke ends. The
+    list is empty if too many samples are missing at the turn, or if this fit fails.
     """
     half_width, max_missing_fraction = 0.5, 0.3  # s, on each side of a turn; of the samples there
-    assumed_dwell = 0.2  # s, first guess if the stroke ends where the next one begins
+    assumed_dwell = 0.2  # s, first guess if the next stroke begins at once
     for turn_time in turn_times:
         values_at_turn = signal.values[np.abs(signal.time - turn_time) <= half_width]
         if not np.isnan(values_at_turn).mean() <= max_missing_fraction:
@@ -221,8 +221,8 @@ def _fit_turn(
 def _estimate_apparent_dwell(signal: Signal, turn: Turn) -> float:
     """Estimate the apparent dwell that noise causes at a corner, s.
 
-    The mean of n samples has the error noise / sqrt(n). A dwell lowers the mean around a corner by
-    a quarter of the dwell times the speed. Both are equal for a dwell of
+    The mean of the n = rate dwell samples around a corner has the error noise / sqrt(n), and a
+    dwell changes this mean by speed dwell / 4. The error and the change are equal for a dwell of
     (16 noise^2 / (speed^2 rate))^(1/3), which is the apparent dwell.
     """
     speed = float(np.min(np.abs(_measure_speeds(signal, turn))))
@@ -230,19 +230,20 @@ def _estimate_apparent_dwell(signal: Signal, turn: Turn) -> float:
     return float(np.cbrt(16.0 * noise**2 * step / speed**2)) if speed > 0.0 else 0.0
 
 
-def check_turns(motion: Motion, *, for_clock: bool = True) -> Iterator[Finding]:
+def check_turns(motion: Motion, *, is_clock_fitted: bool = True) -> Iterator[Finding]:
     """Report turns that were not recorded, or that are rounded.
 
     Parameters
     ----------
     motion : motion with its turns
-    for_clock : whether the clocks were aligned at these turns, so that the clock is also doubtful
+    is_clock_fitted : whether the clocks were aligned at these turns; the findings then also mark
+        the clock as doubtful
     """
-    signal, found_indices = motion.signal, {turn.stroke_index for turn in motion.turns}
+    signal, fitted_indices = motion.signal, {turn.stroke_index for turn in motion.turns}
     recorded_times = signal.time[~np.isnan(signal.values)]
-    quantities = ("displacement", "force", *(("clock",) if for_clock else ()))
+    quantities = ("displacement", "force", *(("clock",) if is_clock_fitted else ()))
     for index, stroke in enumerate(motion.strokes[:-1]):
-        if index not in found_indices:
+        if index not in fitted_indices:
             time = float(signal.time[stroke.stop])
             start = max(recorded_times[recorded_times < time][-1:], default=time)
             stop = min(recorded_times[recorded_times > time][:1], default=time)
@@ -253,22 +254,24 @@ def check_turns(motion: Motion, *, for_clock: bool = True) -> Iterator[Finding]:
         finding = _find_rounded_corner(signal, turn)
         if finding is not None:
             yield finding
-            if for_clock:
+            if is_clock_fitted:
                 yield Finding(finding.note, (Doubt("clock", finding.doubts[0].reason),))
 
 
 def _find_rounded_corner(signal: Signal, turn: Turn) -> Finding | None:
-    """Find the deviation of a turn from straight lines; None if noise explains it."""
-    noise_factor = 6.0  # standard errors of the mean deviation, and of its variance
+    """Report a turn that deviates from straight lines; None if noise explains the deviation."""
+    noise_factor = 6.0  # standard errors of the mean of the deviations, and of their variance
     noise, speeds = estimate_noise_level(signal.values), _measure_speeds(signal, turn)
-    after_arrival = signal.time - turn.arrival.time
-    after_departure = signal.time - turn.departure.time
-    line_before = speeds[0] * np.minimum(after_arrival, 0.0)
-    line_after = speeds[1] * np.maximum(after_departure, 0.0)
+    time_from_arrival = signal.time - turn.arrival.time
+    time_from_departure = signal.time - turn.departure.time
+    line_before = speeds[0] * np.minimum(time_from_arrival, 0.0)
+    line_after = speeds[1] * np.maximum(time_from_departure, 0.0)
     deviations = signal.values - turn.arrival.value - (line_before + line_after)
     for width in CORNER_WIDTHS:
         deviations_at_turn = deviations[
-            (after_arrival >= -width) & (after_departure <= width) & ~np.isnan(signal.values)
+            (time_from_arrival >= -width)
+            & (time_from_departure <= width)
+            & ~np.isnan(signal.values)
         ]
         if not len(deviations_at_turn):
             continue
@@ -323,8 +326,8 @@ def match_strokes(
     -------
     pairs : index of the stroke that ends at the turn, and rough time of the peak (s), of each pair
     is_ambiguous : whether another pairing fits as well, or may fit because a record does not
-        contain the whole test
-    peak_counts : text with the numbers of peaks of both records
+        contain the whole test and the lag is longer than half a cycle
+    peak_counts : text with the numbers of peaks of the motion and of the force
     """
     time = motion.signal.time
     turn_times = {
@@ -362,7 +365,7 @@ def _begins_and_ends_at_rest(signal: Signal) -> bool:
 def find_turn_events(
     force: Signal, pairs: list[tuple[int, float]], motion: Motion, window: float
 ) -> Floats:
-    """Find the corners of a force at the turns of a motion that are paired with its peaks.
+    """Find the events at which a motion turns and its force has a corner.
 
     Parameters
     ----------
@@ -374,15 +377,15 @@ def find_turn_events(
     Returns
     -------
     Shape (4, events), s. The rows are the times on the clocks of motion and force, the standard
-    error of their difference, and its component from the unknown shape of the force after the
-    corner. This component is common to all events of a specimen and does not average out.
+    error of their difference, and the error of the difference from the unknown shape of the force
+    after the corner. The last error is common to all events of a specimen and does not average out.
 
     Notes
     -----
-    A corner of the force with an error of 0.1 s or more is left out. With a dwell, both corners of
-    the force give one event, because their distance is known from the motion. If the dwell is not
-    longer than two windows, they are fitted together, so that they cannot be confused; otherwise
-    they are fitted separately.
+    A corner of the force with a standard error of 0.1 s or more is left out. With a dwell, both
+    corners of the force give one event, because their distance is known from the motion. If the
+    dwell is longer than two windows, the corners are fitted separately. Otherwise they are fitted
+    together, because separate fits may confuse them.
     """
     turns = {turn.stroke_index: turn for turn in motion.turns}
     corners_by_turn = (
@@ -398,22 +401,22 @@ def _fit_corners(force: Signal, turn: Turn, rough_time: float, window: float) ->
     """Fit the corners of a force at a turn of the motion, shape (corners, 5), s.
 
     The columns are the times on the clocks of motion and force, their standard errors, and the
-    component of the latter error from the unknown shape of the force. A dwell longer than two
-    windows has two rows, one for each of its corners.
+    error of the force time from the unknown shape of the force. A dwell longer than two windows has
+    two rows, one for each of its corners.
     """
     search_reach = 1.0  # s, on each side of the rough turn of the force
     arrival, departure, dwell = turn.arrival, turn.departure, turn.dwell
     reach = dwell + search_reach  # because the rough turn may be at either corner
-    first_corner = turning_points.find_turn_near(
+    first_corner_time = turning_points.find_turn_near(
         force.time, force.values, middle=rough_time, reach=reach, width=window, dwell=dwell
     )
-    if first_corner is None:
+    if first_corner_time is None:
         return np.zeros((0, 5))
     max_error = max(arrival.time_error, departure.time_error)
-    guesses = [(arrival.time, max_error, first_corner, dwell)]
+    guesses = [(arrival.time, max_error, first_corner_time, dwell)]
     if dwell > 2.0 * window:
-        guesses = [(arrival.time, arrival.time_error, first_corner, 0.0)]
-        guesses.append((departure.time, departure.time_error, first_corner + dwell, 0.0))
+        guesses = [(arrival.time, arrival.time_error, first_corner_time, 0.0)]
+        guesses.append((departure.time, departure.time_error, first_corner_time + dwell, 0.0))
     rows = []
     for time, error, guess, fitted_dwell in guesses:
         record = force.time, force.values
@@ -424,11 +427,11 @@ def _fit_corners(force: Signal, turn: Turn, rough_time: float, window: float) ->
 
 
 def _average_corners(corners: Floats) -> list[float]:
-    """Average the corners of a turn, weighted by their errors, to an event (4 values, s)."""
+    """Average the corners of a turn, weighted by their errors, to one event of 4 values, s."""
     lags, lag_errors = corners[:, 1] - corners[:, 0], np.hypot(corners[:, 2], corners[:, 3])
     weights = lag_errors**-2.0 / (lag_errors**-2.0).sum()
-    scatter = max(1.0, float(np.ptp(lags)) / float(np.linalg.norm(lag_errors)))
-    errors = scatter * np.sqrt(weights**2 @ corners[:, 2:4] ** 2)
+    error_factor = max(1.0, float(np.ptp(lags)) / float(np.linalg.norm(lag_errors)))
+    errors = error_factor * np.sqrt(weights**2 @ corners[:, 2:4] ** 2)
     mean = weights @ corners
     return [float(mean[0]), float(mean[1]), float(np.hypot(*errors)), float(mean[4])]
 
@@ -446,15 +449,20 @@ def align_clocks(
 
     Returns
     -------
-    fit : relation of the clocks; None if there is one clock only, or if the fit fails
-    motion : motion with its turns; unchanged if there is one clock only
+    fit : relation of the clocks; None if nothing is aligned, or if the fit fails
+    motion : motion with its turns; unchanged if nothing is aligned
     findings : findings of the fit and of the turns
+
+    Notes
+    -----
+    Nothing is aligned without strokes, with the method ``none``, or if force and displacement have
+    one clock and the method is not ``turning-points``.
     """
     if not motion.strokes or isinstance(align, schema.AlignNone):
         return None, motion, []
     force = signals.raw[align.channel or signals.force]
-    is_by_turns = isinstance(align, schema.AlignTurningPoints)
-    if not is_by_turns and force.clock == signals.raw[signals.displacement].clock:
+    uses_turns = isinstance(align, schema.AlignTurningPoints)
+    if not uses_turns and force.clock == signals.raw[signals.displacement].clock:
         return None, motion, []
     motion = replace(motion, turns=find_motion_turns(motion, window=align.motion_window))
     fit: ClockFit | None
@@ -464,8 +472,8 @@ def align_clocks(
         fit, findings = fit_common_start(force, align, motion)
     else:
         fit, findings = fit_turning_points(force, align, motion)
-    for_clock = not isinstance(align, schema.AlignStated)
-    return fit, motion, [*findings, *check_turns(motion, for_clock=for_clock)]
+    is_clock_fitted = not isinstance(align, schema.AlignStated)
+    return fit, motion, [*findings, *check_turns(motion, is_clock_fitted=is_clock_fitted)]
 
 
 def fit_turning_points(
@@ -481,8 +489,8 @@ def fit_turning_points(
 
     Returns
     -------
-    The fit and the findings. The fit is None if the force is constant or no peak is common to both
-    records; a finding then blocks the curve.
+    The fit and the findings. The fit is None if the force is constant or no corner is common to
+    both records; a finding then blocks the curve.
 
     Notes
     -----
@@ -523,7 +531,7 @@ def _measure_repeat(motion: Motion, force: Signal, fit: ClockFit) -> Repeat | No
     The first cycle is not used, because it deforms the specimen for the first time. The result is
     None if there are fewer than three cycles or a lag cannot be fitted.
     """
-    trim = 1.0  # s, omitted at both ends of a cycle
+    trim, n_means = 1.0, 50_000  # s, omitted at both ends of a cycle; least number of force means
     travel = motion.signal
     turn_times = {turn.stroke_index: turn.middle_time for turn in motion.turns}
     cycles = [
@@ -540,21 +548,24 @@ def _measure_repeat(motion: Motion, force: Signal, fit: ClockFit) -> Repeat | No
     start, turn, stop = cycle = cycles[1]
     guess = cycles[-1][1] - turn
     lag = clock_alignment.fit_lag(travel.time, travel.values, cycle, guess=guess, hysteresis=False)
-    cycle = fit.to_force_time(start), fit.to_force_time(turn), fit.to_force_time(stop)
-    guess = guess * (1.0 + fit.drift)
-    fit_force = partial(clock_alignment.fit_lag, cycle=cycle, guess=guess, hysteresis=True)
+    fit_force = partial(
+        clock_alignment.fit_lag,
+        cycle=(fit.to_force_time(start), fit.to_force_time(turn), fit.to_force_time(stop)),
+        guess=guess * (1.0 + fit.drift),
+        hysteresis=True,
+    )
     force_lag = fit_force(force.time, force.values)
     if isinstance(lag, Failure) or isinstance(force_lag, Failure):
         return None
     drift = force.zero_drift * float(np.nanmax(np.abs(force.values)))
-    time, values = (
-        average_blocks(x, 50_000, has_remainder=False) for x in (force.time, force.values)
-    )
+    time = average_blocks(force.time, n_means, has_remainder=False)
+    values = average_blocks(force.values, n_means, has_remainder=False)
     drift_modes = compute_drift_modes(time - time[0], drift)
     modes = [np.zeros(1), *drift_modes] if drift_modes else []
-    fits = [fit_force(time, values + mode) for mode in modes]
-    lags = [x.value for x in fits if not isinstance(x, Failure)]
-    drift_error = float(np.linalg.norm(np.subtract(lags[1:], lags[0]))) if lags else 0.0
+    mode_fits = [fit_force(time, values + mode) for mode in modes]
+    mode_lags = [x.value for x in mode_fits if not isinstance(x, Failure)]
+    lag_changes = np.subtract(mode_lags[1:], mode_lags[0]) if mode_lags else np.zeros(0)
+    drift_error = float(np.linalg.norm(lag_changes))
     error = float(np.hypot(lag.error, force_lag.error))
     return Repeat(lag.value, force_lag.value, error, drift_error)
 
@@ -577,8 +588,8 @@ def _has_relaxation(force: Signal, motion: Motion, fit: ClockFit) -> bool:
 
 
 def _select_repeat(repeat: Repeat | None, fit: ClockFit) -> tuple[Repeat | None, list[Finding]]:
-    """Select the lag of the repeated cycle, or report that the turning points contradict it."""
-    max_lag_difference = 4.0  # standard errors
+    """Return the lag of the repeated cycle, or report that it contradicts the turning points."""
+    max_lag_difference = 4.0  # in standard errors
     if repeat is None:
         return None, []
     lag, expected = repeat.force, (1.0 + fit.drift) * repeat.motion
@@ -589,13 +600,15 @@ def _select_repeat(repeat: Repeat | None, fit: ClockFit) -> tuple[Repeat | None,
 
 
 def _fit_events(events: Floats, repeat: Repeat | None) -> ClockFit:
-    """Fit the relation of the clocks to events and, if there is one, to the repeated cycle."""
-    motion, force, errors, shape_errors = events
-    # The error from shape is common to all events but one, so that it must not average out.
+    """Fit the relation of the clocks to events and to the lag of a repeated cycle, if any."""
+    motion_times, force_times, errors, shape_errors = events
+    # The error from the shape of the force is common to the events and must not average out.
     errors = np.hypot(errors, sqrt(len(errors) - 1) * shape_errors)
     method = "turning points: lines through the travel, smooth pieces of the force"
     method = method if repeat is None else f"{method}; lag of the repeated cycle"
-    return clock_alignment.fit_clocks(motion, force, errors, method=method, repeat=repeat)
+    return clock_alignment.fit_clocks(
+        motion_times, force_times, errors, method=method, repeat=repeat
+    )
 
 
 def _check_fit(fit: ClockFit, align: schema.AlignTurningPoints) -> Iterator[Finding]:
@@ -603,8 +616,8 @@ def _check_fit(fit: ClockFit, align: schema.AlignTurningPoints) -> Iterator[Find
     # The rms residual may be this multiple of the rms error of the turning points, because noise at
     # the turns only widens the interval of the offset.
     residual_factor = 2.0
-    allowed_by_noise = residual_factor * float(np.sqrt(np.mean(fit.event_errors**2)))
-    if fit.residual > max(align.max_residual, allowed_by_noise):
+    noise_limit = residual_factor * float(np.sqrt(np.mean(fit.event_errors**2)))
+    if fit.residual > max(align.max_residual, noise_limit):
         facts: dict[str, Any] = {
             "residual": 1e3 * fit.residual,
             "allowed": 1e3 * align.max_residual,
@@ -612,7 +625,7 @@ def _check_fit(fit: ClockFit, align: schema.AlignTurningPoints) -> Iterator[Find
         yield Finding.of("process.alignment_residual", "align", "clock", **facts)
     half_width = 0.5 * (fit.drift_interval.upper - fit.drift_interval.lower)
     if abs(fit.drift) - half_width > align.max_drift:
-        # Clocks are accurate to parts per million. These may be recordings of two tests.
+        # The drift of clocks is a few parts per million. These may be recordings of two tests.
         facts = {"drift": 1e6 * fit.drift, "allowed": 1e6 * align.max_drift}
         facts |= {"half_width": 1e6 * half_width}
         quantities = "clock", "displacement", "force"
@@ -634,8 +647,8 @@ def make_stated_fit(
 
     Returns
     -------
-    The relation, with the stated offset as its only event, and the findings, which are a note and a
-    doubt if the peaks of the force are not at the turns.
+    The relation, with the stated offset as its only event, and the findings. They are a note on the
+    offset and, if the peaks of the force are not at the turns, a doubt.
 
     Notes
     -----
@@ -649,20 +662,20 @@ def make_stated_fit(
         error = max(compute_median_step(signal.time) for signal in (motion.signal, force))
         error_basis = " (one sample, as none is stated)"
     events = np.array([[0.0], [align.offset], [error]])
-    drift, method = (align.drift, max_rate_difference / sqrt(3.0)), f"stated: {align.because}"
-    fit = make_clock_fit((align.offset, error), drift, events, method)
+    drift_error, method = max_rate_difference / sqrt(3.0), f"stated: {align.because}"
+    fit = make_clock_fit((align.offset, error), (align.drift, drift_error), events, method)
     facts: dict[str, Any] = {"error": error, "ppm": 1e6 * align.drift, "basis": error_basis}
-    note = Finding.of("process.clocks_stated", "align", align=align, **facts)
-    return fit, [note, *_check_stated_offset(force, fit, motion)]
+    finding = Finding.of("process.clocks_stated", "align", align=align, **facts)
+    return fit, [finding, *_check_stated_offset(force, fit, motion)]
 
 
 def _check_stated_offset(force: Signal, fit: ClockFit, motion: Motion) -> Iterator[Finding]:
     """Report a stated offset with which the force peaks long before or after the motion turns."""
-    max_peak_lag, lag_error_factor = 1.0, 3.0  # s; standard errors of the stated offset
+    max_peak_lag, lag_error_factor = 1.0, 3.0  # s, plus this many standard errors of the offset
     force, time = orient_force(force), motion.signal.time
     peak_times = _find_peak_times(force)
     lags = []
-    for stroke, next_stroke in [*pairwise(motion.strokes)][::2]:  # a loading and its unloading
+    for stroke, next_stroke in [*pairwise(motion.strokes)][::2]:  # each loading with its unloading
         start, stop = fit.to_force_time(time[[stroke.stop, next_stroke.start]]).tolist()
         if len(peak_times) and force.time[0] <= start and stop <= force.time[-1]:
             distance = float(np.abs(peak_times - 0.5 * (start + stop)).min())
@@ -702,16 +715,16 @@ def fit_common_start(
     lags, weights = events[1] - events[0], events[2] ** -2.0
     lag = float(np.average(lags, weights=weights)) if len(lags) else 0.0
     lag_error = float(weights.sum() ** -0.5) if len(lags) else 0.0
-    started_together = abs(lag) - 1.96 * lag_error <= align.max_offset
-    fit = _fit_common_start_clock(events, align, started_together)
+    has_common_start = abs(lag) - 1.96 * lag_error <= align.max_offset
+    fit = _fit_common_start_clock(events, align, has_common_start)
     facts: dict[str, Any] = {"channel": align.channel, "max_lag": 1e3 * align.max_offset}
     if not len(lags):
         return fit, [*findings, Finding.of("process.start_unchecked", "align", **facts)]
     facts |= {"lag": 1e3 * lag, "half_width": 1.96e3 * lag_error, "offset": 1e3 * fit.offset}
-    if started_together:
+    if has_common_start:
         return fit, [*findings, Finding.of("process.common_start", "align", **facts)]
-    note = Finding.of("process.not_started_together", "align", "clock", "force", **facts)
-    return fit, [*findings, note]
+    finding = Finding.of("process.not_started_together", "align", "clock", "force", **facts)
+    return fit, [*findings, finding]
 
 
 def _match_rough_turns(
@@ -726,20 +739,22 @@ def _match_rough_turns(
 
 
 def _fit_common_start_clock(
-    events: Floats, align: schema.AlignCommonStart, started_together: bool
+    events: Floats, align: schema.AlignCommonStart, has_common_start: bool
 ) -> ClockFit:
-    """Fit offset and drift to the bounds of the protocol and to events, shape (3, events), s."""
-    motion, force, errors = events
-    start_error, drift_error = align.max_offset / sqrt(3.0), align.max_drift / sqrt(3.0)
-    bounds = np.array([[0.0, 1.0, drift_error], [1.0, 0.0, start_error]])[: 1 + started_together]
-    design = np.vstack([np.column_stack([np.ones_like(motion), motion]), bounds[:, :2]])
-    differences, deviations = np.append(force - motion, 0.0 * bounds[:, 2]), bounds[:, 2]
-    deviations = np.append(errors, deviations)
-    (offset, drift), covariance = solve_weighted(design, differences, deviations)
+    """Fit offset and drift to events, shape (3, events), s, and to the bounds of the protocol."""
+    motion_times, force_times, event_errors = events
+    n_bounds = 1 + has_common_start
+    start_error = align.max_offset / sqrt(3.0)
+    bound_errors = np.array([align.max_drift / sqrt(3.0), start_error])[:n_bounds]
+    bound_rows = np.array([[0.0, 1.0], [1.0, 0.0]])[:n_bounds]  # drift = 0, and offset = 0
+    event_rows = np.column_stack([np.ones_like(motion_times), motion_times])
+    design, errors = np.vstack([event_rows, bound_rows]), np.append(event_errors, bound_errors)
+    differences = np.append(force_times - motion_times, np.zeros(n_bounds))
+    (offset, drift), covariance = solve_weighted(design, differences, errors)
     offset_error, drift_error = np.sqrt(np.diag(covariance)).tolist()
-    if not len(errors):  # the common start is the only event
+    if not len(event_errors):  # the common start is the only event
         events = np.array([[0.0], [0.0], [start_error]])
     basis = "the force's corner at the turn"
-    basis = f"common start and {basis}" if started_together else f"{basis} alone"
+    basis = f"common start and {basis}" if has_common_start else f"{basis} alone"
     method = f"{basis}, drift taken as zero within a bound"
     return make_clock_fit((offset, offset_error), (drift, drift_error), events, method)
