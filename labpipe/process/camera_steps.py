@@ -115,14 +115,18 @@ def repair_marker_tracks(
             raise ValueError(format_sentence("process.few_rings", **facts))
         repaired = compute_ring_centres(repaired, rings)
     findings += [*body_findings, *_make_shape_findings(repaired.notes, take.role)]
-    take = replace(take, clamp_positions=clamp_path, repaired=repaired)
+    take = replace(take, clamp_positions=clamp_path, repaired_tracks=repaired)
     return replace(prepared, take=take), findings
 
 
 def find_specimen_axes(prepared: PreparedTest, step: declarations.SpecimenFrame) -> StepOutcome:
     """Run ``specimen-frame``: find the specimen axes, and add the signal ``travel`` of a clamp."""
     take, findings, signals = prepared.take, list[Finding](), prepared.signals
-    tracks, positions, role = _require(take.tracks), _require(take.repaired).positions, take.role
+    tracks, positions, role = (
+        _require(take.tracks),
+        _require(take.repaired_tracks).positions,
+        take.role,
+    )
     is_at_rest = np.asarray(tracks.time <= tracks.time[0] + step.over)
     clamp_path, limit = take.clamp_positions, step.max_out_of_plane
     find_frame = partial(find_specimen_frame, clamp_path, positions, plane_limit=limit)
@@ -162,7 +166,7 @@ def fit_specimen_shapes(
     """Run ``fit-shape``: fit the shape, and add the signal ``deflection`` if there is a clamp."""
     misfit_factor, misfit_offset = 3.0, 1e-2  # multiple of the rms deviation at rest; mm
     take, signals, role = prepared.take, prepared.signals, prepared.take.role
-    tracks, repaired = _require(take.tracks), _require(take.repaired)
+    tracks, repaired = _require(take.tracks), _require(take.repaired_tracks)
     frame, is_at_rest = _require(take.frame), _require(take.is_at_rest)
     order, grip_error = list(frame.marker_order), settings.offset_uncertainty
     has_clamp = take.clamp_positions is not None
@@ -321,7 +325,7 @@ def fit_three_point_shape(
     """
     bent_fraction, min_rest_frames = 0.5, 4  # of the largest deflection; for the variance at rest
     take = prepared.take
-    time, repaired = _require(take.tracks).time, _require(take.repaired)
+    time, repaired = _require(take.tracks).time, _require(take.repaired_tracks)
     if span is None:
         return _reject_span(prepared, Failure.of("process.no_span"))
     is_at_rest = np.asarray(time <= time[0] + step.over)

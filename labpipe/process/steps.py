@@ -1,6 +1,6 @@
 """Calibrate the channels of recordings, check them, and run the steps of a protocol.
 
-The zero of a signal is its level at rest, with the standard error of that level.
+The zero of a signal is the level at rest that is subtracted from it. It has a standard error.
 
 References
 ----------
@@ -84,17 +84,18 @@ class Take:
     tracks : tracks of all markers and rigid bodies; None for a test without cameras
     role : role of the recording in the protocol
     clamp_positions : shape (frames, 3), m, pivot of the clamp as exported; None without a clamp
-    repaired : repaired tracks of the markers along the specimen; None before that step
-    frame : coordinate frame of the specimen; None before that step
+    repaired_tracks : repaired tracks of the markers along the specimen; None before the step
+        ``repair-markers``
+    frame : coordinate frame of the specimen; None before the step ``specimen-frame``
     is_at_rest : shape (frames,), whether the specimen is at rest in a camera frame; the specimen
-        frame is found from these camera frames. None before that step
+        frame is found from these camera frames. None before the step ``specimen-frame``
     scale_uncertainty : relative standard uncertainty of the scale of the cameras
     """
 
     tracks: MarkerTracks | None = None
     role: str = "markers"
     clamp_positions: Floats | None = None
-    repaired: RepairedTracks | None = None
+    repaired_tracks: RepairedTracks | None = None
     frame: SpecimenFrame | None = None
     is_at_rest: Flags | None = None
     scale_uncertainty: float = 0.0
@@ -125,7 +126,7 @@ class PreparedTest:
 def calibrate(
     recordings: Mapping[str, Recording], protocol: Protocol
 ) -> tuple[PreparedTest, list[Finding]]:
-    """Calibrate the channels of all recordings, and check their clocks, sizes and samples.
+    """Calibrate the channels of all recordings, and check their clocks, magnitudes and samples.
 
     Parameters
     ----------
@@ -156,8 +157,8 @@ def calibrate(
         for note in recording.notes:
             located_note = replace(note, where=f"{role}: {note.where}" if note.where else role)
             is_of_force = note.code == "columns_disagree" and note.where == force_path
-            doubted = doubt_stretches("force", located_note, "")
-            findings.append(doubted if is_of_force else Finding(located_note))
+            force_finding = doubt_stretches("force", located_note, "")
+            findings.append(force_finding if is_of_force else Finding(located_note))
         if recording.markers is not None:
             _check_clock(recording.markers.time, role, min_samples=min_frames)
             tracks = recording.markers
@@ -230,14 +231,14 @@ def _check_magnitude(values: Floats, kind: str, role: str, source: str) -> None:
     largest = max(float(np.nanmax(values, initial=0.0)), -float(np.nanmin(values, initial=0.0)))
     if not largest > MAX_SI_VALUE[kind]:
         return
-    sizes = np.nan_to_num(np.abs(values)).reshape(len(values), -1).max(axis=1)
-    place, limit = f"{source}, sample {int(np.argmax(sizes)) + 1}", MAX_SI_VALUE[kind]
+    magnitudes = np.nan_to_num(np.abs(values)).reshape(len(values), -1).max(axis=1)
+    place, limit = f"{source}, sample {int(np.argmax(magnitudes)) + 1}", MAX_SI_VALUE[kind]
     raise ProcessingError.about("process.number_too_large", role, place, limit=limit, found=largest)
 
 
 def _check_missing(name: str, signal: Signal, quantity: str) -> list[Finding]:
-    """Report missing samples, and mark their times as doubtful, except a few at both ends."""
-    max_end_fraction = 0.02  # of the samples of a channel, at both ends together
+    """Report missing samples, and mark their times as doubtful, except for a few at the ends."""
+    max_end_fraction = 0.02  # missing samples at both ends together, over all samples
     is_missing = np.isnan(signal.values)
     if not is_missing.any():
         return []
@@ -272,11 +273,12 @@ def check_channels(signals: Signals, protocol: Protocol) -> Iterator[Finding]:
     protocol : protocol with the channels that separate the branches and align the clocks
     """
     quantities = {} if protocol.curve is None else signals.quantities
-    counterparts = dict(zip(quantities, reversed(quantities), strict=True))  # of force and motion
+    # The counterpart of the force is the displacement, and vice versa.
+    counterparts = dict(zip(quantities, reversed(quantities), strict=True))
     for name, signal in signals.raw.items():
-        pair = signals.raw.get(counterparts.get(name, ""))
-        pair_values = pair.values if pair is not None and pair.clock == signal.clock else None
-        runs = find_stuck_runs(signal.time, signal.values, pair_values)
+        other = signals.raw.get(counterparts.get(name, ""))
+        other_values = None if other is None or other.clock != signal.clock else other.values
+        runs = find_stuck_runs(signal.time, signal.values, other_values)
         quantity = quantities.get(name, name)
         saturated_runs = [run for run in runs if run.is_clipped]
         if saturated_runs:
@@ -340,19 +342,20 @@ def compute_travel_from_speed(
     Notes
     -----
     The motion turns at the corner of the force, and the loading began stroke / speed before it. In
-    appendix A.6 of [1]_ it began 58.8 s before the largest force. In the perturbed signals the turn
-    is later by its standard error, or the speed is higher by its standard uncertainty.
+    appendix A.6 of [1]_ the loading began 58.8 s before the largest force. In one perturbed signal
+    the turn is later by its standard error. In the other, the speed is higher by its standard
+    uncertainty.
     """
     if rig.crosshead_speed is None or rig.stroke is None:
         raise ValueError(format_sentence("process.speed_needs_rig"))
     force, duration = orient_force(signals.raw[step.force]), rig.stroke / rig.crosshead_speed
     corner = _fit_reversal_corner(force, step)
-    start, speed = corner.time - duration, rig.crosshead_speed
+    loading_start, speed = corner.time - duration, rig.crosshead_speed
     time = np.arange(force.time[0], force.time[-1], 1.0 / step.rate)
 
     def compute_travel(delay: float) -> Floats:
-        """Return the displacement, m, with a delayed loading; 0 before it and after the return."""
-        loading_time = np.clip(time - start - delay, 0.0, duration)
+        """Return the displacement, m, of a motion that begins and turns later by a delay, s."""
+        loading_time = np.clip(time - loading_start - delay, 0.0, duration)
         unloading_time = np.clip(time - corner.time - delay, 0.0, duration)
         return np.asarray(speed * (loading_time - unloading_time), dtype=np.float64)
 
@@ -365,8 +368,9 @@ def compute_travel_from_speed(
     facts: dict[str, Any] = {"speed": 1e3 * speed, "duration": duration}
     facts |= {"time": corner.time, "error": 1e3 * time_error}
     findings = [Finding.of("process.displacement_from_speed", step.channel, **facts)]
-    missed_time = float(force.time[0]) - start
-    half_width = 2.0 * float(np.hypot(time_error, step.speed_uncertainty * duration))
+    missed_time = float(force.time[0]) - loading_start
+    coverage_factor = 2.0  # of the interval of the start of the loading
+    half_width = coverage_factor * float(np.hypot(time_error, step.speed_uncertainty * duration))
     if missed_time > half_width:
         facts = {"missed_time": missed_time, "half_width": half_width}
         findings.append(Finding.of("process.start_missed", "force", "force", **facts))
@@ -395,7 +399,7 @@ def _fit_reversal_corner(force: Signal, step: declarations.TravelFromSpeed) -> C
 def run_step(
     prepared: PreparedTest, step: declarations.Step, protocol: Protocol
 ) -> tuple[PreparedTest, list[Finding]]:
-    """Run one step.
+    """Run one step of a protocol.
 
     Parameters
     ----------
@@ -455,26 +459,26 @@ def zero_signal(signals: Signals, step: declarations.Zero) -> tuple[Signals, lis
     name, is_at_start = step.channel, step.at == "start"
     signal = signals.filtered[name]
     _require_time(signal, name, "a stretch in s")
-    time, last = signal.time, len(signal.time)
+    time, first, stop = signal.time, 0, len(signal.time)
     if is_at_start:
-        stop = int(np.searchsorted(time, time[0] + step.over, side="right"))
-        first, last = 0, min(max(stop, MIN_ZERO_SAMPLES_NOISE_KNOWN), last)
+        n_samples = int(np.searchsorted(time, time[0] + step.over, side="right"))
+        stop = min(max(n_samples, MIN_ZERO_SAMPLES_NOISE_KNOWN), stop)
     else:
         start_sample = int(np.searchsorted(time, time[-1] - step.over))
-        first = max(min(start_sample, last - MIN_ZERO_SAMPLES_NOISE_KNOWN), 0)
-    duration = max(step.over, float(time[last - 1] - time[first]))
-    start = float(time[0] if is_at_start else time[-1] - duration)
-    values = drop_missing(signal.values[first:last])
-    other_values = signal.values[last:] if is_at_start else signal.values[:first]
-    min_samples = count_required_samples(other_values)
+        first = max(min(start_sample, stop - MIN_ZERO_SAMPLES_NOISE_KNOWN), 0)
+    duration = max(step.over, float(time[stop - 1] - time[first]))
+    start_time = float(time[0] if is_at_start else time[-1] - duration)
+    values = drop_missing(signal.values[first:stop])
+    other_values = signal.values[stop:] if is_at_start else signal.values[:first]
+    min_samples = compute_min_zero_samples(other_values)
     if len(values) < min_samples:
         time_step = compute_median_step(time)
         facts: dict[str, Any] = {"needed": min_samples, "rate": 1.0 / time_step}
         facts |= {"channel": name, "count": len(values), "duration": duration}
-        min_duration = f"{(min_samples + 0.5) * time_step:.2g} s"
-        remedy = f"Write {format_overrides(f'{step.key}.over', min_duration)}."
+        duration_text = f"{(min_samples + 0.5) * time_step:.2g} s"
+        remedy = f"Write {format_overrides(f'{step.key}.over', duration_text)}."
         raise ValueError(format_sentence("process.short_stretch", **facts), remedy)
-    stretch = {name: (start, start + duration)}
+    stretch = {name: (start_time, start_time + duration)}
     if step.by == "mean":
         signals = replace(signals, zero_stretches={**signals.zero_stretches, **stretch})
         level, error = average_level(values, other_values)
@@ -482,8 +486,8 @@ def zero_signal(signals: Signals, step: declarations.Zero) -> tuple[Signals, lis
     else:
         stretches = {**signals.moving_zero_stretches, **stretch}
         signals = replace(signals, moving_zero_stretches=stretches)
-        outermost_first = slice(None, None, 1 if is_at_start else -1)
-        level, error, n_rest = estimate_level_before_motion(values[outermost_first], other_values)
+        values_from_end = values if is_at_start else values[::-1]
+        level, error, n_rest = estimate_level_before_motion(values_from_end, other_values)
         method = f"the outer end of a line over {duration:.4g} s"
         if n_rest:
             rest_duration = duration * n_rest / len(values)
@@ -491,8 +495,8 @@ def zero_signal(signals: Signals, step: declarations.Zero) -> tuple[Signals, lis
     facts = {"level": round(level, 12), "unit": signal.unit, "method": method}
     facts |= {"end": step.at, "count": len(values)}
     is_short = len(values) < MIN_ZERO_SAMPLES_NOISE_UNKNOWN
-    note = Finding.of("process.zeroed_on_few" if is_short else "process.zeroed", name, **facts)
-    return signals.subtract_level(name, level, error), [note]
+    message = "process.zeroed_on_few" if is_short else "process.zeroed"
+    return signals.subtract_level(name, level, error), [Finding.of(message, name, **facts)]
 
 
 def _require_time(signal: Signal, name: str, setting: str) -> None:
@@ -549,8 +553,8 @@ def _convert_span(span: declarations.Span, signal: Signal, protocol: Protocol) -
     return convert_seconds_to_window(travel / speed, signal.time)
 
 
-def count_required_samples(other_values: Floats) -> int:
-    """Compute the smallest number of samples from which a zero can be computed.
+def compute_min_zero_samples(other_values: Floats) -> int:
+    """Compute the smallest number of samples from which a zero is computed.
 
     Parameters
     ----------
@@ -558,8 +562,8 @@ def count_required_samples(other_values: Floats) -> int:
 
     Notes
     -----
-    Three samples suffice if the noise can be estimated from the other samples. At least 100 of them
-    must be finite, or at least 25 if the record has fewer than 100 other samples. Otherwise eight
+    Three samples suffice if the noise can be estimated from the other samples. For this, at least
+    100 of them must be finite, or at least 25 if there are fewer than 100. Otherwise eight samples
     are needed. With 3 to 6 samples, the 95 % intervals of `average_level` and `fit_end_level` then
     cover the true value in 94 to 96 % of cases, in white noise and in noise with a correlation
     length of ten samples. With only 25 other samples the coverage is the same for a correlation
@@ -619,8 +623,8 @@ def estimate_level_before_motion(values: Floats, other_values: Floats) -> tuple[
 
     Parameters
     ----------
-    values, other_values : samples as for `average_level`; the first one is the outermost sample of
-        the record
+    values, other_values : samples as for `average_level`; the first of `values` is the first
+        sample of the record, or the last one if the stretch is at the end and its order is reversed
 
     Returns
     -------
@@ -631,7 +635,7 @@ def estimate_level_before_motion(values: Floats, other_values: Floats) -> tuple[
     """
     n_rest = count_rest_samples(values)
     rest_values, moving_values = values[:n_rest], values[n_rest:]
-    if n_rest >= count_required_samples(other_values):
+    if n_rest >= compute_min_zero_samples(other_values):
         other_values = np.concatenate([moving_values, other_values])
         return *average_level(rest_values, other_values), n_rest
     if len(moving_values) < MIN_ZERO_SAMPLES_NOISE_UNKNOWN:
@@ -653,7 +657,7 @@ def _choose_stretch_width(other_values: Floats) -> int:
 
 
 def rezero_at_rest(signals: Signals, motion: Motion) -> tuple[Signals, list[Finding]]:
-    """Recompute each zero that is a mean over a stretch with motion, from its samples at rest.
+    """Recompute zeros that are means over a stretch with motion from the samples at rest there.
 
     Parameters
     ----------
@@ -673,10 +677,11 @@ def rezero_at_rest(signals: Signals, motion: Motion) -> tuple[Signals, list[Find
     findings: list[Finding] = []
     branches = motion.branches
     for name, (start, stop) in signals.zero_stretches.items() if branches else ():
-        raw = signals.raw[name]
+        raw_signal = signals.raw[name]
+        time, values = raw_signal.time, raw_signal.values
         motion_start, motion_end = (
-            motion.clocks.from_curve(end, raw.clock)
-            for end in (branches[0].start_time, branches[-1].stop_time)
+            motion.clocks.from_curve(curve_time, raw_signal.clock)
+            for curve_time in (branches[0].start_time, branches[-1].stop_time)
         )
         if start < motion_start < stop:
             rest_period = (start, motion_start)
@@ -684,10 +689,10 @@ def rezero_at_rest(signals: Signals, motion: Motion) -> tuple[Signals, list[Find
             rest_period = (motion_end, stop)
         else:
             continue
-        is_at_rest = (raw.time >= rest_period[0]) & (raw.time <= rest_period[1])
-        rest_values = drop_missing(raw.values[is_at_rest])
+        is_at_rest = (time >= rest_period[0]) & (time <= rest_period[1])
+        rest_values = drop_missing(values[is_at_rest])
         if len(rest_values) >= MIN_ZERO_SAMPLES_NOISE_UNKNOWN:
-            level, error = average_level(rest_values, raw.values[~is_at_rest])
+            level, error = average_level(rest_values, values[~is_at_rest])
             stretches = {**signals.zero_stretches, name: rest_period}
             signals = replace(signals.subtract_level(name, level, error), zero_stretches=stretches)
             facts: dict[str, Any] = {"duration": rest_period[1] - rest_period[0]}

@@ -168,8 +168,8 @@ def test_markers_of_another_body_are_left_out(tracks: MarkerTracks, protocol: Pr
     added = np.concatenate([tracks.positions, tracks.positions[:, :1] + 0.05], axis=1)
     crowded = replace(tracks, names=names, positions=added, bodies=(*tracks.bodies, table))
     prepared, findings = done(crowded, protocol)
-    assert prepared.take.repaired is not None
-    assert "Table:Marker1" not in prepared.take.repaired.names
+    assert prepared.take.repaired_tracks is not None
+    assert "Table:Marker1" not in prepared.take.repaired_tracks.names
     assert "bodies_left_out" in {note.code for note in findings.notes if "Table" in note.message}
 
 

@@ -13,7 +13,7 @@ from labpipe.process.motion import Motion
 from labpipe.process.reading import name_channels
 from labpipe.process.steps import (
     average_level,
-    count_required_samples,
+    compute_min_zero_samples,
     estimate_level_before_motion,
     fit_end_level,
     rezero_at_rest,
@@ -138,7 +138,7 @@ def test_short_rests_leave_results_as_good(repository: Path) -> None:
 
 
 def test_a_short_record_says_nothing_of_its_noise() -> None:
-    assert (count_required_samples(TIME[:24]), count_required_samples(TIME[:25])) == (8, 3)
+    assert (compute_min_zero_samples(TIME[:24]), compute_min_zero_samples(TIME[:25])) == (8, 3)
 
 
 @pytest.mark.parametrize("rest", [0, 2, 5, 20, 100, 199])
