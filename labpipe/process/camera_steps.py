@@ -91,7 +91,7 @@ def run_marker_step(
 
 
 def _require(value: T | None) -> T:
-    """Return a value, or raise a ValueError if neither an export nor an earlier step gave it."""
+    """Return a value that an export or an earlier step must give; None raises a ValueError."""
     if value is None:
         raise ValueError(format_sentence("process.needs_markers"))
     return value
@@ -101,13 +101,13 @@ def repair_marker_tracks(
     prepared: PreparedTest, step: declarations.RepairMarkers, settings: Markers
 ) -> StepOutcome:
     """Run ``repair-markers``: repair labels, frozen poses and gaps, and compute ring centres."""
-    min_rings = 3  # along the specimen, which the shape needs
+    min_rings = 3  # rings along the specimen, which the shape needs
     take = prepared.take
     tracks = _require(take.tracks)
     clamp_path, findings = _read_clamp_path(tracks, settings, step, take.role)
-    tracks_along, body_findings = _select_specimen_tracks(tracks, settings, take.role)
+    track_names, body_findings = _select_specimen_tracks(tracks, settings, take.role)
     limits = {"max_gap": step.max_gap, "max_jump": step.max_jump, "frozen": step.frozen}
-    repaired = repair_tracks(tracks, along=tracks_along, reference=clamp_path, **limits)
+    repaired = repair_tracks(tracks, along=track_names, reference=clamp_path, **limits)
     if settings.rings == "by-body":
         rings = group_rings(repaired.names)
         if len(rings) < min_rings:
@@ -150,7 +150,7 @@ def find_specimen_axes(prepared: PreparedTest, step: declarations.SpecimenFrame)
 
 
 def _flag_before_motion(time: Floats, frame: SpecimenFrame, clamp_path: Floats | None) -> Flags:
-    """Flag the frames before the first stroke of the clamp; without a clamp, flag all frames."""
+    """Flag the frames before the first stroke of the clamp; without a stroke, flag all frames."""
     min_stroke_fraction = 0.1  # of the range of the clamp; smaller movements are ignored
     if clamp_path is None:
         return np.ones(len(time), dtype=np.bool_)
@@ -201,21 +201,22 @@ def fit_specimen_shapes(
 def _make_deflection_signal(fit: ShapeFit, is_at_rest: Flags, take: Take) -> Signal:
     """Make the signal of the deflection of the pull point, with its perturbed signals.
 
-    The offsets and the shape are perturbed. The change of the shape with one more term is the half
-    width of a rectangular distribution, whose standard uncertainty is 1 / sqrt(3) of it.
+    The offsets and the shape are perturbed. A shape with one more term changes the deflection. This
+    change is the half-width of a rectangular distribution, so that the perturbation is 1 / sqrt(3)
+    of it.
     """
     values = compute_deflection(fit.shape, rest_frames=is_at_rest)
     _, zero_error = average_level(drop_missing(values[is_at_rest]), values[~is_at_rest])
-    perturbed = {
+    perturbed_values = {
         cause: deflection - np.nanmean(deflection[is_at_rest])
         for cause, deflection in fit.perturbed_tip.items()
     }
-    shape_change = fit.tip_systematic[:, 1]
-    if not np.isnan(shape_change[is_at_rest]).all():
-        change = shape_change - np.nanmean(shape_change[is_at_rest])
-        perturbed[SHAPE] = values + change / sqrt(3.0)
+    tip_change = fit.tip_systematic[:, 1]
+    if not np.isnan(tip_change[is_at_rest]).all():
+        change_from_rest = tip_change - np.nanmean(tip_change[is_at_rest])
+        perturbed_values[SHAPE] = values + change_from_rest / sqrt(3.0)
     signal = take.make_signal(fit.shape.time, values)
-    return replace(signal, zero_error=zero_error, perturbed=perturbed)
+    return replace(signal, zero_error=zero_error, perturbed=perturbed_values)
 
 
 def _make_shape_findings(notes: Iterable[QualityNote], role: str) -> Iterator[Finding]:
@@ -230,14 +231,14 @@ def _make_shape_findings(notes: Iterable[QualityNote], role: str) -> Iterator[Fi
 def _read_clamp_path(
     tracks: MarkerTracks, settings: Markers, step: declarations.RepairMarkers, role: str
 ) -> tuple[Floats | None, list[Finding]]:
-    """Return the repaired path of the clamp, m; None if the protocol names no clamp."""
+    """Read the path of the clamp, m, and repair it; None if the protocol names no clamp."""
     if settings.clamp is None:
         return None, []
     body = tracks.find_body(settings.clamp)
     if body is None:
         similar_names = sort_by_likeness(settings.clamp, [body.name for body in tracks.bodies])
-        found = ", ".join(map(repr, similar_names)) or "no rigid body in the take"
-        facts = {"clamp": settings.clamp, "found": found}
+        body_names = ", ".join(map(repr, similar_names)) or "no rigid body in the take"
+        facts = {"clamp": settings.clamp, "found": body_names}
         raise ProcessingError.about("process.no_clamp", role, "rigid bodies", **facts)
     if np.isnan(body.position).all():
         place = f"rigid body {body.name!r}"
@@ -264,12 +265,11 @@ def _repair_clamp_path(
     next_samples = np.searchsorted(measured_times, missing_times)
     gap_ends = np.concatenate([[-np.inf], measured_times, [np.inf]])
     gaps = gap_ends[next_samples + 1] - gap_ends[next_samples]
-    bridged = np.flatnonzero(is_missing)[gaps <= step.max_gap]
+    short_gaps = np.flatnonzero(is_missing)[gaps <= step.max_gap]  # indices of their frames
+    gap_times = tracks.time[short_gaps]
     for coordinate in path.T:
-        coordinate[bridged] = np.interp(
-            tracks.time[bridged], measured_times, coordinate[~is_missing]
-        )
-    facts: dict[str, Any] = {"lost": int(is_missing.sum()), "bridged": len(bridged)}
+        coordinate[short_gaps] = np.interp(gap_times, measured_times, coordinate[~is_missing])
+    facts: dict[str, Any] = {"lost": int(is_missing.sum()), "bridged": len(short_gaps)}
     finding = Finding.of("process.clamp_lost", name, body=name, gap=step.max_gap, **facts)
     return path, [*findings, finding]
 
@@ -323,7 +323,9 @@ def fit_three_point_shape(
     The test with the bent axis, the shape and the signal, or with the reason why there are none,
     and one finding.
     """
-    bent_fraction, min_rest_frames = 0.5, 4  # of the largest deflection; for the variance at rest
+    # Fraction of the largest deflection above which the axis is bent; number of frames at rest,
+    # which the variance needs.
+    bent_fraction, min_rest_frames = 0.5, 4
     take = prepared.take
     time, repaired = _require(take.tracks).time, _require(take.repaired_tracks)
     if span is None:
@@ -352,8 +354,8 @@ def fit_three_point_shape(
     bend = SpanBend(shape, time, is_at_rest)
     n_around, noise = int((shape.lever_arm > 0.0).sum()), 1e6 * shape.axis.noise
     facts: dict[str, Any] = {"count": sections.count, "n_around": n_around, "noise": noise}
-    note = Finding.of("process.three_point_shape", take.role, **facts)
-    return replace(prepared, signals=signals, shape=span_shape, span=bend), [note]
+    finding = Finding.of("process.three_point_shape", take.role, **facts)
+    return replace(prepared, signals=signals, shape=span_shape, span=bend), [finding]
 
 
 def _reject_span(prepared: PreparedTest, reason: Failure) -> StepOutcome:
@@ -369,8 +371,8 @@ def _make_span_shape(
     degree, n_fitted = 9, 61  # degree of the power series; number of points to which it is fitted
     section_flags = flags[:, sections.marker_columns]
     is_finite = np.isfinite(shape.centres).all(axis=2)
-    in_sections = [sections.section_index == index for index in range(sections.count)]
-    flags_of_sections = np.stack([section_flags[:, x].max(axis=1) for x in in_sections], axis=1)
+    masks = [sections.section_index == index for index in range(sections.count)]  # of markers
+    flags_of_sections = np.stack([section_flags[:, mask].max(axis=1) for mask in masks], axis=1)
     x = sections.x - shape.mid_span
     relative_x = np.linspace(0.0, 1.0, n_fitted)
     y = shape.axis.compute_y(x[0] + relative_x * (x[-1] - x[0]))
@@ -405,8 +407,8 @@ def align_cameras(
     Returns
     -------
     prepared : test with its shape on the clock of the motion. If no turn of mid-span matches one of
-        the motion, the reason replaces its bent axis. The test is unchanged without ``mid_span``,
-        or if both are on one clock
+        the motion, the reason replaces the bent axis. The test is unchanged without ``mid_span``,
+        or if ``mid_span`` and the motion are on one clock
     fits : relation of the clocks, keyed by the clock of the cameras; empty if it is not fitted
     findings : findings of the fit
     """
@@ -426,8 +428,8 @@ def align_cameras(
     if shape is not None:
         shape = replace(shape, time=fit.to_marker_time(shape.time))
     clock, half_width = mid_span.clock, 1.96e3 * fit.offset_interval.standard_error
-    note = Finding.of("process.camera_clock", clock, offset=fit.offset, half_width=half_width)
-    return replace(prepared, shape=shape), {clock: fit}, [note]
+    finding = Finding.of("process.camera_clock", clock, offset=fit.offset, half_width=half_width)
+    return replace(prepared, shape=shape), {clock: fit}, [finding]
 
 
 def _find_upper_turns(motion: Motion) -> Floats:
@@ -440,12 +442,12 @@ def _find_upper_turns(motion: Motion) -> Floats:
 
 
 def _fit_camera_clock(events: Floats) -> ClockFit:
-    """Fit the offset of the cameras to events, shape (3, events), s, with a drift of zero."""
-    drift_error = 1e-4 / sqrt(3.0)  # standard uncertainty of the drift
-    motion, cameras, errors = events
+    """Fit the offset of the camera clock to events, shape (3, events), s, with a drift of zero."""
+    drift_error = 1e-4 / sqrt(3.0)  # standard uncertainty of a drift of at most 100 ppm
+    motion_times, camera_times, errors = events
     weights = errors**-2.0
-    offset = float(np.average(cameras - motion, weights=weights))
-    error_from_drift = drift_error * np.average(motion, weights=weights)
+    offset = float(np.average(camera_times - motion_times, weights=weights))
+    error_from_drift = drift_error * np.average(motion_times, weights=weights)
     error = float(np.hypot(weights.sum() ** -0.5, error_from_drift))
     method = "turns of mid-span and of the motion, drift taken as zero within a bound"
     return make_clock_fit((offset, error), (0.0, drift_error), events, method)

@@ -243,7 +243,7 @@ def reduce_test(raw: RawTest, protocol: Protocol) -> TestResult:
     input_hashes = [(file.role, file.sha256) for file in raw.inputs]
     try:
         reduced = reduce_recordings(
-            raw.recordings, protocol, tested=test_date, specimen=raw.specimen
+            raw.recordings, protocol, test_date=test_date, specimen=raw.specimen
         )
     except ProcessingError as error:
         message = f"{raw.test}, {error}"

@@ -40,7 +40,7 @@ from labpipe.units import GRAVITY
 def check_signals(
     prepared: PreparedTest, motion: Motion, protocol: Protocol, findings: Findings
 ) -> Findings:
-    """Add the findings of all checks before the curve is built.
+    """Run all checks that precede the curve, and add their findings.
 
     Parameters
     ----------
@@ -59,22 +59,23 @@ def check_signals(
         return findings
     reversed_signs = check_signs(prepared, motion, protocol)
     if any(finding.code == "force_reversed" for finding in reversed_signs):
-        findings = findings.remove_code("force_negative")  # the reversed sign explains it
+        findings = findings.remove_code("force_negative")  # the reversed sign explains that one
     return findings + reversed_signs
 
 
 def check_rig(prepared: PreparedTest, motion: Motion, protocol: Protocol) -> Iterator[Finding]:
     """Report cycles, stroke, speed and specimen length that differ from those of the protocol."""
     max_length_difference, max_length_deviation = 2e-3, 0.02  # m; fraction of the length
-    rig, travel, branches = protocol.rig, motion.signal, motion.branches
+    rig, motion_signal, branches = protocol.rig, motion.signal, motion.branches
     if branches and rig.cycles not in (None, branches[-1].cycle):
         facts: dict[str, Any] = {"measured": branches[-1].cycle, "expected": rig.cycles}
         yield Finding.of("process.cycles_unexpected", "rig.cycles", **facts)
-    if branches and rig.stroke is not None and not is_full_stroke(travel, rig.stroke):
-        facts = {"measured": 1e3 * _measure_range(travel.values), "expected": 1e3 * rig.stroke}
+    if branches and rig.stroke is not None and not is_full_stroke(motion_signal, rig.stroke):
+        stroke = _compute_range(motion_signal.values)
+        facts = {"measured": 1e3 * stroke, "expected": 1e3 * rig.stroke}
         yield Finding.of("process.stroke_unexpected", "rig.stroke", **facts)
-    if branches and rig.crosshead_speed is not None and travel.has_time:
-        speed, rig_speed = _measure_speed(travel, branches[0]), rig.crosshead_speed
+    if branches and rig.crosshead_speed is not None and motion_signal.has_time:
+        speed, rig_speed = _measure_speed(motion_signal, branches[0]), rig.crosshead_speed
         if abs(speed - rig_speed) > protocol.limits.speed_deviation * rig_speed:
             facts = {"measured": 1e3 * speed, "expected": 1e3 * rig_speed}
             where = "rig.crosshead_speed"
@@ -87,32 +88,33 @@ def check_rig(prepared: PreparedTest, motion: Motion, protocol: Protocol) -> Ite
         yield Finding.of("process.length_unexpected", "specimen.length", "displacement", **facts)
 
 
-def _measure_speed(motion: Signal, branch: Branch) -> float:
-    """Measure the median speed over 20 equal parts of the travel, m/s.
+def _measure_speed(signal: Signal, branch: Branch) -> float:
+    """Measure the speed of a motion in a branch, m/s, as the median over equal parts of the travel.
 
     A pause does not change the median.
     """
+    n_parts, min_duration = 20, 1e-9  # s, prevents a division by zero
     samples = slice(branch.start, branch.stop)
-    is_valid = ~np.isnan(motion.values[samples])
-    time, values = motion.time[samples][is_valid], motion.values[samples][is_valid]
+    is_valid = ~np.isnan(signal.values[samples])
+    time, values = signal.time[samples][is_valid], signal.values[samples][is_valid]
     travel = np.maximum.accumulate(np.abs(values - values[0]))
-    levels = np.linspace(0.0, travel[-1], 21)
+    levels = np.linspace(0.0, travel[-1], n_parts + 1)
     durations = np.diff(np.interp(levels, travel, time))
-    return float(levels[1] / max(np.median(durations), 1e-9))  # s, prevents a division by zero
+    return float(levels[1] / max(np.median(durations), min_duration))
 
 
 def check_lost_samples(
     prepared: PreparedTest, motion: Motion, protocol: Protocol
 ) -> Iterator[Finding]:
-    """Report jumps of motion or force that are recorded on two clocks.
+    """Report jumps of the motion or the force, if the two are recorded on two clocks.
 
     A machine cannot jump, and a specimen in loading cannot gain much force at once. Such a jump
     shows that samples were lost, and that the times after it are wrong. With one clock, lost
     samples do not matter, because each displacement still has its force. Jumps are searched in
     medians over 0.1 s, which noise hardly changes.
     """
-    min_ratio, quantile = 1.5, 0.99  # jump over the usual change, which is a quantile
-    duration = 0.1  # s, of a block
+    min_ratio, quantile = 1.5, 0.99  # jump divided by this quantile of the changes
+    duration = 0.1  # duration of a block, s
     signals, branches = prepared.signals, protocol.branches
     force = orient_force(signals.raw[signals.force])
     if not motion.branches or branches is None or motion.signal.clock == force.clock:
@@ -125,8 +127,8 @@ def check_lost_samples(
         samples = drop_missing(signal.values)
         n_blocks = len(samples) // block_size
         values = np.median(samples[: n_blocks * block_size].reshape(n_blocks, block_size), axis=1)
-        middles = np.flatnonzero(~np.isnan(signal.values))[block_size // 2 :: block_size]
-        time = signal.time[middles[:n_blocks]]
+        middle_samples = np.flatnonzero(~np.isnan(signal.values))[block_size // 2 :: block_size]
+        time = signal.time[middle_samples[:n_blocks]]
         usual_change = compute_step_quantile(values, quantile)
         jumps = [
             (sample, size)
@@ -148,35 +150,35 @@ def check_lost_samples(
 
 
 def _is_rising(values: Floats, sample: int) -> bool:
-    """Return whether values rise both before and after a jump before a sample."""
+    """Return whether values rise both before and after a jump, whose end is at a sample."""
     reach = 20  # samples on each side
     first, last = max(sample - reach, 0), min(sample + reach, len(values) - 1)
     return bool(values[first] < values[sample - 1] and values[sample] < values[last])
 
 
-def _measure_range(values: Floats) -> float:
+def _compute_range(values: Floats) -> float:
     """Compute the difference between the largest and the smallest finite value."""
     return float(np.nanmax(values) - np.nanmin(values))
 
 
-def is_full_stroke(motion: Signal, expected: float | None) -> bool:
+def is_full_stroke(signal: Signal, rig_stroke: float | None) -> bool:
     """Return whether the stroke of a motion is that of the rig; False if that is not stated.
 
     Parameters
     ----------
-    motion : channel whose turning points separate the branches
-    expected : stroke of the rig, m; None if it is not stated
+    signal : channel whose turning points separate the branches
+    rig_stroke : stroke of the rig, m; None if it is not stated
     """
-    max_deviation = 0.02  # fraction of the expected stroke
-    if expected is None:
+    max_deviation = 0.02  # fraction of the stroke of the rig
+    if rig_stroke is None:
         return False
-    return abs(_measure_range(motion.values) - expected) <= max_deviation * expected
+    return abs(_compute_range(signal.values) - rig_stroke) <= max_deviation * rig_stroke
 
 
 def check_lowest_force(prepared: PreparedTest, _: Motion, protocol: Protocol) -> Iterator[Finding]:
     """Report a force whose one-second means are below the lowest force that the load can cause."""
     block_duration, mean_duration, noise_factor = 0.1, 1.0, 5.0  # s; s; standard deviations
-    weight_factor, force_margin = 1.2, 2e-3  # factor on the weight that a string carries; N
+    weight_factor, force_margin = 1.2, 2e-3  # factor on the weight that the string carries; N
     string, specimen = protocol.rig.string, protocol.specimen
     force = prepared.signals.filtered.get(prepared.signals.force)
     if force is None or (string is None and specimen.span is None):
@@ -223,15 +225,15 @@ def check_mid_span(
 
     Parameters
     ----------
-    prepared : test after all steps, with the signal ``mid_span`` of cameras if there is one
+    prepared : test after all steps, with the signal ``mid_span`` if cameras recorded it
     motion : motion of the displacement with its branches and clocks
     limits : limits of the protocol. Round rollers cause a difference of up to a tenth, because the
-        specimen rolls on them and is below the nominal supports.
+        specimen rolls on them and is below the nominal supports
 
     Returns
     -------
-    The test, and at most one finding, that both differ or that the cameras started under load. In
-    the latter case the test has no bent axis.
+    The test, and at most one finding. It reports that the two differ, or that the cameras started
+    under load; the returned test then has no bent axis.
     """
     mid_span, span = prepared.signals.raw.get("mid_span"), prepared.span
     if mid_span is None or span is None or isinstance(span, Failure) or not motion.branches:
@@ -239,14 +241,14 @@ def check_mid_span(
     rest_end = motion.clocks.to_curve(span.time[span.rest], mid_span.clock)[-1]
     delay = rest_end - motion.branches[0].start_time
     if delay > limits.zero_overlap:
-        note = Finding.of("process.no_rest", "markers", delay=delay)
-        return replace(prepared, span=Failure("no_rest", note.note.message)), [note]
-    deflection, travel = (1e3 * _measure_range(x.values) for x in (mid_span, motion.signal))  # mm
+        finding = Finding.of("process.no_rest", "markers", delay=delay)
+        return replace(prepared, span=Failure("no_rest", finding.note.message)), [finding]
+    deflection, travel = (1e3 * _compute_range(x.values) for x in (mid_span, motion.signal))  # mm
     if abs(deflection - travel) <= limits.mid_span_deviation * travel:
         return prepared, []
     facts: dict[str, Any] = {"deflection": deflection, "travel": travel}
-    note = Finding.of("process.mid_span_differs", "mid_span", "displacement", **facts)
-    return prepared, [note]
+    finding = Finding.of("process.mid_span_differs", "mid_span", "displacement", **facts)
+    return prepared, [finding]
 
 
 def check_signs(prepared: PreparedTest, motion: Motion, protocol: Protocol) -> list[Finding]:
@@ -266,7 +268,7 @@ def check_signs(prepared: PreparedTest, motion: Motion, protocol: Protocol) -> l
     results without a sign (energy, stiffness) are not affected. A force with both signs, each with
     more than a fifth of the largest force, has no wrong sign, and neither has its displacement.
     """
-    max_opposite_fraction = 0.2  # of the largest force
+    max_opposite_fraction = 0.2  # opposite force as a fraction of the largest force
     error_factor, n_blocks = 10.0, 200  # standard errors of a block mean; blocks of a record
     signals, curve, branches = prepared.signals, protocol.curve, motion.branches
     displacement = signals.raw[signals.displacement]
@@ -276,41 +278,44 @@ def check_signs(prepared: PreparedTest, motion: Motion, protocol: Protocol) -> l
     force = motion.clocks.interpolate(force_signal, time)
     masks = [(time >= x.start_time) & (time <= x.stop_time) for x in branches]
     means = average_blocks(drop_missing(force), n_blocks)
-    sizes = [np.abs(average_blocks(drop_missing(force[mask]), n_blocks)) for mask in masks]
-    growths = [float(np.max(size - size[:1], initial=0.0)) for size in sizes]
+    absolute_means = [np.abs(average_blocks(drop_missing(force[x]), n_blocks)) for x in masks]
+    growths = [float(np.max(values - values[:1], initial=0.0)) for values in absolute_means]
     if len(means) < 2 or not max(growths) > 0.0:
         return []
     noise = error_factor * estimate_noise_level(force) * np.sqrt(len(means) / len(force))
-    extreme = float(means[int(np.argmax(np.abs(means)))])
-    opposite = float((-np.sign(extreme) * means).max())
-    if np.ptp(means) <= noise or opposite > max_opposite_fraction * abs(extreme) + noise:
+    largest_force = float(means[int(np.argmax(np.abs(means)))])  # with its sign
+    opposite_force = float((-np.sign(largest_force) * means).max())
+    max_opposite_force = max_opposite_fraction * abs(largest_force) + noise
+    if np.ptp(means) <= noise or opposite_force > max_opposite_force:
         return []
     paths = [
         drop_missing(displacement.values[mask]) for mask in (masks[np.argmax(growths)], masks[0])
     ]
     is_measured = signals.displacement in protocol.channels and all(map(len, paths))
     is_falling = {
-        "force": extreme < 0.0,
+        "force": largest_force < 0.0,
         "displacement": is_measured and all(path[-1] < path[0] for path in paths),
     }
     lowest = 1e3 * float(np.nanmin(displacement.values))
-    texts = {"force": f"{extreme:.3g} N", "displacement": f"{lowest:.3g} mm"}
-    names = [x for x in texts if is_falling[x] and (curve.reverse is None or x in curve.reverse)]
-    signs, name_list = " and ".join(f"the {x} goes to {texts[x]}" for x in names), ", ".join(names)
+    lowest_values = {"force": f"{largest_force:.3g} N", "displacement": f"{lowest:.3g} mm"}
+    reported_names = lowest_values if curve.reverse is None else curve.reverse
+    names = [name for name in lowest_values if is_falling[name] and name in reported_names]
+    signs = " and ".join(f"the {name} goes to {lowest_values[name]}" for name in names)
+    name_list = ", ".join(names)
     if curve.reverse:
         remedy = format_sentence("process.signs_reversed", names=name_list)
     else:
         override = format_overrides("curve.reverse", f"[{name_list}]")
         remedy = format_sentence("process.signs_to_reverse", names=override)
     facts: dict[str, Any] = {"signs": signs, "remedy": remedy}
-    doubted = {name: f"{name}_sign" if len(names) > 1 else name for name in names}
+    suffix = "_sign" if len(names) > 1 else ""
     findings = []
-    if "force" in doubted:
+    if "force" in names:
         # The clocks are aligned at peaks of the force.
-        quantities = (doubted["force"], "clock")[: 1 if motion.clocks.force is None else 2]
+        quantities = [f"force{suffix}", *([] if motion.clocks.force is None else ["clock"])]
         findings.append(Finding.of("process.force_reversed", signals.force, *quantities, **facts))
-    if "displacement" in doubted:
-        name, quantity = signals.displacement, doubted["displacement"]
+    if "displacement" in names:
+        name, quantity = signals.displacement, f"displacement{suffix}"
         findings.append(Finding.of("process.displacement_reversed", name, quantity, **facts))
     return findings
 
@@ -338,8 +343,8 @@ def check_start(signals: Signals, motion: Motion, *, has_slack: bool) -> Iterato
     the range of the force, and falls below half of its value in the first branch.
     """
     noise_factor = 5.0  # standard deviations of the force
-    # A load of medium size must have displaced the specimen. Otherwise it is an offset of the load
-    # cell. Loads are fractions of the range of the force, the displacement one of its range.
+    # A force between the two limits (fractions of its range) is a load only if the displacement is
+    # above its limit (a fraction of its range). Otherwise it is an offset of the load cell.
     min_load, certain_load, min_path = 0.02, 0.1, 0.01
     branch_data = _read_first_branch(signals, motion) if motion.branches else None
     if branch_data is None:
@@ -352,11 +357,11 @@ def check_start(signals: Signals, motion: Motion, *, has_slack: bool) -> Iterato
         yield Finding.of("process.begins_with_unloading", where, *quantities, load=load)
         return
     end_forces = np.interp([branch.stop_time for branch in motion.branches[1::2]], time, force)
-    returns = len(end_forces) > 0 and (np.abs(end_forces - load) <= 0.5 * load).all()
+    returns_to_load = len(end_forces) > 0 and (np.abs(end_forces - load) <= 0.5 * load).all()
     is_zero = not load > noise_factor * estimate_noise_level(force)
     is_displaced = branch_path[0] >= min_path * np.ptp(path)
     is_loaded = relative_load >= (min_load if is_displaced else certain_load)
-    if is_zero or returns or not is_loaded:
+    if is_zero or returns_to_load or not is_loaded:
         yield from _check_first_sample(signals.displacement, force, path)
         return
     zeroed_names = [name for name in signals.quantities if name in signals.moving_zero_stretches]
@@ -364,15 +369,17 @@ def check_start(signals: Signals, motion: Motion, *, has_slack: bool) -> Iterato
     if has_slack and zeroed_quantities == ["displacement"]:
         zeroed_quantities = []  # because the slack correction restores this zero
     start_period = float(time[0]), max(float(time[0]), motion.branches[0].start_time)
-    for doubtful, period in ((["start"], start_period), (zeroed_quantities, None)):
-        if doubtful:
+    for quantities_of_period, period in ((["start"], start_period), (zeroed_quantities, None)):
+        if quantities_of_period:
             facts: dict[str, Any] = {
                 "load": load,
                 "relative_load": relative_load,
                 "position": 1e3 * float(path[0]),
                 "zeros": f"; {' and '.join(zeroed_names)} zeroed there" if zeroed_names else "",
             }
-            yield Finding.of("process.begins_under_load", where, *doubtful, period=period, **facts)
+            yield Finding.of(
+                "process.begins_under_load", where, *quantities_of_period, period=period, **facts
+            )
 
 
 def _read_first_branch(
@@ -383,7 +390,7 @@ def _read_first_branch(
     Force and path have the zeros of the export, and are positive in loading. The result is None if
     force or path is constant, or if the record begins at rest.
     """
-    min_samples, max_rest_samples = 4, 3.0  # of the branch; before the branch
+    min_samples, max_rest_samples = 4, 3.0  # samples of the branch; samples before the branch
     time = signals.raw[signals.displacement].time
     force, path = (
         motion.clocks.interpolate(signals.raw[name], time)
@@ -410,8 +417,8 @@ def _check_first_sample(channel: str, force: Floats, path: Floats) -> Iterator[F
     channel : name of the channel of the displacement
     force, path : shape (n,), force (N) and displacement (m) with the zeros of the export
     """
-    max_zero_fraction = 0.01  # of the range
-    # Travel below the first sample divided by that above it. A test that moves to both sides
+    max_zero_fraction = 0.01  # absolute value of the first sample as a fraction of the range
+    # Travel (or force) below zero divided by that above zero. A test that moves to both sides
     # travels as far below as above.
     min_ratio, max_ratio = 0.05, 0.8
     is_zeroed = all(abs(x[0]) <= max_zero_fraction * np.ptp(x) for x in (force, path))
@@ -445,23 +452,23 @@ def find_cut_ends(
     Last time (s on the clock of the curve) of each quantity whose record is cut off; empty for a
     complete record.
     """
-    max_missing_samples = 2.0  # of the force at the end
-    travel, limits, ends = motion.signal, protocol.limits, dict[str, float]()
+    max_missing_samples = 2.0  # number of samples that the force may lack at its end
+    signal, limits, ends = motion.signal, protocol.limits, dict[str, float]()
     if not motion.branches:
         return {}
     last_branch = motion.branches[-1]
     rows = slice(last_branch.start, None)
-    is_finite = ~np.isnan(travel.values[rows])
-    time, values = travel.time[rows][is_finite], travel.values[rows][is_finite]
+    is_finite = ~np.isnan(signal.values[rows])
+    time, values = signal.time[rows][is_finite], signal.values[rows][is_finite]
     if moves_at_end(time, values):
         is_single, stroke = len(motion.branches) == 1, protocol.rig.stroke
-        is_complete = is_full_stroke(travel, stroke) if is_single else _has_arrived(motion, limits)
+        is_complete = is_full_stroke(signal, stroke) if is_single else _has_arrived(motion, limits)
         if not is_complete or any(note.code in _CUT_FILE_CODES for note in findings.notes):
             ends = dict.fromkeys(("force", "displacement"), float(time[-1]))
     force = signals.raw[signals.force]
     last_sample = int(np.flatnonzero(~np.isnan(force.values))[-1])
     force_end = motion.clocks.to_curve(float(force.time[last_sample]), force.clock)
-    time_step = float(travel.time[-1] - travel.time[0]) / max(1, len(travel.time) - 1)
+    time_step = float(signal.time[-1] - signal.time[0]) / max(1, len(signal.time) - 1)
     duration = last_branch.stop_time - last_branch.start_time
     max_missing_time = max(limits.force_shortfall * duration, max_missing_samples * time_step)
     is_cut = force_end < last_branch.stop_time - max_missing_time
@@ -469,42 +476,45 @@ def find_cut_ends(
 
 
 def _has_arrived(motion: Motion, limits: Limits) -> bool:
-    """Return whether the last branch reaches the end of the earlier branch in its direction."""
+    """Return whether the last branch ends where the previous branch in the same direction ended.
+
+    An unloading without a previous one must end at the initial position.
+    """
     noise_factor = 5.0  # standard deviations of the motion
-    values, branches, last = motion.signal.values, motion.branches, motion.branches[-1]
-    start, end = float(values[last.start]), float(drop_missing(values)[-1])
+    values, branches, last_branch = motion.signal.values, motion.branches, motion.branches[-1]
+    start, end = float(values[last_branch.start]), float(drop_missing(values)[-1])
     path = values if end > start else -values
-    is_loading = last.direction is Direction.LOADING
+    is_loading = last_branch.direction is Direction.LOADING
     turn_positions = [] if is_loading else [float(path[branches[0].start])]
     turn_positions += [
         float(np.nanmax(path[branch.start : branch.stop + 1]))
         for branch in branches[:-1]
-        if branch.direction is last.direction
+        if branch.direction is last_branch.direction
     ]
     # The force is steep near the peak, and small at the end of unloading.
     shortfall = limits.loading_shortfall if is_loading else limits.unloading_shortfall
-    step = abs(end - start) / max(1, last.stop - last.start)
+    step = abs(end - start) / max(1, last_branch.stop - last_branch.start)
     noise = noise_factor * estimate_noise_level(values)
-    tolerance = max(shortfall * _measure_range(values), step, noise)
+    tolerance = max(shortfall * _compute_range(values), step, noise)
     return bool(turn_positions) and (end if end > start else -end) >= turn_positions[-1] - tolerance
 
 
 def check_holds(prepared: PreparedTest, motion: Motion, protocol: Protocol) -> Iterator[Finding]:
-    """Report holds of the motion at its turns, and at its end if it has not returned.
+    """Report holds of the motion at its turns, and at its end away from the initial position.
 
     Rests before the first branch, and at the initial position, are not holds.
     """
-    min_rows = 5.0  # duration of a hold if the export has no times
+    min_rows = 5.0  # least duration of a hold in rows, if the export has no times
     max_return_distance, max_hold_motion = 0.1, 0.01  # fractions of the stroke
-    travel, branches = motion.signal, motion.branches
+    signal, branches = motion.signal, motion.branches
     if not branches:
         return
-    unit, min_duration = ("s", protocol.limits.hold_time) if travel.has_time else ("rows", min_rows)
-    is_finite = ~np.isnan(travel.values)
-    time, values = travel.time[is_finite], travel.values[is_finite]
-    pauses = [(branch.stop_time, following.start_time) for branch, following in pairwise(branches)]
+    unit, min_duration = ("s", protocol.limits.hold_time) if signal.has_time else ("rows", min_rows)
+    is_finite = ~np.isnan(signal.values)
+    time, values = signal.time[is_finite], signal.values[is_finite]
+    pauses = [(first.stop_time, second.start_time) for first, second in pairwise(branches)]
     last_values, stroke = values[time >= branches[-1].stop_time], np.ptp(values)
-    is_away = abs(values[-1] - travel.values[branches[0].start]) > max_return_distance * stroke
+    is_away = abs(values[-1] - signal.values[branches[0].start]) > max_return_distance * stroke
     if is_away and len(last_values) and np.ptp(last_values) <= max_hold_motion * stroke:
         pauses.append((branches[-1].stop_time, float(time[-1])))
     holds = [(start, stop) for start, stop in pauses if stop - start >= min_duration]
@@ -534,8 +544,8 @@ def list_certified_instruments(protocol: Protocol) -> tuple[Instrument, ...]:
         for name, channel in protocol.channels.items()
     ]
     if cameras is not None:
-        computed = {step.channel for step in protocol.steps if isinstance(step, TravelFromSpeed)}
-        is_camera_only = curve is None or curve.displacement not in {*protocol.channels, *computed}
+        channels = {step.channel for step in protocol.steps if isinstance(step, TravelFromSpeed)}
+        is_camera_only = curve is None or curve.displacement not in channels | {*protocol.channels}
         camera_quantities = ("mid_span", "displacement") if is_camera_only else ("mid_span",)
         instruments.append(("markers", cameras.certificate, camera_quantities))
     return tuple(
@@ -568,16 +578,16 @@ def check_answers(protocol: Protocol, observed: Mapping[str, str]) -> Iterator[F
             )
 
 
-def check_calibration_due(protocol: Protocol, tested: date | None) -> Iterator[Finding]:
+def check_calibration_due(protocol: Protocol, test_date: date | None) -> Iterator[Finding]:
     """Report instruments whose calibration had expired before the test.
 
     Parameters
     ----------
     protocol : protocol with certificates of its channels and cameras
-    tested : day of the test; None if it is not known, and nothing is reported
+    test_date : day of the test; if it is not known (None), nothing is reported
     """
     for instrument in list_certified_instruments(protocol):
-        if instrument.due is not None and tested is not None and tested > instrument.due:
-            facts: dict[str, Any] = {"instrument": instrument, "tested": tested}
+        if instrument.due is not None and test_date is not None and test_date > instrument.due:
+            facts: dict[str, Any] = {"instrument": instrument, "tested": test_date}
             where, quantities = instrument.channel, instrument.measures
             yield Finding.of("process.calibration_overdue", where, *quantities, **facts)

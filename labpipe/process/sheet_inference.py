@@ -168,12 +168,13 @@ def parse_date(text: str) -> str:
             return iso_date
     if not (match := _YEAR_LAST.search(text)):
         return ""
-    first, separator, second, year, remainder = match.groups()
-    day_first, month_first = _format_date(year, second, first), _format_date(year, first, second)
-    if separator == "." or not month_first:
-        return day_first
-    is_unambiguous = _US_CLOCK.match(remainder) or day_first in ("", month_first)
-    return month_first if is_unambiguous else ""
+    number_1, separator, number_2, year, remainder = match.groups()
+    day_first_date = _format_date(year, number_2, number_1)
+    month_first_date = _format_date(year, number_1, number_2)
+    if separator == "." or not month_first_date:
+        return day_first_date
+    is_certain = _US_CLOCK.match(remainder) or day_first_date in ("", month_first_date)
+    return month_first_date if is_certain else ""
 
 
 def _format_date(year: str, month: str, day: str) -> str:
@@ -191,10 +192,10 @@ class ProtocolMatch:
     ----------
     protocol : protocol without the overrides of a test
     files : names of the exports, keyed by role
-    choices : names of several possible exports that cannot be joined, keyed by role
-    score : whether the exports are complete, and the number of those that the protocol reads.
+    choices : names of the exports that are possible for a role and cannot be joined, keyed by role
+    score : whether the exports are complete, and the number of exports that the protocol reads.
         Exports are complete if they can be read and joined, and the camera recording has the clamp
-        that the protocol names. Such a clamp increases the number by 1
+        that the protocol names. If it has this clamp, the number is higher by 1
     reason : sentence on why this protocol was chosen from several; empty if no criterion chose it
     """
 
@@ -256,17 +257,19 @@ def match_protocols(
     best_score = max((match.score for match in matches), default=None)
     best_matches = {match.protocol.name: match for match in matches if match.score == best_score}
     texts = [str(text) for export in exports.values() for text in export.metadata.values()]
-    standards = [name for name in best_matches if re.search(r"\d{3,}", name)]
+    standards = [
+        name for name in best_matches if re.search(r"\d{3,}", name)
+    ]  # names with the number of a standard
     nominal_lengths = {name: best_matches[name].protocol.specimen.length for name in best_matches}
-    named_by_length = [
+    names_of_equal_length = [
         name
-        for name, nominal in nominal_lengths.items()
-        if length and nominal and abs(length - nominal) <= 0.05 * nominal
+        for name, nominal_length in nominal_lengths.items()
+        if length and nominal_length and abs(length - nominal_length) <= 0.05 * nominal_length
     ]
     criteria = [
         (format_sentence("process.reason_namesake"), _find_named_protocols(names, best_matches)),
         (format_sentence("process.reason_standard"), _find_named_protocols(texts, standards)),
-        (format_sentence("process.reason_length"), named_by_length),
+        (format_sentence("process.reason_length"), names_of_equal_length),
     ]
     for counts in protocol_counts:
         name = find_majority(counts)
@@ -314,11 +317,11 @@ def _match_protocol(
     if set(stated_files) - set(protocol.sources):
         return None
     files, choices = dict[str, tuple[str, ...]](), dict[str, tuple[str, ...]]()
-    unused, recordings, is_complete = dict(exports), list[Recording](), True
+    unused_exports, recordings, is_complete = dict(exports), list[Recording](), True
     for role, source in protocol.sources.items():
         parts = {
             path: _read_channels(path, recording, source)
-            for path, recording in unused.items()
+            for path, recording in unused_exports.items()
             if recording.reader in source.reader
             and path.name in stated_files.get(role, (path.name,))
             and (source.dialect is None or recording.metadata.get("dialect") in source.dialect)
@@ -328,7 +331,7 @@ def _match_protocol(
         if not names and not source.optional:
             return None
         for path in valid_parts or parts:
-            del unused[path]
+            del unused_exports[path]
         try:
             recordings += [join_exports([*valid_parts.values()], names, Path())] if names else []
             is_joined = True
@@ -342,7 +345,7 @@ def _match_protocol(
     takes = [recording.markers for recording in recordings if recording.markers is not None]
     has_clamp = any(body.name == clamp for take in takes for body in take.bodies)
     is_complete = is_complete and (clamp is None or not takes or has_clamp)
-    score = is_complete, len(exports) - len(unused) + has_clamp
+    score = is_complete, len(exports) - len(unused_exports) + has_clamp
     return ProtocolMatch(protocol, files, choices, score)
 
 
@@ -446,7 +449,7 @@ class InferredTest:
     remarks : sentences on the protocol, the sources of the values, contradictions, and files that
         are not used or are missing
     read_errors : reason why an export of a known format cannot be read, keyed by its name
-    blocks : content of the test sheet for which a table has no column, keyed by key of the sheet
+    blocks : blocks of the test sheet for which a campaign table has no column, keyed by their keys
     """
 
     folder: Path
@@ -497,7 +500,7 @@ def infer_test(
     ----------
     folder : folder of the test
     stated_values : values that the user states, keyed by column; they replace inferred values
-    campaign_tests : tests of the campaign; None reads those in the parent folder
+    campaign_tests : tests of the campaign; if None, they are read from the parent folder
 
     Returns
     -------
@@ -598,13 +601,13 @@ def _match_folder(
         candidates,
         names=(folder.name, specimen_type, *(path.stem for path in exports)),
         length=try_parse_quantity(values.get("length"), "m"),
-        protocol_counts=[count_protocols(campaign_tests, folder, of_type) for of_type in types],
+        protocol_counts=[count_protocols(campaign_tests, folder, name) for name in types],
         stated_files=stated_files,
     )
 
 
 def _assign_files(exports: Exports, matches: Sequence[ProtocolMatch]) -> dict[str, tuple[str, ...]]:
-    """Assign exports to the roles on which all matches agree; without matches, use the format."""
+    """Assign exports to roles as all matches agree or, without matches, by the exports' formats."""
     if matches:
         first, *others = (match.files for match in matches)
         return {x: first[x] for x in first if all(files.get(x) == first[x] for files in others)}
@@ -656,7 +659,7 @@ def _describe_facts(copied_facts: Facts, facts: Facts) -> Iterator[str]:
 
 
 def _describe_unused(folder: Path, kinds: Mapping[str, str], used_names: set[str]) -> Iterator[str]:
-    """Describe each file that is not used, and each file that is named but missing."""
+    """Describe each file that is not used, and each export that is named but missing."""
     for name, kind in kinds.items():
         if name not in used_names:
             yield format_sentence("process.not_used", name=_escape(name), kind=kind.splitlines()[0])

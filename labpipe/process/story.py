@@ -66,7 +66,7 @@ def reduce_recordings(
     recordings: Mapping[str, Recording],
     protocol: Protocol,
     *,
-    tested: date | None = None,
+    test_date: date | None = None,
     specimen: Specimen | None = None,
 ) -> Reduction:
     """Reduce the recordings of one test to results.
@@ -75,7 +75,7 @@ def reduce_recordings(
     ----------
     recordings : recordings in SI units with the channel names of the protocol, keyed by role
     protocol : resolved protocol
-    tested : day of the test, for the certificates of instruments; None if it is not known
+    test_date : day of the test, for the certificates of instruments; None if it is not known
     specimen : specimen with the labels and answers of the test sheet; None without a test sheet
 
     Raises
@@ -85,7 +85,7 @@ def reduce_recordings(
     """
     prepared, new_findings = calibrate(recordings, protocol)
     findings = Findings() + new_findings + check_channels(prepared.signals, protocol)
-    findings += check_calibration_due(protocol, tested)
+    findings += check_calibration_due(protocol, test_date)
     findings += check_answers(protocol, {} if specimen is None else specimen.observed)
     labels = {} if specimen is None else specimen.labels
     for step in protocol.steps:

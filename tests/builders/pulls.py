@@ -78,7 +78,7 @@ def reduction(
         Channel("displacement", "D", travel, unit="m", clock=clock.name),
     )
     recording = Recording("load-frame", clocks=(clock,), channels=channels)
-    return reduce_recordings({"frame": recording}, parse_protocol(text, "p.yaml"), tested=tested)
+    return reduce_recordings({"frame": recording}, parse_protocol(text, "p.yaml"), test_date=tested)
 
 
 def pulled(travel: Floats, force: Floats, **options: Any) -> tuple[ReducedTest, dict[str, Result]]:
