@@ -10,16 +10,16 @@ import sys
 import time
 from pathlib import Path
 
-from labpipe.process.run import ProcessedTest, Task, attempt
+from labpipe.process.run import ProcessedTest, Task, try_to_process
 
 out, *folders = sys.argv[1:]
 tasks = [
     Task(Path(folder, "test.yaml"), Path(out).parent / Path(folder).name, figures=False)
     for folder in folders
 ]
-attempts = [attempt(tasks[0])]
+attempts = [try_to_process(tasks[0])]
 begun, busy = time.perf_counter(), time.process_time()
-attempts += [attempt(task) for task in tasks[1:]]
+attempts += [try_to_process(task) for task in tasks[1:]]
 count = len(tasks) - 1
 wall, cpu = (time.perf_counter() - begun) / count, (time.process_time() - busy) / count
 Path(out).write_text(json.dumps({"wall": wall, "cpu": cpu}), encoding="utf-8")

@@ -32,10 +32,10 @@ from labpipe.process.run import (
     ProcessedTest,
     RefusedTest,
     Task,
-    attempt,
     choose_results_folder,
     read_test_name,
     record_refusal,
+    try_to_process,
 )
 from labpipe.store.summaries import SUMMARY_FILE
 
@@ -83,7 +83,7 @@ def await_outcome(task: Task, future: Future[Outcome]) -> Outcome:
     Parameters
     ----------
     task : task of the test
-    future : future of the call of `attempt` in the other process
+    future : future of the call of `try_to_process` in the other process
 
     Raises
     ------
@@ -113,7 +113,7 @@ def process_locally(tasks: Iterable[Task], *, jobs: int, limit: float | None = N
     limit : time limit of a test, s; None for no limit
     """
     futures = run_as_completed(
-        attempt, tasks, jobs=jobs, limit=limit, subject=lambda task: task.sheet
+        try_to_process, tasks, jobs=jobs, limit=limit, subject=lambda task: task.source
     )
     with closing(futures) as completed:
         for task, future in completed:
@@ -189,15 +189,15 @@ def process_tests(
         except LabpipeError as error:
             outcomes[test] = RefusedTest(test, error.code, str(error))
     folders_and_sheets = [
-        (str(task.results_folder and task.results_folder.absolute()), task.sheet) for task in tasks
+        (str(task.results_folder and task.results_folder.absolute()), task.source) for task in tasks
     ]
     refuse_duplicates(folders_and_sheets, "folder of results")
     if len(tests) == 1:
-        return [*outcomes.values(), *(attempt(task, is_alone=True) for task in tasks)]
+        return [*outcomes.values(), *(try_to_process(task, is_alone=True) for task in tasks)]
     with closing(process_locally(tasks, jobs=jobs, limit=limit)) as completed:
         for task, outcome in completed:
-            on_outcome(task.sheet)
-            outcomes[task.sheet] = outcome
+            on_outcome(task.source)
+            outcomes[task.source] = outcome
     return [outcomes[test] for test in tests]
 
 
@@ -252,17 +252,17 @@ def process_on_worker(
     ProcessingError
         If the process of the test died or took too long.
     """
-    check_worker(working_folder / task.sheet, versions)
+    check_worker(working_folder / task.source, versions)
     process = vars(_THREAD_DATA).setdefault("process", WorkerProcess())
     call = partial(_attempt_in_folder, working_folder, task)
-    return cast("Outcome", process.call(call, subject=task.sheet, limit=limit))
+    return cast("Outcome", process.call(call, subject=task.source, limit=limit))
 
 
 def _attempt_in_folder(working_folder: Path, task: Task) -> Outcome:
     """Process a test in the working folder of the client."""
     with suppress(OSError):  # the folder is not needed if all paths are absolute
         os.chdir(working_folder)
-    return attempt(task)
+    return try_to_process(task)
 
 
 def process_on_cluster(
@@ -289,8 +289,8 @@ def process_on_cluster(
         all_tasks = chain([first_task], remaining_tasks)
         with _connect(address) as client:
             try:
-                if first_task.sheet.exists():
-                    arguments = Path.cwd() / first_task.sheet, _VERSIONS
+                if first_task.source.exists():
+                    arguments = Path.cwd() / first_task.source, _VERSIONS
                     answers = client.run(check_worker, *arguments, on_error="return")
                     for error in filter(None, answers.values()):
                         raise _convert_worker_error(error)
@@ -378,7 +378,7 @@ def _fetch_outcome(task: Task, future: Any) -> Outcome:
     error = future.exception() if future.status == "error" else None
     if isinstance(error, KilledWorker):
         times = error.allowed_failures + 1
-        error = ProcessingError.about("campaign.worker_died", task.sheet, times=times)
+        error = ProcessingError.about("campaign.worker_died", task.source, times=times)
     if isinstance(error, ProcessingError):
         return _record_failure(task, error)
     if error is None:
@@ -387,9 +387,9 @@ def _fetch_outcome(task: Task, future: Any) -> Outcome:
             return outcome
     elif not isinstance(error, UsageError) or error.code != "worker_without_data":
         raise _convert_worker_error(error) from error
-    if not task.sheet.exists():
-        return attempt(task)
-    return _record_failure(task, UsageError.about("campaign.without_data", task.sheet))
+    if not task.source.exists():
+        return try_to_process(task)
+    return _record_failure(task, UsageError.about("campaign.without_data", task.source))
 
 
 def _can_read_results(processed: ProcessedTest) -> bool:

@@ -459,7 +459,7 @@ def _process_tests(
             postponed_folders = []
             with closing(claim_tasks()) as tasks:
                 for task, outcome in executor(tasks):
-                    folder = claimed_folders.pop(task.sheet)
+                    folder = claimed_folders.pop(task.source)
                     failure = outcome.code if isinstance(outcome, RefusedTest) else ""
                     if failure == "in_use":  # another process, such as a killed run, still writes
                         postponed_folders.append(folder)

@@ -33,7 +33,7 @@ from labpipe.campaign.running import open_campaign, read_overview, run_test
 from labpipe.campaign.workers import Pool
 from labpipe.errors import LabpipeError, ProcessingError
 from labpipe.messages import format_sentence
-from labpipe.process.run import RefusedTest, Task, attempt, draw_figures
+from labpipe.process.run import RefusedTest, Task, draw_figures, try_to_process
 from labpipe.process.sheet_inference import load_all_protocols
 from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.sheet_grammar import PLAN_NAME, CampaignPlan
@@ -204,8 +204,8 @@ def process_in_pool(pool: Pool, tasks: Iterable[Task]) -> Outcomes:
     tasks : tests to process
     """
     for task in tasks:
-        call = partial(attempt, replace(task, figures=False))
-        yield task, await_outcome(task, pool.submit(call, subject=task.sheet))
+        call = partial(try_to_process, replace(task, figures=False))
+        yield task, await_outcome(task, pool.submit(call, subject=task.source))
 
 
 class WatchedCampaign:

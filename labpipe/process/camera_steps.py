@@ -122,11 +122,8 @@ def repair_marker_tracks(
 def find_specimen_axes(prepared: PreparedTest, step: declarations.SpecimenFrame) -> StepOutcome:
     """Run ``specimen-frame``: find the specimen axes, and add the signal ``travel`` of a clamp."""
     take, findings, signals = prepared.take, list[Finding](), prepared.signals
-    tracks, positions, role = (
-        _require(take.tracks),
-        _require(take.repaired_tracks).positions,
-        take.role,
-    )
+    tracks, role = _require(take.tracks), take.role
+    positions = _require(take.repaired_tracks).positions
     is_at_rest = np.asarray(tracks.time <= tracks.time[0] + step.over)
     clamp_path, limit = take.clamp_positions, step.max_out_of_plane
     find_frame = partial(find_specimen_frame, clamp_path, positions, plane_limit=limit)

@@ -584,10 +584,8 @@ def _check_turns(record: CheckedRecord) -> Iterator[Finding]:
     median_growth = median(np.array([growth for growth, _ in growths]))
     largest_growth, branch = max(growths, key=lambda entry: entry[0])
     if median_growth > record.compute_min_change(limits.force_lag, record.force_noise):
-        facts: dict[str, Any] = {
-            "growth": median_growth,
-            "ratio": median_growth / record.largest_force,
-        }
+        ratio = median_growth / record.largest_force
+        facts: dict[str, Any] = {"growth": median_growth, "ratio": ratio}
         yield record.report("process.force_late", "clock", **facts)
     elif largest_growth > record.compute_min_change(limits.turn_jump, record.force_noise):
         facts = {"growth": largest_growth, "branch": branch}
@@ -732,11 +730,9 @@ def _check_energy(record: CheckedRecord) -> Iterator[Finding]:
     quantities = ("force", "displacement", "clock") if affects_most_cycles else ("force",)
     for gain, cycle in gains[:1] if affects_most_cycles else gains:
         segment = cycle.loading.start + 1, cycle.unloading.stop - 2
-        facts: dict[str, Any] = {
-            "segment": None if affects_most_cycles else segment,
-            "cycle": cycle.loading.cycle,
-        }
-        yield record.report("process.energy_gained", *quantities, gain=gain, **facts)
+        facts: dict[str, Any] = {"gain": gain, "cycle": cycle.loading.cycle}
+        facts |= {"segment": None if affects_most_cycles else segment}
+        yield record.report("process.energy_gained", *quantities, **facts)
 
 
 def _check_second_specimen(record: CheckedRecord) -> Iterator[Finding]:
@@ -754,10 +750,8 @@ def _check_second_specimen(record: CheckedRecord) -> Iterator[Finding]:
         )
         is_broken = unloading_force < limits.broken_force * first_force
         if is_broken and second_force > limits.second_loading * first_force:
-            facts: dict[str, Any] = {
-                "cycle": cycle.loading.cycle,
-                "next_cycle": next_branches[0].cycle,
-            }
+            next_cycle = next_branches[0].cycle
+            facts: dict[str, Any] = {"cycle": cycle.loading.cycle, "next_cycle": next_cycle}
             facts |= {"unloading_force": unloading_force, "second_force": second_force}
             yield record.report("process.second_specimen", *QUANTITIES, **facts)
             return

@@ -56,7 +56,7 @@ CorrectionOutcome: TypeAlias = tuple[ReducedTest, list[Finding]]
 
 
 def align_signals(test: ReducedTest) -> Aligned:
-    """Interpolate all raw signals of a test at the times of the displacement."""
+    """Interpolate all raw signals of a test at the times of its displacement."""
     time = test.displacement.time
     series = {
         test.signals.quantities.get(name, name): Series(
@@ -132,12 +132,12 @@ def correct_curve(test: ReducedTest, settings: CurveBlock) -> CorrectionOutcome:
         findings += slack_findings
     if settings.elastic_line is not None:
         test = replace(test, pull=fit_pull(test, ElasticWindow(**dict(settings.elastic_line))))
-    # The notes on slips are made last, because the slack changes the positions of the slips.
-    return test, [*findings, *(_make_slip_note(test.signals.force, slip) for slip in test.slips)]
+    # Slips are reported last, because the slack changes their positions.
+    return test, [*findings, *(_report_slip(test.signals.force, slip) for slip in test.slips)]
 
 
-def _make_slip_note(channel: str, slip: Slip) -> Finding:
-    """Make the note on a slip, which states how it was treated."""
+def _report_slip(channel: str, slip: Slip) -> Finding:
+    """Report a slip as a finding, which states how the slip was treated."""
     facts: dict[str, Any] = {"drop": slip.drop, "position": 1e3 * slip.position}
     if slip.decision is SlipDecision.MARKED:
         return Finding.of("process.slip_marked", channel, **facts)
@@ -147,7 +147,7 @@ def _make_slip_note(channel: str, slip: Slip) -> Finding:
 
 
 def bridge_outliers(signals: Signals) -> tuple[Signal, list[Finding]]:
-    """Interpolate single outliers of the force.
+    """Replace outliers of the force by linear interpolation.
 
     Parameters
     ----------
@@ -155,39 +155,39 @@ def bridge_outliers(signals: Signals) -> tuple[Signal, list[Finding]]:
 
     Returns
     -------
-    The raw force with interpolated outliers, and a note if there are any.
+    The raw force without outliers, and a note if there are any.
     """
     raw_force = signals.raw[signals.force]
     outliers = find_spikes(raw_force.values)
     if not len(outliers):
         return raw_force, []
-    first = int(outliers[0])
-    time, value = raw_force.time[first], float(raw_force.values[first])
-    at = f"at {time:.3f} s" if raw_force.has_time else f"in sample {first + 1}"
-    facts: dict[str, Any] = {"count": len(outliers), "first": value, "at": at}
-    note = Finding.of("process.stray_samples", signals.force, **facts)
-    return replace(raw_force, values=bridge_spikes(raw_force.values, outliers)), [note]
+    sample = int(outliers[0])
+    time, value = raw_force.time[sample], float(raw_force.values[sample])
+    place = f"at {time:.3f} s" if raw_force.has_time else f"in sample {sample + 1}"
+    facts: dict[str, Any] = {"count": len(outliers), "first": value, "at": place}
+    finding = Finding.of("process.stray_samples", signals.force, **facts)
+    return replace(raw_force, values=bridge_spikes(raw_force.values, outliers)), [finding]
 
 
 def _subtract_compliance(test: ReducedTest, settings: MachineCompliance) -> CorrectionOutcome:
     """Subtract the deformation of the machine from the displacement.
 
-    The displacement for the compliance plus its uncertainty is added to the perturbed signals. The
-    compliance is negative if force and displacement have opposite signs in loading.
+    The displacement corrected by the compliance plus its uncertainty is added to the perturbed
+    signals. The compliance is negative if force and displacement have opposite signs in loading.
     """
     curve = test.required_curve
     sign = find_loading_sign(curve, curve.displacement) * find_loading_sign(curve, curve.force)
     compliance, force = sign * settings.value, curve.force
-    corrected = test.displacement.map_values(lambda measured: measured - compliance * force)
+    corrected = test.displacement.map_values(lambda values: values - compliance * force)
     _check_compliance(test, curve, corrected.values, settings.value)
     if settings.uncertainty:
         higher_compliance = compliance * (1.0 + settings.uncertainty)
-        perturbed = {COMPLIANCE: curve.displacement - higher_compliance * force}
-        corrected = replace(corrected, perturbed={**corrected.perturbed, **perturbed})
+        perturbed_values = {COMPLIANCE: curve.displacement - higher_compliance * force}
+        corrected = replace(corrected, perturbed={**corrected.perturbed, **perturbed_values})
     size = 1e6 * settings.value  # um/N
     largest, channel = size * float(np.nanmax(np.abs(force))), test.signals.displacement
-    note = Finding.of("process.compliance_removed", channel, size=size, largest=largest)
-    return replace(_replace_displacement(test, corrected), compliance=compliance), [note]
+    finding = Finding.of("process.compliance_removed", channel, size=size, largest=largest)
+    return replace(_replace_displacement(test, corrected), compliance=compliance), [finding]
 
 
 def _check_compliance(
@@ -199,8 +199,8 @@ def _check_compliance(
     ----------
     test : test whose first loading is checked
     curve : curve before the correction
-    corrected_displacement : shape of the curve, m
-    compliance : m/N, compliance of the machine
+    corrected_displacement : shape (n,), m, displacement after the correction
+    compliance : compliance of the machine, m/N
     """
     max_blocks = 20  # block means are compared, because samples scatter
     branch, sign = test.first_loading, find_loading_sign(curve, curve.displacement)
@@ -260,9 +260,9 @@ def _find_failure(
         return loss_start
     start = curve.branches[0].start
     force, displacement = force[start:], curve.displacement[start:]
-    last_finite = int(np.flatnonzero(~np.isnan(force))[-1])
-    if criteria.at_end_below and force[last_finite] < criteria.at_end_below * np.nanmax(force):
-        return FailurePoint(start + last_finite)
+    last_sample = int(np.flatnonzero(~np.isnan(force))[-1])
+    if criteria.at_end_below and force[last_sample] < criteria.at_end_below * np.nanmax(force):
+        return FailurePoint(start + last_sample)
     slow_loss = find_slow_loss(compute_loading_sign(displacement) * displacement, force, criteria)
     if slow_loss is None:
         return loss_start
@@ -270,26 +270,27 @@ def _find_failure(
 
 
 def _filter_branches(test: ReducedTest, loss_start: int | Failure | None) -> ReducedTest:
-    """Filter force and displacement again, separately in each branch, before and after a loss."""
+    """Filter the unfiltered force and displacement separately in each branch, and around a loss.
+
+    A branch with a loss of force is filtered separately before and after the start of the loss.
+    """
     curve, signals = test.required_curve, test.signals
-    end_times = [
-        time for branch in curve.branches for time in (branch.start_time, branch.stop_time)
-    ]
-    end_times += [float(curve.time[loss_start])] if isinstance(loss_start, int) else []
-    unfiltered = {**signals.raw, signals.force: test.unfiltered or test.raw_force}
+    cut_times = [branch.start_time for branch in curve.branches]
+    cut_times += [branch.stop_time for branch in curve.branches]
+    cut_times += [float(curve.time[loss_start])] if isinstance(loss_start, int) else []
+    unfiltered_signals = {**signals.raw, signals.force: test.unfiltered or test.raw_force}
     curve_values = {"force": curve.force, "displacement": curve.displacement}
     for name, quantity in signals.quantities.items():
         if name not in signals.filters:
             continue
-        cuts = find_piece_starts(test.clocks, end_times, unfiltered[name])
+        cuts = find_piece_starts(test.clocks, cut_times, unfiltered_signals[name])
         filter_branches = partial(filter_pieces, cuts=cuts, filters=signals.filters[name])
-        refiltered = unfiltered[name].map_values(filter_branches)
-        filtered = replace(
-            signals.filtered[name], values=refiltered.values, perturbed=refiltered.perturbed
-        )
-        signals = signals.replace_filtered(name, filtered)
+        result = unfiltered_signals[name].map_values(filter_branches)
+        signal = signals.filtered[name]
+        signal = replace(signal, values=result.values, perturbed=result.perturbed)
+        signals = signals.replace_filtered(name, signal)
         curve_time = signals.filtered[signals.displacement].time
-        curve_values[quantity] = test.clocks.interpolate(filtered, curve_time)
+        curve_values[quantity] = test.clocks.interpolate(signal, curve_time)
     curve = replace(curve, force=curve_values["force"], displacement=curve_values["displacement"])
     return replace(test, signals=signals, curve=curve)
 
@@ -297,7 +298,7 @@ def _filter_branches(test: ReducedTest, loss_start: int | Failure | None) -> Red
 def _correct_slips(test: ReducedTest, settings: SlipsBlock) -> CorrectionOutcome:
     """Find the slips of the first loading, and treat them as the protocol decides.
 
-    They are marked, their drops are added back, or the curve is cut at the first one.
+    The slips are marked, their drops are added back, or the curve is cut at the first slip.
     """
     curve, loading = test.required_curve, select_first_loading(make_trace(test))
     start = loading.start
@@ -354,8 +355,8 @@ def _subtract_slack(test: ReducedTest, settings: SlackBlock) -> CorrectionOutcom
     test = _replace_displacement(test, corrected)
     replicates = test.replicates and subtract_slack(test.replicates, read_slack, slack)
     slips = tuple(_shift_slip(slip, shift) for slip in test.slips)
-    note = Finding.of("process.slack_removed", channel, slack=1e3 * shift)
-    return replace(test, replicates=replicates, slips=slips), [note]
+    finding = Finding.of("process.slack_removed", channel, slack=1e3 * shift)
+    return replace(test, replicates=replicates, slips=slips), [finding]
 
 
 def measure_slack(test: ReducedTest, read_slack: Decide) -> Measured | Failure:
@@ -371,7 +372,7 @@ def measure_slack(test: ReducedTest, read_slack: Decide) -> Measured | Failure:
     -------
     The slack (m), or a failure with the code ``not_rising``, ``no_toe`` or one of `read_slack`.
     """
-    max_falling_fraction = 0.025  # of the replicate curves
+    max_falling_fraction = 0.025  # fraction of the replicate curves that do not rise
     # The line of a taut specimen may meet zero force before the curve begins, by this fraction of
     # the travel.
     taut_fraction = 1e-3
@@ -396,7 +397,7 @@ def _is_preloaded(slack: Measured, read_slack: Decide, trace: Trace, start: int)
     The force at the first sample is subtracted from the curve, and the slack of this shifted curve
     is measured. If the curve is straight from its first sample, as after a preload, the slack of
     the shifted curve is near the first displacement. If the curve is steepest at its first sample,
-    it is near the measured slack. The limit is halfway between both.
+    the slack of the shifted curve is near the measured slack. The limit is halfway between the two.
     """
     first_displacement = float(trace.displacement[start])
     if slack.interval.upper >= first_displacement:

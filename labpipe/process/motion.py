@@ -114,9 +114,8 @@ def find_motion_strokes(signal: Signal, settings: Branches) -> tuple[Motion, lis
     if strokes:
         return Motion(signal, strokes=strokes), []
     span = 1e3 * float(np.nanmax(values) - np.nanmin(values))
-    return Motion(signal), [
-        Finding.of("process.no_motion", settings.channel, blocks=True, span=span)
-    ]
+    finding = Finding.of("process.no_motion", settings.channel, blocks=True, span=span)
+    return Motion(signal), [finding]
 
 
 def find_motion_turns(motion: Motion, *, window: float) -> tuple[Turn, ...]:
@@ -548,11 +547,10 @@ def _measure_repeat(motion: Motion, force: Signal, fit: ClockFit) -> Repeat | No
     start, turn, stop = cycle = cycles[1]
     guess = cycles[-1][1] - turn
     lag = clock_alignment.fit_lag(travel.time, travel.values, cycle, guess=guess, hysteresis=False)
+    force_cycle = fit.to_force_time(start), fit.to_force_time(turn), fit.to_force_time(stop)
+    force_guess = guess * (1.0 + fit.drift)
     fit_force = partial(
-        clock_alignment.fit_lag,
-        cycle=(fit.to_force_time(start), fit.to_force_time(turn), fit.to_force_time(stop)),
-        guess=guess * (1.0 + fit.drift),
-        hysteresis=True,
+        clock_alignment.fit_lag, cycle=force_cycle, guess=force_guess, hysteresis=True
     )
     force_lag = fit_force(force.time, force.values)
     if isinstance(lag, Failure) or isinstance(force_lag, Failure):

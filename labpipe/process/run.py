@@ -74,9 +74,9 @@ class ProcessedTest:
     Parameters
     ----------
     folder : folder with result.h5, summary.json and figures
-    result : result of the test; `attempt` removes recordings, curve and shape from it
+    result : result of the test; `try_to_process` removes recordings, curve and shape from it
     figures : paths of the figures
-    has_finished_files : whether files that a killed process had left unfinished were completed
+    has_finished_files : whether moves of files that a killed process began were finished
     """
 
     folder: Path
@@ -96,7 +96,7 @@ class Task:
 
     Parameters
     ----------
-    sheet : test.yaml of the test, or a result.h5 whose recordings are processed again
+    source : test.yaml of the test, or a result.h5 whose recordings are processed again
     results_folder : results folder of the test; None for that of `choose_results_folder`
     figures : whether to draw figures as SVG
     png : whether to draw figures as PNG as well
@@ -104,7 +104,7 @@ class Task:
     run : key of the inputs (`make_input_key`); empty if it is not known before they are read
     """
 
-    sheet: Path
+    source: Path
     results_folder: Path | None = None
     figures: bool = True
     png: bool = False
@@ -117,7 +117,7 @@ def process(task: Task, on_stage: StageCallback = lambda _: None) -> ProcessedTe
 
     Parameters
     ----------
-    task : test to be processed, and its output
+    task : test to be processed, with its options
     on_stage : function that is called with the name of each stage when the stage begins
 
     Returns
@@ -130,14 +130,14 @@ def process(task: Task, on_stage: StageCallback = lambda _: None) -> ProcessedTe
         If an input is not valid. Earlier results are then unchanged.
     """
     on_stage("read")
-    source, has_finished_files = task.sheet, False
+    source, has_finished_files = task.source, False
     is_in_place = source.suffix == ".h5" and task.results_folder in (None, source.parent)
     if is_in_place and is_unfinished(source.parent):  # an earlier process was killed
         with lock(source.parent), map_errors(source.parent):
             has_finished_files = finish_moves(source.parent)
-    raw, protocol = read_source(source, follow_links=task.follow_links)
+    raw_test, protocol = read_source(source, follow_links=task.follow_links)
     on_stage("process")
-    result = reduce_test(raw, protocol)
+    result = reduce_test(raw_test, protocol)
     folder = task.results_folder or choose_results_folder(source, None, lambda: result.test)
     outdated_figures = _FIGURE_FILES
     with suppress(StoreError):
@@ -203,13 +203,13 @@ def read_source(source: Path, *, follow_links: bool = False) -> tuple[RawTest, P
         If an input is not valid.
     """
     if source.suffix == ".h5":
-        return _read_stored(source)
+        return _read_stored_test(source)
     sheet = load_test_sheet(source)
     protocol = resolve_protocol(sheet, source, follow_links=follow_links)
     if error := find_missing_exports(sheet, source):
         raise error
     recordings, inputs = read_inputs(source.parent, sheet, protocol)
-    raw = RawTest(
+    raw_test = RawTest(
         test=sheet.test,
         specimen=sheet.specimen.record,
         protocol=protocol.name,
@@ -219,15 +219,15 @@ def read_source(source: Path, *, follow_links: bool = False) -> tuple[RawTest, P
         inputs=inputs,
         recordings=recordings,
     )
-    return raw, protocol
+    return raw_test, protocol
 
 
-def reduce_test(raw: RawTest, protocol: Protocol) -> TestResult:
+def reduce_test(raw_test: RawTest, protocol: Protocol) -> TestResult:
     """Compute the results of a test without writing files.
 
     Parameters
     ----------
-    raw : recordings and metadata of the test
+    raw_test : recordings and metadata of the test
     protocol : resolved protocol
 
     Returns
@@ -239,25 +239,25 @@ def reduce_test(raw: RawTest, protocol: Protocol) -> TestResult:
     ProcessingError
         If a recording lacks data that a step needs.
     """
-    test_date, operator = find_day_and_operator(raw.test_yaml, raw.recordings)
-    input_hashes = [(file.role, file.sha256) for file in raw.inputs]
+    test_date, operator = find_day_and_operator(raw_test.test_yaml, raw_test.recordings)
+    input_hashes = [(file.role, file.sha256) for file in raw_test.inputs]
     try:
         reduced = reduce_recordings(
-            raw.recordings, protocol, test_date=test_date, specimen=raw.specimen
+            raw_test.recordings, protocol, test_date=test_date, specimen=raw_test.specimen
         )
     except ProcessingError as error:
-        message = f"{raw.test}, {error}"
+        message = f"{raw_test.test}, {error}"
         raise ProcessingError(message) from error
     test = reduced.reduced_test
     return TestResult(
-        test=raw.test,
-        specimen=raw.specimen,
+        test=raw_test.test,
+        specimen=raw_test.specimen,
         protocol=protocol.name,
-        protocol_yaml=raw.protocol_yaml,
-        test_yaml=raw.test_yaml,
+        protocol_yaml=raw_test.protocol_yaml,
+        test_yaml=raw_test.test_yaml,
         labpipe_version=__version__,
-        inputs=raw.inputs,
-        recordings=raw.recordings,
+        inputs=raw_test.inputs,
+        recordings=raw_test.recordings,
         aligned=test.aligned,
         curve=test.curve,
         shape=test.shape,
@@ -268,7 +268,7 @@ def reduce_test(raw: RawTest, protocol: Protocol) -> TestResult:
         figures=protocol.report.figures,
         slips=test.slips,
         lines=reduced.lines,
-        run=make_input_key(input_hashes, raw.test_yaml, raw.protocol_yaml),
+        run=make_input_key(input_hashes, raw_test.test_yaml, raw_test.protocol_yaml),
         date=test_date,
         operator=operator,
         instruments=list_certified_instruments(protocol),
@@ -278,7 +278,7 @@ def reduce_test(raw: RawTest, protocol: Protocol) -> TestResult:
 def find_day_and_operator(
     sheet: str, recordings: Mapping[str, Recording]
 ) -> tuple[date | None, str]:
-    """Return the day and the operator of a test.
+    """Find the day and the operator of a test.
 
     Parameters
     ----------
@@ -294,10 +294,11 @@ def find_day_and_operator(
     entries = data if isinstance(data, Mapping) else {}
     operator = entries.get("operator")
     operator = operator if isinstance(operator, str) else ""
-    metadata = [recording.metadata for recording in recordings.values()]
-    for text in (entries.get("date"), *(x.get(key) for x in metadata for key in _DAY_KEYS)):
+    days = [entries.get("date")]
+    days += [x.metadata.get(key) for x in recordings.values() for key in _DAY_KEYS]
+    for day in days:
         with suppress(ValueError):
-            return date.fromisoformat(str(text)[:10]), operator
+            return date.fromisoformat(str(day)[:10]), operator
     return None, operator
 
 
@@ -327,54 +328,55 @@ def make_input_key(inputs: Iterable[tuple[str, str]], test_yaml: str, protocol_y
 
     Returns
     -------
-    SHA-256 (hexadecimal) of the inputs and of `PROCESSING_VERSION`, which does not depend on the
-    time or the machine.
+    SHA-256 (hexadecimal) of the inputs and of `PROCESSING_VERSION`. It does not depend on the time
+    or the machine.
     """
     contents = [PROCESSING_VERSION, [list(file) for file in inputs], test_yaml, protocol_yaml]
     return sha256(json.dumps(contents).encode()).hexdigest()
 
 
-def _read_stored(result_path: Path) -> tuple[RawTest, Protocol]:
-    """Read a test from the raw group of an earlier result, and check its channels."""
-    raw = read_raw(result_path)
-    if not is_test_name(raw.test):
-        facts = {"expected": "the name of a test, such as A2-085-1", "found": repr(raw.test)}
+def _read_stored_test(result_path: Path) -> tuple[RawTest, Protocol]:
+    """Read a test and its protocol from an earlier result, and check its channels."""
+    raw_test = read_raw(result_path)
+    if not is_test_name(raw_test.test):
+        facts = {"expected": "the name of a test, such as A2-085-1", "found": repr(raw_test.test)}
         raise StoreError.about("process.bad_result", result_path, "test", **facts)
-    protocol = parse_protocol(raw.protocol_yaml, f"{result_path}, protocol_yaml")
+    protocol = parse_protocol(raw_test.protocol_yaml, f"{result_path}, protocol_yaml")
     for role, source in protocol.sources.items():
-        names = [channel.name for channel in raw.recordings.get(role, Recording("")).channels]
-        missing = sorted(set(source.all_channels) - set(names))
-        if missing or role not in raw.recordings:
-            expected = " ".join(["the channels of its protocol,", *missing]).strip(", ")
+        recording = raw_test.recordings.get(role, Recording(""))
+        names = [channel.name for channel in recording.channels]
+        missing_names = sorted(set(source.all_channels) - set(names))
+        if missing_names or role not in raw_test.recordings:
+            expected = " ".join(["the channels of its protocol,", *missing_names]).strip(", ")
             facts = {"expected": expected, "found": ", ".join(map(repr, names)) or "none"}
             raise StoreError.about("process.bad_result", result_path, f"raw/{role}", **facts)
-    return raw, protocol
+    return raw_test, protocol
 
 
-def choose_results_folder(source: Path, out: Path | None, name: Callable[[], str]) -> Path:
+def choose_results_folder(source: Path, parent: Path | None, get_name: Callable[[], str]) -> Path:
     """Choose the results folder of a test.
 
     Parameters
     ----------
     source : test.yaml or result.h5 of the test
-    out : folder for the results of all tests; None for the default folder
-    name : function that returns the name of the test; it is called only if the name is needed
+    parent : folder for the results of all tests; None for the default folder
+    get_name : function that returns the name of the test; it is called only if the name is needed
 
     Returns
     -------
-    - ``out/<test>`` if `out` is given;
+    - ``<parent>/<test>`` if `parent` is given;
     - the folder of a result.h5 itself;
     - for ``raw/<path>/test.yaml`` the folder ``processed/<path>`` beside ``raw``;
     - for a sheet elsewhere ``processed/<test>`` in the working folder.
     """
-    if out is not None:
-        return out / name()
+    if parent is not None:
+        return parent / get_name()
     if source.suffix == ".h5":
         return source.parent
     folder = source.resolve().parent
     raw_folders = [parent for parent in folder.parents if parent.name == "raw"]
     if not raw_folders:
-        return Path("processed") / name()
+        return Path("processed") / get_name()
     return raw_folders[0].parent / "processed" / folder.relative_to(raw_folders[0])
 
 
@@ -384,28 +386,28 @@ class RefusedTest:
 
     Parameters
     ----------
-    test : test.yaml or result.h5 of the test
+    source : test.yaml or result.h5 of the test
     code : code of the reason, see `labpipe.errors.CODES`
     reason : message for the user
     folder : results folder of the test, with failure.json; None if it is not known
     run : key of the inputs; empty if it is not known
     """
 
-    test: Path
+    source: Path
     code: str
     reason: str
     folder: Path | None = None
     run: str = ""
 
 
-def attempt(
+def try_to_process(
     task: Task, on_stage: StageCallback = lambda _: None, *, is_alone: bool = False
 ) -> ProcessedTest | RefusedTest:
     """Process a test; if it cannot be processed, write failure.json beside its earlier results.
 
     Parameters
     ----------
-    task : test to be processed, and its output
+    task : test to be processed, with its options
     on_stage : function that is called with the name of each stage when the stage begins
     is_alone : whether no other test is processed; an internal error of labpipe is then raised
 
@@ -425,10 +427,10 @@ def attempt(
         return record_refusal(task, error.code, str(error))
     except Exception as error:
         code = choose_error_code(error)
-        refused = record_refusal(task, code, _describe_fault(code, task.sheet, error))
+        refused_test = record_refusal(task, code, _describe_fault(code, task.source, error))
         if is_alone and code == "fault_of_labpipe":
             raise
-        return refused
+        return refused_test
     result = replace(
         processed.result, recordings={}, aligned=None, curve=None, shape=None, bending=None
     )
@@ -452,49 +454,48 @@ def record_refusal(task: Task, code: str, reason: str, *, reads_inputs: bool = T
     """
     folder = task.results_folder
     with suppress(LabpipeError, OSError, MemoryError):
-        folder = folder or choose_results_folder(
-            task.sheet, None, partial(read_test_name, task.sheet)
-        )
+        get_name = partial(read_test_name, task.source)
+        folder = folder or choose_results_folder(task.source, None, get_name)
     failure = FailedTest(test="", code=code, reason=reason, run=task.run)
     if reads_inputs:
         failure = _add_inputs(failure, task)
     if folder is not None and code != "in_use":
         with suppress(LabpipeError):
             write_failure(failure, folder)
-    return RefusedTest(task.sheet, code, reason, folder, failure.run)
+    return RefusedTest(task.source, code, reason, folder, failure.run)
 
 
 def _add_inputs(failure: FailedTest, task: Task) -> FailedTest:
     """Add the name and the inputs of a test to its failure, as far as they can be read."""
     try:
-        failure = replace(failure, test=read_test_name(task.sheet))
-        if task.sheet.suffix == ".h5":
+        source = task.source
+        failure = replace(failure, test=read_test_name(source))
+        if source.suffix == ".h5":
             return failure
-        sheet, text = load_test_sheet(task.sheet), task.sheet.read_text(encoding="utf-8")
-        protocol = resolve_protocol(sheet, task.sheet, follow_links=task.follow_links)
+        sheet, text = load_test_sheet(source), source.read_text(encoding="utf-8")
+        protocol = resolve_protocol(sheet, source, follow_links=task.follow_links)
         texts = {"sheet": text, "protocol": dump_protocol(protocol)}
         hashes = {name: sha256(text.encode()).hexdigest() for name, text in texts.items()}
-        failure = replace(failure, made_of=hashes)  # they remain if an export cannot be read
-        named_exports, folder = list_named_exports(sheet, protocol), task.sheet.parent
+        failure = replace(failure, made_of=hashes)  # the hashes remain if an export cannot be read
+        named_exports, folder = list_named_exports(sheet, protocol), source.parent
         exports = [fingerprint(folder / name, role, name) for role, name in named_exports]
         inputs = (*exports, *fingerprint_dialect_cards(protocol))
-        files = [(file.role, file.sha256) for file in inputs]
-        run = failure.run or make_input_key(files, texts["sheet"], texts["protocol"])
+        input_hashes = [(file.role, file.sha256) for file in inputs]
+        run = failure.run or make_input_key(input_hashes, texts["sheet"], texts["protocol"])
         return replace(failure, inputs=inputs, run=run)
     except Exception:  # noqa: BLE001  the error that is being reported may be raised here again
         return failure
 
 
-def _describe_fault(code: str, test: Path, error: Exception) -> str:
+def _describe_fault(code: str, source: Path, error: Exception) -> str:
     """Describe an error that is not a `LabpipeError`: a system error or a fault of labpipe."""
     if code == "system_refused":
-        return f"{test}: {describe_system_error(error)}"
+        return f"{source}: {describe_system_error(error)}"
     if code == "out_of_memory":
-        return str(LabpipeError.about("process.out_of_memory", test))
+        return str(LabpipeError.about("process.out_of_memory", source))
     frames = traceback.extract_tb(error.__traceback__)
     labpipe_frames = [frame for frame in frames if "labpipe" in Path(frame.filename).parts]
     frame = (labpipe_frames or frames)[-1]
     location = f"{Path(frame.filename).name}, line {frame.lineno}"
     facts = {"kind": type(error).__name__, "message": " ".join(str(error).split())}
-    fault = LabpipeError.about("process.fault_of_labpipe", test, place=location, **facts)
-    return str(fault)
+    return str(LabpipeError.about("process.fault_of_labpipe", source, place=location, **facts))

@@ -66,16 +66,15 @@ def check_signals(
 def check_rig(prepared: PreparedTest, motion: Motion, protocol: Protocol) -> Iterator[Finding]:
     """Report cycles, stroke, speed and specimen length that differ from those of the protocol."""
     max_length_difference, max_length_deviation = 2e-3, 0.02  # m; fraction of the length
-    rig, motion_signal, branches = protocol.rig, motion.signal, motion.branches
+    rig, signal, branches = protocol.rig, motion.signal, motion.branches
     if branches and rig.cycles not in (None, branches[-1].cycle):
         facts: dict[str, Any] = {"measured": branches[-1].cycle, "expected": rig.cycles}
         yield Finding.of("process.cycles_unexpected", "rig.cycles", **facts)
-    if branches and rig.stroke is not None and not is_full_stroke(motion_signal, rig.stroke):
-        stroke = _compute_range(motion_signal.values)
-        facts = {"measured": 1e3 * stroke, "expected": 1e3 * rig.stroke}
+    if branches and rig.stroke is not None and not is_full_stroke(signal, rig.stroke):
+        facts = {"measured": 1e3 * _compute_range(signal.values), "expected": 1e3 * rig.stroke}
         yield Finding.of("process.stroke_unexpected", "rig.stroke", **facts)
-    if branches and rig.crosshead_speed is not None and motion_signal.has_time:
-        speed, rig_speed = _measure_speed(motion_signal, branches[0]), rig.crosshead_speed
+    if branches and rig.crosshead_speed is not None and signal.has_time:
+        speed, rig_speed = _measure_speed(signal, branches[0]), rig.crosshead_speed
         if abs(speed - rig_speed) > protocol.limits.speed_deviation * rig_speed:
             facts = {"measured": 1e3 * speed, "expected": 1e3 * rig_speed}
             where = "rig.crosshead_speed"
@@ -138,14 +137,10 @@ def check_lost_samples(
         ]
         if jumps:
             sample, size = max(jumps, key=lambda jump: abs(jump[1]))
-            facts: dict[str, Any] = {
-                "channel": channel,
-                "size": f"{1e3 * size:.4g} mm" if signal.unit == "m" else f"{size:.4g} N",
-                "duration": duration,
-                "ratio": abs(size) / usual_change,
-                "at": float(time[sample]),
-                "count": len(jumps),
-            }
+            size_text = f"{1e3 * size:.4g} mm" if signal.unit == "m" else f"{size:.4g} N"
+            facts: dict[str, Any] = {"channel": channel, "size": size_text, "duration": duration}
+            facts |= {"at": float(time[sample]), "ratio": abs(size) / usual_change}
+            facts |= {"count": len(jumps)}
             yield Finding.of("process.samples_lost", channel, quantity, "clock", **facts)
 
 
@@ -213,9 +208,8 @@ def check_zeros(prepared: PreparedTest, motion: Motion, protocol: Protocol) -> I
         ends = [motion.clocks.to_curve(end, signals.raw[name].clock) for end in stretch]
         if ends[1] > start + overlap and ends[0] < stop - overlap:
             quantity = "force" if name == signals.force else "displacement"
-            yield Finding.of(
-                "process.zero_not_at_rest", name, quantity, ends=ends, start=start, stop=stop
-            )
+            facts: dict[str, Any] = {"ends": ends, "start": start, "stop": stop}
+            yield Finding.of("process.zero_not_at_rest", name, quantity, **facts)
 
 
 def check_mid_span(
@@ -369,17 +363,12 @@ def check_start(signals: Signals, motion: Motion, *, has_slack: bool) -> Iterato
     if has_slack and zeroed_quantities == ["displacement"]:
         zeroed_quantities = []  # because the slack correction restores this zero
     start_period = float(time[0]), max(float(time[0]), motion.branches[0].start_time)
-    for quantities_of_period, period in ((["start"], start_period), (zeroed_quantities, None)):
-        if quantities_of_period:
-            facts: dict[str, Any] = {
-                "load": load,
-                "relative_load": relative_load,
-                "position": 1e3 * float(path[0]),
-                "zeros": f"; {' and '.join(zeroed_names)} zeroed there" if zeroed_names else "",
-            }
-            yield Finding.of(
-                "process.begins_under_load", where, *quantities_of_period, period=period, **facts
-            )
+    zeros = f"; {' and '.join(zeroed_names)} zeroed there" if zeroed_names else ""
+    facts: dict[str, Any] = {"load": load, "relative_load": relative_load, "zeros": zeros}
+    facts |= {"position": 1e3 * float(path[0])}
+    for names, period in ((["start"], start_period), (zeroed_quantities, None)):
+        if names:
+            yield Finding.of("process.begins_under_load", where, *names, period=period, **facts)
 
 
 def _read_first_branch(
@@ -519,15 +508,11 @@ def check_holds(prepared: PreparedTest, motion: Motion, protocol: Protocol) -> I
         pauses.append((branches[-1].stop_time, float(time[-1])))
     holds = [(start, stop) for start, stop in pauses if stop - start >= min_duration]
     if holds:
-        yield Finding.of(
-            "process.hold",
-            prepared.signals.displacement,
-            count=len(holds),
-            longest=max(stop - start for start, stop in holds),
-            unit=unit,
-            position=1e3 * float(np.interp(sum(holds[0]) / 2.0, time, values)),
-            start=holds[0][0],
-        )
+        longest = max(stop - start for start, stop in holds)
+        position = 1e3 * float(np.interp(sum(holds[0]) / 2.0, time, values))
+        facts: dict[str, Any] = {"count": len(holds), "longest": longest, "unit": unit}
+        facts |= {"start": holds[0][0], "position": position}
+        yield Finding.of("process.hold", prepared.signals.displacement, **facts)
 
 
 def list_certified_instruments(protocol: Protocol) -> tuple[Instrument, ...]:
@@ -573,9 +558,8 @@ def check_answers(protocol: Protocol, observed: Mapping[str, str]) -> Iterator[F
     """
     for name, answers in protocol.questions.items():
         if name not in observed:
-            yield Finding.of(
-                "process.question_open", name, "observation", name=name, answers=", ".join(answers)
-            )
+            facts: dict[str, Any] = {"name": name, "answers": ", ".join(answers)}
+            yield Finding.of("process.question_open", name, "observation", **facts)
 
 
 def check_calibration_due(protocol: Protocol, test_date: date | None) -> Iterator[Finding]:

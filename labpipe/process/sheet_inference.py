@@ -257,9 +257,8 @@ def match_protocols(
     best_score = max((match.score for match in matches), default=None)
     best_matches = {match.protocol.name: match for match in matches if match.score == best_score}
     texts = [str(text) for export in exports.values() for text in export.metadata.values()]
-    standards = [
-        name for name in best_matches if re.search(r"\d{3,}", name)
-    ]  # names with the number of a standard
+    # A name with at least three digits contains the number of a standard.
+    standards = [name for name in best_matches if re.search(r"\d{3,}", name)]
     nominal_lengths = {name: best_matches[name].protocol.specimen.length for name in best_matches}
     names_of_equal_length = [
         name

@@ -148,9 +148,7 @@ def calibrate(
     curve, findings = protocol.curve, list[Finding]()
     signals = Signals() if curve is None else Signals(curve.force, curve.displacement)
     take = Take()
-    scale_uncertainties: dict[str, float] = {
-        role: source.gain_uncertainty for role, source in protocol.sources.items()
-    }
+    gain_errors: dict[str, float] = {x: y.gain_uncertainty for x, y in protocol.sources.items()}
     reversed_channels = [getattr(curve, name) for name in (curve and curve.reverse) or ()]
     for role, recording in recordings.items():
         force_path = next((x.path for x in recording.channels if x.name == signals.force), None)
@@ -166,7 +164,7 @@ def calibrate(
                 _check_magnitude(tracks.positions[:, index], "marker", role, f"marker {name!r}")
             for body in tracks.bodies:
                 _check_magnitude(body.position, "marker", role, f"rigid body {body.name!r}")
-            take = Take(tracks, role, scale_uncertainty=scale_uncertainties[role])
+            take = Take(tracks, role, scale_uncertainty=gain_errors[role])
         for channel in recording.channels:
             clock, source = recording.get_clock(channel.clock), protocol.channels[channel.name]
             _check_clock(clock.time, role, min_samples=min_samples)
@@ -360,11 +358,9 @@ def compute_travel_from_speed(
         return np.asarray(speed * (loading_time - unloading_time), dtype=np.float64)
 
     values, time_error = compute_travel(0.0), corner.time_error
-    perturbed = {
-        TURN: compute_travel(time_error),
-        SPEED: (1.0 + step.speed_uncertainty) * values,
-    }
-    signal = Signal(time, values, "m", force.clock, perturbed=perturbed)
+    faster_values = (1.0 + step.speed_uncertainty) * values
+    perturbed_values = {TURN: compute_travel(time_error), SPEED: faster_values}
+    signal = Signal(time, values, "m", force.clock, perturbed=perturbed_values)
     facts: dict[str, Any] = {"speed": 1e3 * speed, "duration": duration}
     facts |= {"time": corner.time, "error": 1e3 * time_error}
     findings = [Finding.of("process.displacement_from_speed", step.channel, **facts)]
@@ -679,10 +675,8 @@ def rezero_at_rest(signals: Signals, motion: Motion) -> tuple[Signals, list[Find
     for name, (start, stop) in signals.zero_stretches.items() if branches else ():
         raw_signal = signals.raw[name]
         time, values = raw_signal.time, raw_signal.values
-        motion_start, motion_end = (
-            motion.clocks.from_curve(curve_time, raw_signal.clock)
-            for curve_time in (branches[0].start_time, branches[-1].stop_time)
-        )
+        motion_start = motion.clocks.from_curve(branches[0].start_time, raw_signal.clock)
+        motion_end = motion.clocks.from_curve(branches[-1].stop_time, raw_signal.clock)
         if start < motion_start < stop:
             rest_period = (start, motion_start)
         elif start < motion_end < stop:

@@ -1,6 +1,7 @@
 """Reduce one test from recordings to results, without access to files.
 
-Read this module first. Each stage is a pure function, which returns a frozen record and findings:
+Read this module first. Each stage is a function without side effects, which returns an immutable
+record and findings:
 
 recordings -> signals -> prepared test (zeros, filters, shape) -> branches and clocks -> curve ->
 corrected curve -> results
@@ -52,7 +53,7 @@ class Reduction:
 
     Parameters
     ----------
-    reduced_test : test with all stages that could be computed, and all findings
+    reduced_test : test with all stages that could be computed, and with all findings
     results : results in the order of the protocol
     lines : straight lines that were fitted for stiffnesses
     """
@@ -92,9 +93,8 @@ def reduce_recordings(
         prepared, new_findings = run_step(prepared, step, protocol)
         findings += new_findings
     if protocol.curve is None or protocol.branches is None:
-        return add_results(
-            _build_reduced_test(prepared, Clocks(), protocol, findings, labels), protocol
-        )
+        test = _build_reduced_test(prepared, Clocks(), protocol, findings, labels)
+        return add_results(test, protocol)
     seed = make_seed(recordings)
     prepared, motion, new_findings = split_motion(prepared, protocol, protocol.branches)
     findings += new_findings
@@ -103,10 +103,9 @@ def reduce_recordings(
     signals, new_findings = rezero_at_rest(prepared.signals, motion)
     prepared, findings = replace(prepared, signals=signals), findings + new_findings
     findings = check_signals(prepared, motion, protocol, findings)
-    test = replace(
-        _build_reduced_test(prepared, motion.clocks, protocol, findings, labels), seed=seed
-    )
-    return add_results(add_curve(test, motion, protocol, protocol.curve), protocol)
+    test = _build_reduced_test(prepared, motion.clocks, protocol, findings, labels)
+    test = add_curve(replace(test, seed=seed), motion, protocol, protocol.curve)
+    return add_results(test, protocol)
 
 
 def make_seed(recordings: Mapping[str, Recording]) -> bytes:
@@ -114,7 +113,7 @@ def make_seed(recordings: Mapping[str, Recording]) -> bytes:
 
     Parameters
     ----------
-    recordings : recordings, keyed by role; a thousand samples of each channel are used
+    recordings : recordings, keyed by role; one to two thousand samples of each channel are used
     """
     digest = hashlib.sha256()
     for role in sorted(recordings):
@@ -139,7 +138,9 @@ def split_motion(
 
     Returns
     -------
-    The test, whose bent axis may be rejected; the motion with branches and clocks; the findings.
+    prepared : test; a reason replaces its bent axis if the clock of the cameras cannot be aligned
+    motion : motion with its branches and clocks
+    findings : findings of the motion and of the clocks
     """
     signals = prepared.signals
     motion, findings = find_motion_strokes(signals.raw[settings.channel], settings)
@@ -151,11 +152,10 @@ def split_motion(
         # The import is slow, and only tests with cameras need it.
         from labpipe.process.camera_steps import align_cameras
 
-        min_stroke = settings.min_stroke
-        prepared, camera_clocks, new_findings = align_cameras(
-            prepared, motion, min_stroke=min_stroke
+        prepared, camera_fits, new_findings = align_cameras(
+            prepared, motion, min_stroke=settings.min_stroke
         )
-        motion = replace(motion, clocks=replace(clocks, others=camera_clocks))
+        motion = replace(motion, clocks=replace(clocks, others=camera_fits))
         findings += new_findings
     return prepared, motion, findings
 
@@ -199,11 +199,11 @@ def _build_reduced_test(
     findings: Findings,
     labels: Mapping[str, str],
 ) -> ReducedTest:
-    """Build the reduced test before its curve, with the settings that results use."""
+    """Build a reduced test without a curve, with the settings that results use."""
     specimen, markers, string = protocol.specimen, protocol.markers, protocol.rig.string
     section = {} if specimen.section is None else vars(specimen.section)
-    lengths = (("length", specimen.length), ("gauge_length", specimen.gauge_length))
-    sizes = {**dict(lengths), "span": specimen.span, **section}
+    sizes = {"length": specimen.length, "gauge_length": specimen.gauge_length}
+    sizes |= {"span": specimen.span, **section}
     # An uncertainty in the block `specimen` has priority over that of a result.
     uncertainties = {
         entry.length: entry.length_uncertainty
@@ -262,7 +262,7 @@ def add_results(test: ReducedTest, protocol: Protocol) -> Reduction:
 
 def _add_remedy(result: Result, entry: Kind, protocol: Protocol) -> Result:
     """Add the override that leaves out a result for which the record does not suffice."""
-    codes = {"not_reached", "too_few_samples", "no_break"}  # of records that do not suffice
+    codes = {"not_reached", "too_few_samples", "no_break"}  # codes of records that do not suffice
     if result.status is not Status.FAILED or not codes & {reason.code for reason in result.reasons}:
         return result
     names = [getattr(kind, "name", kind.result) for kind in protocol.results]

@@ -41,7 +41,7 @@ class StandIn:
 
     def __call__(self, tasks: Iterable[Task]) -> Outcomes:
         for task in tasks:
-            name = task.sheet.parent.name
+            name = task.source.parent.name
             self.before(name)
             self.processed.append(name)
             assert task.results_folder is not None
@@ -50,21 +50,21 @@ class StandIn:
 
 def attempt_of(task: Task, goal: Path, shift: float) -> Outcome:
     goal.mkdir(parents=True, exist_ok=True)
-    export = task.sheet.parent / "frame.csv"
+    export = task.source.parent / "frame.csv"
     outcome = (
         export.read_text(encoding="utf-8").split() if export.is_file() else ["fail", "missing"]
     )
     try:
-        load_test_sheet(task.sheet)
+        load_test_sheet(task.source)
     except LabpipeError as error:
         outcome = ["fail", error.code]
-    if outcome[0] != "fail" and load_test_sheet(task.sheet).protocol not in list_protocols():
+    if outcome[0] != "fail" and load_test_sheet(task.source).protocol not in list_protocols():
         outcome = ["fail", "bad_sheet"]
     if outcome[0] == "fail":
         failure = {"code": outcome[1], "reason": f"a {outcome[1]} of an export", "run": task.run}
         if outcome[1] != "in_use":
             (goal / "failure.json").write_text(json.dumps(failure), encoding="utf-8")
-        return RefusedTest(task.sheet, outcome[1], failure["reason"], goal, task.run)
+        return RefusedTest(task.source, outcome[1], failure["reason"], goal, task.run)
     doubts = outcome[0] == "doubt"
     peak = shift + (1.0 if doubts else float(outcome[0]))
     text = json.dumps(summary_of(task, peak, doubts=doubts))
@@ -84,16 +84,16 @@ _RESOLVED: dict[tuple[str, str], str] = {}
 def _resolved(name: str, text: str, task: Task) -> str:
     """The resolved protocol: the sheets of these campaigns all change the same in it."""
     if (name, text) not in _RESOLVED:
-        protocol = resolve_protocol(load_test_sheet(task.sheet), task.sheet)
+        protocol = resolve_protocol(load_test_sheet(task.source), task.source)
         _RESOLVED[name, text] = dump_protocol(protocol)
     return _RESOLVED[name, text]
 
 
 def summary_of(task: Task, peak: float, *, doubts: bool = False) -> dict[str, object]:
-    sheet = load_test_sheet(task.sheet)
+    sheet = load_test_sheet(task.source)
     protocol = _resolved(sheet.protocol, list_protocols()[sheet.protocol].read_text("utf-8"), task)
-    export = (task.sheet.parent / "frame.csv").read_bytes()
-    texts = {"sheet": task.sheet.read_text(encoding="utf-8"), "protocol": protocol}
+    export = (task.source.parent / "frame.csv").read_bytes()
+    texts = {"sheet": task.source.read_text(encoding="utf-8"), "protocol": protocol}
     reasons = [{"code": "noisy", "message": "much noise"}] if doubts else []
     return {
         "schema": 2,

@@ -46,7 +46,7 @@ def tasks_of(labs: list[TensileLab], out: Path) -> list[Task]:
 
 
 def by_name(attempts: Iterator[tuple[Task, Outcome]]) -> dict[str, Outcome]:
-    return {task.sheet.parent.name: attempted for task, attempted in attempts}
+    return {task.source.parent.name: attempted for task, attempted in attempts}
 
 
 def refusals(attempts: dict[str, Outcome]) -> dict[str, RefusedTest]:
@@ -142,12 +142,12 @@ def test_workers_must_see_the_files(alone: Cluster, hidden_labs: list[TensileLab
     handle = os.open(hidden_labs[5].raw, os.O_RDONLY)
     try:
         sheet = Path(f"/proc/self/fd/{handle}/test.yaml")
-        hidden = replace(tasks.pop(), sheet=sheet, run="0a")
+        hidden = replace(tasks.pop(), source=sheet, run="0a")
         outcomes = list(process_on_cluster([*tasks, hidden], alone.address))
     finally:
         os.close(handle)
     (failed,) = (test for _, test in outcomes if isinstance(test, RefusedTest))
-    assert (failed.test, failed.code, failed.run) == (sheet, "worker_without_data", "0a")
+    assert (failed.source, failed.code, failed.run) == (sheet, "worker_without_data", "0a")
     assert failed.reason.startswith(f"{sheet}: expected workers with this labpipe that can")
     assert len(list((hidden_labs[0].home / "out").glob("*/result.h5"))) == 5
     alone.add_worker()

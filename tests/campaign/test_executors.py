@@ -165,12 +165,12 @@ def test_worker_ends_with_its_parent() -> None:
 def test_outcome_of_a_dead_or_late_process(tmp_path: Path) -> None:
     task = Task(small_pulls(tmp_path, 1)[0].sheet, run="0a")
     error = ProcessingError.about(
-        "campaign.process_died", task.sheet, ending="by the signal SIGTERM"
+        "campaign.process_died", task.source, ending="by the signal SIGTERM"
     )
     died = await_outcome(task, failed(error))
     assert isinstance(died, RefusedTest)
     assert (died.code, died.run) == ("process_died", "0a")
-    late_error = ProcessingError.about("campaign.time_limit", task.sheet, minutes=2.0)
+    late_error = ProcessingError.about("campaign.time_limit", task.source, minutes=2.0)
     late = await_outcome(task, failed(late_error))
     assert isinstance(late, RefusedTest)
     assert late.code == "time_limit"
@@ -231,7 +231,7 @@ def test_warm_worker_survives_failed_calls(pool: Pool) -> None:
 def test_death_of_the_warm_worker_is_an_outcome(
     pool: Pool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("labpipe.campaign.watching.attempt", die)
+    monkeypatch.setattr("labpipe.campaign.watching.try_to_process", die)
     task = Task(small_pulls(tmp_path, 1)[0].sheet, tmp_path / "out")
     ((_, attempted),) = process_in_pool(pool, [task])
     assert isinstance(attempted, RefusedTest)

@@ -24,7 +24,7 @@ from labpipe.process.output_paths import (
     list_files_below,
     refuse_duplicates,
 )
-from labpipe.process.run import ProcessedTest, RefusedTest, Task, attempt, process
+from labpipe.process.run import ProcessedTest, RefusedTest, Task, process, try_to_process
 from labpipe.process.sheet_inference import list_test_folders, read_folder
 from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.schema import Protocol
@@ -49,7 +49,7 @@ def pull_lab(tmp_path: Path) -> TensileLab:
 
 
 def tried(pull_lab: TensileLab, **more: Any) -> ProcessedTest | RefusedTest:
-    return attempt(Task(pull_lab.sheet, figures=False, **more))
+    return try_to_process(Task(pull_lab.sheet, figures=False, **more))
 
 
 def failure(pull_lab: TensileLab) -> dict[str, Any]:
