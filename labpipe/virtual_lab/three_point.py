@@ -605,7 +605,7 @@ class HalfBundle:
         end = float(self.arc_length[-1])
         contact = float(brentq(lambda length: compute_gaps(length)[0], 0.0, end, xtol=1e-14))
         travel = float(compute_gaps(contact)[1])
-        history = response.plays
+        history = response.history
         return HalfShape(travel, 0.0, contact, shape, zero_moment, response.curvature, history)
 
     def solve_equilibrium(
@@ -635,7 +635,7 @@ class HalfBundle:
                 shape = self._compute_shape(response.curvature)
                 _, fy = _compute_direction(self._interpolate(shape, unknowns[-1])[2], friction)
                 force, contact = 2.0 * float(unknowns[-2]) * float(fy), float(unknowns[-1])
-                history = response.curvature, response.plays
+                history = response.curvature, response.history
                 return HalfShape(goal_displacement, force, contact, shape, moment, *history)
         return None
 
