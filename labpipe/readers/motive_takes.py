@@ -35,7 +35,7 @@ import numpy as np
 
 from labpipe.errors import ReadError
 from labpipe.readers.channels import ChannelChoice
-from labpipe.readers.number_table import Body, compare_row_counts, read_columns
+from labpipe.readers.number_table import Body, make_row_count_notes, read_columns
 from labpipe.readers.raw_files import (
     ContentError,
     map_read_errors,
@@ -286,13 +286,8 @@ def parse_header(rows: Sequence[Cells]) -> Header:
     ordered_rows = [label_rows.get(label, []) for label in (*_OBJECT_LABELS, "Quantity")]
     groups = _group_columns([*ordered_rows, rows[axis_row]], first_column, axis_row)
     last_column = max((max(group.columns.values()) for group in groups), default=0)
-    return Header(
-        properties=properties,
-        groups=groups,
-        time_column=time_column,
-        width=max(len(rows[axis_row]), last_column + 1),
-        n_rows=axis_row + 1,
-    )
+    width = max(len(rows[axis_row]), last_column + 1)
+    return Header(properties, groups, time_column, width=width, n_rows=axis_row + 1)
 
 
 def _parse_properties(cells: Cells) -> dict[str, str]:
@@ -310,10 +305,7 @@ def _find_label_rows(rows: Sequence[Cells], first_column: int) -> dict[str, Cell
     Rows without labels (version 1.21) have the order of `_OBJECT_LABELS`.
     """
     filled_rows = [row for row in rows if any(cell.strip() for cell in row)]
-    labels = [
-        next((cell.strip() for cell in row[:first_column] if cell.strip()), "")
-        for row in filled_rows
-    ]
+    labels = [next((x.strip() for x in row[:first_column] if x.strip()), "") for row in filled_rows]
     rows_by_label: dict[str, Cells] = dict(zip(labels, filled_rows, strict=True))
     if any(labels):
         rows_by_label["Quantity"] = rows_by_label.pop("", [])  # this row has no label
@@ -627,7 +619,7 @@ def _make_row_style_notes(take: _RowStyleTake, tracks: MarkerTracks) -> Iterator
     n_bodies, n_points = np.array(take.frames)[:, 2:].astype(int).T
     n_frames, n_empty = len(n_bodies), int((n_bodies == 0).sum())
     yield QualityNote.of("readers.unit_assumed", "take")
-    yield from compare_row_counts(parse_count(take.info.get("framecount", "")), n_frames)
+    yield from make_row_count_notes(parse_count(take.info.get("framecount", "")), n_frames)
     if n_empty:
         yield QualityNote.of("readers.frames_without_body", "take", count=n_empty, total=n_frames)
     extremes = {"least": n_points.min(), "most": n_points.max()}
