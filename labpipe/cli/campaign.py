@@ -32,7 +32,7 @@ from labpipe.campaign.running import (
 from labpipe.cli.terminal import shorten_path, show_completed
 from labpipe.errors import UsageError
 from labpipe.process.run import Task
-from labpipe.report.wording import write_count
+from labpipe.report.wording import format_count
 from labpipe.store.replace import replace_file
 
 _MAX_LISTED = 20
@@ -151,7 +151,7 @@ def _import_decisions(options: argparse.Namespace, campaign: CampaignFolders) ->
     for decision, reason in imported.not_imported:
         refusal = escape_controls(f"{decision.test}: {decision.decision} not imported: {reason}")
         print(refusal, file=sys.stderr)
-    count = write_count(len(imported.added), "decision")
+    count = format_count(len(imported.added), "decision")
     print(f"{count} imported, {imported.n_stored_before} already known")
     return 2 if imported.faults or imported.not_imported else 0
 
