@@ -101,9 +101,7 @@ def _record_failure(task: Task, error: LabpipeError) -> RefusedTest:
     return record_refusal(task, error.code, str(error), reads_inputs=False)
 
 
-def process_locally(
-    tasks: Iterable[Task], *, jobs: int, time_limit: float | None = None
-) -> Outcomes:
+def process_locally(tasks: Iterable[Task], jobs: int, time_limit: float | None = None) -> Outcomes:
     """Process tests in child processes of this machine.
 
     With given `jobs` and `time_limit`, the function is an `Executor`.
@@ -126,9 +124,7 @@ _ADDRESS_PREFIXES = {"dask": "", "dask+tls": "tls://"}
 """Prefix of the address of a dask scheduler, keyed by scheme of the URL."""
 
 
-def parse_executor(
-    text: str, *, jobs: int | None = None, time_limit: float | None = None
-) -> Executor:
+def parse_executor(text: str, jobs: int | None = None, time_limit: float | None = None) -> Executor:
     """Make the executor that is named on the command line.
 
     Parameters
@@ -149,9 +145,8 @@ def parse_executor(
     host, _, port = address.rpartition(":")
     if scheme not in _ADDRESS_PREFIXES or not host or not port.isdecimal():
         raise UsageError.about("campaign.bad_executor", "--executor", text=text)
-    return partial(
-        process_on_cluster, address=f"{_ADDRESS_PREFIXES[scheme]}{address}", time_limit=time_limit
-    )
+    address = f"{_ADDRESS_PREFIXES[scheme]}{address}"
+    return partial(process_on_cluster, address=address, time_limit=time_limit)
 
 
 def process_tests(
@@ -227,9 +222,8 @@ def check_worker(sheet: Path, versions: tuple[str, int]) -> None:
     versions : versions of the client
     """
     if versions != _VERSIONS:
-        version, found = versions[0], __version__
         raise UsageError.about(
-            "campaign.other_versions", "--executor", version=version, found=found
+            "campaign.other_versions", "--executor", version=versions[0], found=__version__
         )
     if not sheet.exists():
         raise UsageError.about("campaign.without_data", sheet)

@@ -49,9 +49,7 @@ def _run(
     options: argparse.Namespace, campaign: CampaignFolders, forced_folders: Sequence[str] = ()
 ) -> int:
     """Process new and changed tests, and the tests in `forced_folders`."""
-    executor = parse_executor(
-        options.executor, jobs=options.jobs, time_limit=60.0 * options.limit_minutes
-    )
+    executor = parse_executor(options.executor, options.jobs, 60.0 * options.limit_minutes)
     make_task = partial(
         Task, figures=not options.no_figures, png=options.png, follow_links=options.follow_links
     )
@@ -70,10 +68,8 @@ def _run(
         names = join_names(skipped_folders)
         lines.append(f"  {len(skipped_folders)} in use by another labpipe process: {names}")
     failed_rows = [row for row in overview.rows.values() if row.state == FAILED]
-    for row in failed_rows[:_MAX_LISTED]:
-        lines.append(f"  {FAILED}  {row.folder}  {row.code}: {row.reason}")
-    if len(failed_rows) > _MAX_LISTED:
-        lines.append(f"  ... {len(failed_rows) - _MAX_LISTED} more; see labpipe campaign status")
+    failures = [f"{row.folder}  {row.code}: {row.reason}" for row in failed_rows]
+    lines += _list_section(FAILED, failures)
     return _print_overview(campaign, overview, [*lines, *_list_unapplied_decisions(overview)])
 
 
@@ -193,10 +189,8 @@ def _print_overview(campaign: CampaignFolders, overview: Overview, lines: list[s
     """Print the notes, the number of tests in each state and `lines`; return the exit status."""
     _print_to_stderr(overview.notes)
     counts = overview.counts
-    state_counts = ", ".join(f"{counts[state]} {state}" for state in STATES if counts[state])
-    headline = (
-        f"{campaign.name}: {state_counts or 'no tests'}  ->  {shorten_path(campaign.processed)}"
-    )
+    totals = ", ".join(f"{counts[state]} {state}" for state in STATES if counts[state])
+    headline = f"{campaign.name}: {totals or 'no tests'}  ->  {shorten_path(campaign.processed)}"
     print("\n".join(map(escape_controls, [headline, *lines])))
     return _choose_exit_status(overview)
 

@@ -14,9 +14,7 @@ def run(options: argparse.Namespace) -> int:
     report = check_paths(options.paths, follow_links=options.follow_links)
     for fault in report.faults:
         print(fault, file=sys.stderr)
-    fault_count = write_count(len(report.faults), "fault") if report.faults else "no faults found"
-    plan_count = f", {write_count(len(report.plans), 'plan')}" if report.plans else ""
-    print(
-        f"{len(report.protocols)} protocols, {len(report.tests)} tests{plan_count}: {fault_count}"
-    )
+    verdict = write_count(len(report.faults), "fault") if report.faults else "no faults found"
+    plans = f", {write_count(len(report.plans), 'plan')}" if report.plans else ""
+    print(f"{len(report.protocols)} protocols, {len(report.tests)} tests{plans}: {verdict}")
     return 2 if report.faults else 0

@@ -28,22 +28,18 @@ from labpipe.store.summaries import build_summary
 
 def run(options: argparse.Namespace) -> int:
     """Process tests; return 2 if a test is refused, 1 if a result failed, otherwise 0."""
-    tests = find_tests(options.tests)
+    tests, time_limit = find_tests(options.tests), 60.0 * options.limit_minutes
     processed, n_refused = process_all(
-        tests,
-        options,
-        out=options.out,
-        time_limit=60.0 * options.limit_minutes,
-        follow_links=options.follow_links,
+        tests, options, out=options.out, time_limit=time_limit, follow_links=options.follow_links
     )
     if not processed:
         return 2  # `process_all` has printed the reasons
     if options.json:
-        summaries = [build_summary(processed_test.result) for processed_test in processed]
+        summaries = [build_summary(outcome.result) for outcome in processed]
         print(json.dumps(summaries[0] if len(tests) == 1 else summaries, indent=2))
     else:
-        print("\n\n".join(format_test(processed_test) for processed_test in processed))
-    return 2 if n_refused else int(any(processed_test.n_failed for processed_test in processed))
+        print("\n\n".join(format_test(outcome) for outcome in processed))
+    return 2 if n_refused else int(any(outcome.n_failed for outcome in processed))
 
 
 def process_all(
@@ -104,7 +100,7 @@ def format_test(processed: ProcessedTest) -> str:
             names_by_status_text[f"{result.status}: {result.reason_text}"].append(result.name)
     lines = [format_headline(processed)]
     for results in results_by_quantity.values():
-        lines += _format_results_of_quantity(results, dict(test.display), width)
+        lines += _format_cycles(results, dict(test.display), width)
     lines += [f"  {reason}  [{', '.join(names)}]" for reason, names in names_by_status_text.items()]
     for note in test.quality:
         if note.severity != "info":
@@ -126,9 +122,7 @@ def format_headline(processed: ProcessedTest) -> str:
     return f"{result.test}  ({result.protocol}): {counts}  ->  {shorten_path(processed.folder)}"
 
 
-def _format_results_of_quantity(
-    results: list[Result], display: Mapping[str, str], width: int
-) -> list[str]:
+def _format_cycles(results: list[Result], display: Mapping[str, str], width: int) -> list[str]:
     """Format one line per cycle; for more than 8 cycles, four lines and the range of the others."""
     max_lines = 8
     n_listed = len(results) if len(results) <= max_lines else max_lines // 2
