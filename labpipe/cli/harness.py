@@ -53,7 +53,7 @@ def show_progress() -> Iterator[Progress]:
 
 
 def _find_faults(solution: HarnessSolution) -> Iterator[str]:
-    """Find the reasons of a failure, or a bend below the allowed radius that the file states."""
+    """Yield the reasons for a failure, or that a bend is sharper than the file allows."""
     if solution.status is Status.FAILED:
         yield from (f"{reason.code}: {reason.message}" for reason in solution.reasons)
     elif not solution.limit.is_assumed and solution.sharpest_bend.radius < solution.limit.radius:

@@ -75,7 +75,7 @@ def shorten_path(path: Path) -> Path:
 
 
 def compute_name_width(names: Iterable[str]) -> int:
-    """Compute the width, in characters, of a column that contains all names."""
+    """Compute the width of a column of names, in characters."""
     min_width = 26  # the columns of most tests are then aligned with each other
     return max(min_width, *(len(name) for name in names), 0)
 
