@@ -117,7 +117,7 @@ class ValidationGroup:
     ----------
     wire : name of the wire
     length : free length, m
-    is_calibration_group : whether the samples were used for the calibration
+    is_calibrated : whether the model was calibrated with these samples
     samples : first loading of each sample, keyed by the name of its test
     band : mean of the samples with its 95 % bands, which are NaN for a single sample
     prediction : prediction of the model, with a band for one more sample; None if there is none
@@ -130,7 +130,7 @@ class ValidationGroup:
 
     wire: str
     length: float
-    is_calibration_group: bool
+    is_calibrated: bool
     samples: Mapping[str, SampleCurve]
     band: Band
     prediction: Prediction | None = None
@@ -141,7 +141,7 @@ class ValidationGroup:
     @property
     def heading(self) -> str:
         """Wire, length, and whether the model was calibrated, such as ``A2, 85 mm: predicted``."""
-        model_use = "calibrated" if self.is_calibration_group else "predicted"
+        model_use = "calibrated" if self.is_calibrated else "predicted"
         return f"{self.wire}, {format_length(self.length)}: {model_use}"
 
     @property
@@ -195,7 +195,7 @@ class CalibrationReport:
         return {
             group.length: group.prediction
             for group in self.groups
-            if group.is_calibration_group and group.prediction is not None
+            if group.is_calibrated and group.prediction is not None
         }
 
 
@@ -610,8 +610,7 @@ def _make_group_plot(group: ValidationGroup) -> Plot:
     wrapped_texts = (textwrap.wrap(text, max_line_length) for text in describe_agreement(group))
     label_text = "\n".join(line for text_lines in wrapped_texts for line in text_lines)
     label = Label(label_text, -np.inf, np.inf, (4.0, -2.0), {"va": "top"})
-    forces = [group.band.mean, *(sample.force for sample in samples)]
-    force_axis = _make_force_axis(lines, forces)
+    force_axis = _make_force_axis(lines, [group.band.mean, *(sample.force for sample in samples)])
     return Plot(_DEFLECTION_AXIS, force_axis, lines, heading=group.heading, labels=[label])
 
 
@@ -975,7 +974,7 @@ def _make_agreement_record(group: ValidationGroup) -> tables.Record:
         "wire": group.wire,
         _LENGTH_HEADING: LENGTH_SCALE.factor * group.length,
         "samples": len(group.samples),
-        "model is": "calibrated by these samples" if group.is_calibration_group else "predicted",
+        "model is": "calibrated by these samples" if group.is_calibrated else "predicted",
         "points": None if errors is None else errors.n,
         "SSE (N²)": None if errors is None else errors.sse,
         **_make_error_cells(errors),
@@ -1037,8 +1036,7 @@ def _make_force_records(group: ValidationGroup) -> dict[str, list[tables.Record]
         curves["model"] = (model.deflection, model.force, *edges)
     for test, sample in group.samples.items():
         curves[test] = (sample.displacement, sample.force)
-    records = {}
-    length = LENGTH_SCALE.factor * group.length
+    records, length = {}, LENGTH_SCALE.factor * group.length
     for name, (x, *forces) in curves.items():
         common_cells: tables.Record = {"wire": group.wire, _LENGTH_HEADING: length, "what": name}
         columns = {LENGTH_SCALE.label("deflection"): LENGTH_SCALE.factor * x}

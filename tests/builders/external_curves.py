@@ -25,7 +25,7 @@ UNTESTED = QualityNote("external_curve_untested", Severity.INFO, "paper", "no te
 
 def third_group() -> ValidationGroup:
     band = Band(GRID, FORCE, FORCE - 0.004, FORCE + 0.004, FORCE - 0.01, FORCE + 0.01, 3, "samples")
-    return ValidationGroup("A2", 0.085, is_calibration_group=True, samples={}, band=band)
+    return ValidationGroup("A2", 0.085, is_calibrated=True, samples={}, band=band)
 
 
 def third_model() -> Prediction:

@@ -69,7 +69,7 @@ def group(name: str = "A2", length: float = 0.085, *, samples: int = 2) -> Valid
     return ValidationGroup(
         wire=name,
         length=length,
-        is_calibration_group=name == "A2",
+        is_calibrated=name == "A2",
         samples={test.test: SampleCurve(test.deflection, test.force, test.force) for test in tests},
         band=band,
         prediction=model,

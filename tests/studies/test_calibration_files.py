@@ -271,10 +271,7 @@ def groups(calibration: Calibration) -> tuple[ValidationGroup, ...]:
 
 
 def test_groups_are_by_wire_and_length_the_own_first(groups: tuple[ValidationGroup, ...]) -> None:
-    assert [(group.wire, group.is_calibration_group) for group in groups] == [
-        ("A2", True),
-        ("A1", False),
-    ]
+    assert [(group.wire, group.is_calibrated) for group in groups] == [("A2", True), ("A1", False)]
     assert [len(group.samples) for group in groups] == [3, 3]
     for group in groups:
         assert group.errors is not None
@@ -303,7 +300,7 @@ def test_tests_that_the_model_does_not_follow_are_said(calibration: Calibration)
     [note] = note_misfits([wrong])
     assert (note.code, note.where) == ("model_misses_tests", "A2, 85 mm")
     assert 65 <= int(note.message.partition(" % of the points of the calibrating tests")[0]) <= 75
-    assert not note_misfits([replace(wrong, is_calibration_group=False)])
+    assert not note_misfits([replace(wrong, is_calibrated=False)])
 
 
 def test_what_cannot_be_predicted_says_why(calibration: Calibration) -> None:

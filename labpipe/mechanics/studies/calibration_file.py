@@ -137,7 +137,7 @@ def _build_group(group: ValidationGroup) -> dict[str, object]:
     errors, prediction = group.errors, group.prediction
     curve_names = ("deflection", "force", "lower", "upper", "lower_mean", "upper_mean")
     return {
-        **select_json(group, "wire", "length", calibrating="is_calibration_group"),
+        **select_json(group, "wire", "length", calibrating="is_calibrated"),
         "tests": list(group.samples),
         "n": errors and errors.n,
         "sse": errors and replace_non_finite(errors.sse),

@@ -185,7 +185,7 @@ def _compare_group(
     return ValidationGroup(
         wire=first_curve.wire,
         length=first_curve.length,
-        is_calibration_group=first_curve.wire == calibration.wire,
+        is_calibrated=first_curve.wire == calibration.wire,
         samples={c.test: SampleCurve(c.deflection, c.force, c.force) for c in curves},
         band=_compute_band(curves, prediction),
         prediction=prediction,
@@ -278,7 +278,7 @@ def note_misfits(groups: Sequence[ValidationGroup]) -> tuple[QualityNote, ...]:
             share=100.0 * group.errors.inside,
         )
         for group in groups
-        if group.is_calibration_group and group.errors and group.errors.inside < min_inside_fraction
+        if group.is_calibrated and group.errors and group.errors.inside < min_inside_fraction
     )
 
 
