@@ -171,11 +171,14 @@ def _convert_points(table: _Table, choices: Sequence[CurveColumn]) -> tuple[Floa
         return f"{table.body.describe_place(rows[point])}, column {columns[column] + 1}"
 
     if len(turns := np.flatnonzero(np.diff(deflections) <= 0.0)):
-        counts_down = deflections[-1] < deflections[0]
-        error_name = "readers.deflection_counts_down" if counts_down else "readers.deflection_turns"
+        counts_down, place = deflections[-1] < deflections[0], describe_place(turns[0] + 1, 0)
         turn_mm, next_mm = 1e3 * deflections[turns[0] :][:2]
-        place = describe_place(turns[0] + 1, 0)
-        raise ContentError.of(error_name, place, before=turn_mm, here=next_mm)
+        raise ContentError.of(
+            "readers.deflection_counts_down" if counts_down else "readers.deflection_turns",
+            place,
+            before=turn_mm,
+            here=next_mm,
+        )
     peak = int(np.argmax(np.abs(forces)))
     if forces[peak] <= 0.0:
         place = describe_place(peak, 1)

@@ -129,9 +129,8 @@ def _open_variables(path: Path) -> Iterator[tuple[Mapping[str, MatValue], str]]:
     with file:
         with map_read_errors(path, "a whole MAT v7.3 file"):
             _refuse_links(file)
-            names = [name for name in file if name != "#refs#"]
-            file_size = path.stat().st_size
-            variables = {name: _convert_node(file[name], file, file_size) for name in names}
+            size = path.stat().st_size
+            variables = {k: _convert_node(file[k], file, size) for k in file if k != "#refs#"}
         yield variables, header_text
 
 

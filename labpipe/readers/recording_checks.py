@@ -210,11 +210,13 @@ def make_track_notes(tracks: MarkerTracks) -> Iterator[QualityNote]:
         is_blank, is_unchanged = find_blank_frames(track), find_unchanged_steps(track)
         if is_blank.any() and not is_blank.all():
             ratio = f"{is_blank.sum()} of {len(is_blank)} frames"
-            note_name = "readers.marker_gaps" if name in markers else "readers.body_gaps"
-            yield QualityNote.of(note_name, name, share=ratio, longest=count_longest_run(is_blank))
+            gap_facts = {"share": ratio, "longest": count_longest_run(is_blank)}
+            yield QualityNote.of(
+                "readers.marker_gaps" if name in markers else "readers.body_gaps", name, **gap_facts
+            )
         if (n_frozen := count_longest_run(is_unchanged)) >= min_frozen_steps:
-            count, total = int(is_unchanged.sum()), len(is_unchanged)
-            facts = {"count": count, "total": total, "most": n_frozen}
+            n_unchanged, n_steps = int(is_unchanged.sum()), len(is_unchanged)
+            facts = {"count": n_unchanged, "total": n_steps, "most": n_frozen}
             yield QualityNote.of("readers.frozen_pose", name, **facts)
     if count := sum(map(is_unlabelled, tracks.names)):
         total = len(tracks.names)

@@ -224,9 +224,10 @@ def _choose_part(tables: list[Table], part: str) -> list[Table]:
         return matches
     names = [table.part or table.sheet_name for table in tables if table.part or table.sheet_name]
     nearest_names = ", ".join(f"'{name}'" for name in sort_by_likeness(part, names))
-    error_name = "readers.no_such_part" if nearest_names else "readers.no_parts"
     facts = {"count": len(tables), "nearest": nearest_names}
-    raise ContentError.of(error_name, f"part '{part}'", **facts)
+    raise ContentError.of(
+        "readers.no_such_part" if nearest_names else "readers.no_parts", f"part '{part}'", **facts
+    )
 
 
 def _make_count_notes(export: Export, table: Table, card: Card) -> list[QualityNote]:
@@ -236,8 +237,8 @@ def _make_count_notes(export: Export, table: Table, card: Card) -> list[QualityN
         for key in (card.stated_rows, card.stated_columns)
     )
     notes = make_row_count_notes(stated_rows, table.n_rows)
+    facts = {"stated": stated_columns, "held": len(table.names)}
     if stated_columns not in {None, len(table.names)}:
-        facts = {"stated": stated_columns, "held": len(table.names)}
         notes.append(QualityNote.of("readers.columns_differ", "file", **facts))
     return notes
 
@@ -282,8 +283,10 @@ def _get_time_factor(unit: str, name: str) -> float:
     for spelling in (unit, unit.casefold()):
         with suppress(ValueError):
             return get_conversion_factor(spelling or "none", "s")
-    error_name = "readers.no_unit_of_time" if unit else "readers.time_without_unit"
-    raise ContentError.of(error_name, f"column '{name}'", unit=unit)
+    place = f"column '{name}'"
+    raise ContentError.of(
+        "readers.no_unit_of_time" if unit else "readers.time_without_unit", place, unit=unit
+    )
 
 
 def _make_missing_notes(channels: Sequence[Channel], card: Card) -> Iterator[QualityNote]:
@@ -415,7 +418,5 @@ def _fits_card(card: Card, head: str, sheet: str) -> bool:
     except ContentError:
         return False
     time_column = find_time_column(header.names, header.units, card)
-    if time_column is None:
-        return False
     has_units = any(unit for i, unit in enumerate(header.units) if i != time_column)
-    return has_units or card.fits("\t".join(header.names))
+    return time_column is not None and (has_units or card.fits("\t".join(header.names)))
