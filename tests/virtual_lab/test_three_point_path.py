@@ -11,7 +11,6 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import root
 
 from labpipe.virtual_lab import observe
-from labpipe.virtual_lab.instruments import FORCE_PATH
 from labpipe.virtual_lab.specimens import CONDUIT_TYPES
 from labpipe.virtual_lab.three_point import (
     ThreePointPath,
@@ -122,9 +121,9 @@ def test_truth_and_volts_of_a_bundle() -> None:
     assert truth["peak_force"] == pytest.approx(1.1 * path.loading_shapes[-1].force, rel=1e-3)
     assert truth["residual_displacement"] == path.residual_displacement
     assert truth["energy"] == pytest.approx(1.1 * outer_work(path), rel=2e-3)
-    force = -0.21082 * record.signals[FORCE_PATH] + 0.002846
+    force = -0.21082 * record.signals["Model Root/Load Cell"] + 0.002846
     times = record.clock_times / (1.0 + 20e-6) + 6e-3
     expected = 1.1 * path.compute_force(plan.compute_progress(times))
     assert force == pytest.approx(expected, abs=0.21082 * 200.0 / 2**16)
-    assert np.min(record.signals[FORCE_PATH]) < -20.0
+    assert np.min(record.signals["Model Root/Load Cell"]) < -20.0
     assert list(record.signals) == ["Model Root/Load Cell", "Model Root/Trigger"]
