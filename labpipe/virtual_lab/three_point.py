@@ -619,18 +619,10 @@ class HalfBundle:
             """Compute the horizontal offset of the roller, m, if it touches at an arc length."""
             return float(self._compute_roller_position(self._interpolate(axis, contact))[0])
 
-<<<<<<< HEAD
-        end = float(self.arc_length[-1])
-        contact = float(brentq(lambda length: compute_gaps(length)[0], 0.0, end, xtol=1e-14))
-        travel = float(compute_gaps(contact)[1])
-        history = response.history
-        return HalfShape(travel, 0.0, contact, shape, zero_moment, response.curvature, history)
-=======
         contact = float(brentq(compute_roller_offset, 0.0, self.arc_length[-1], xtol=1e-14))
         _, displacement = self._compute_roller_position(self._interpolate(axis, contact)).tolist()
-        state = {"moment": moment, "curvature": response.curvature, "plays": response.plays}
+        state = {"moment": moment, "curvature": response.curvature, "plays": response.history}
         return HalfShape(displacement, 0.0, contact, axis, **state)
->>>>>>> main
 
     def solve_equilibrium(
         self, start_shape: HalfShape, displacement: float, friction: float
@@ -664,21 +656,12 @@ class HalfBundle:
                 return None
             moment, contact = unknowns[:-2], float(unknowns[-1])
             if np.max(np.abs(correction[:-2])) <= tolerance * (np.max(np.abs(moment)) + 1e-12):
-<<<<<<< HEAD
-                response = self.law.respond(moment, state.plays)
-                shape = self._compute_shape(response.curvature)
-                _, fy = _compute_direction(self._interpolate(shape, unknowns[-1])[2], friction)
-                force, contact = 2.0 * float(unknowns[-2]) * float(fy), float(unknowns[-1])
-                history = response.curvature, response.history
-                return HalfShape(goal_displacement, force, contact, shape, moment, *history)
-=======
-                response = self.law.respond(moment, start_shape.plays)
-                axis = self._compute_axis(response.curvature)
+                bent = self.law.respond(moment, start_shape.plays)
+                axis = self._compute_axis(bent.curvature)
                 _, fy = _compute_direction(self._interpolate(axis, contact)[2], friction)
                 force = 2.0 * float(unknowns[-2]) * float(fy)
-                state = {"moment": moment, "curvature": response.curvature, "plays": response.plays}
+                state = {"moment": moment, "curvature": bent.curvature, "plays": bent.history}
                 return HalfShape(displacement, force, contact, axis, **state)
->>>>>>> main
         return None
 
     def _integrate(self, values: Floats) -> Floats:
