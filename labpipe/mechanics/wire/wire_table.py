@@ -20,8 +20,8 @@ from labpipe.mechanics.wire.bending_law import (
     MomentCurve,
     compute_axial_strain,
     compute_moment_curve,
+    compute_orientation_range,
     compute_stick_stiffness,
-    find_orientation_range,
     find_slip_onsets,
     make_contacts,
 )
@@ -91,7 +91,9 @@ def tabulate_wire(spec: WireSpec) -> WireTable:
     curvature = make_curvature_grid(largest_curvature, onsets[onsets > 0.0])
     curve = _compute_rising_curve(wire, curvature)
     insulation_limit = find_insulation_limit(spec)
-    moment_range = find_orientation_range(wire.section, wire.contacts, curve, tension=spec.tension)
+    moment_range = compute_orientation_range(
+        wire.section, wire.contacts, curve, tension=spec.tension
+    )
     stretch_torsion = compute_stretch_torsion(wire.section)
     cantilever = bend_cantilever(spec, curve, GRAVITY * wire.mass_per_length)
     law_notes = _find_law_notes(spec, onsets, curve, insulation_limit)
