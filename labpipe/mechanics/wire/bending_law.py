@@ -201,7 +201,7 @@ def compute_axial_strain(section: CrossSection, tension: float) -> float:
         If the tension is negative. The model does not hold for compressed strands, which separate.
     """
     require_not_negative("tension", tension)
-    return tension / compute_stretch_torsion(section).axial
+    return tension / compute_stretch_torsion(section).axial_stiffness
 
 
 def compute_sines(section: CrossSection, orientation: float | Floats) -> Floats:
@@ -250,8 +250,7 @@ def make_ring_model(
     first = int(section.has_core)
     layers = section.layers[first:]
     n_coefficients, expected = len(contacts.inner_friction), f"{len(layers)}, the number of rings"
-    holds = n_coefficients == len(layers)
-    require("number of coefficients", n_coefficients, expected, holds=holds)
+    require("number of coefficients", n_coefficients, expected, holds=n_coefficients == len(layers))
     is_ring = section.layer >= first
     radius, index = section.radius[is_ring], section.layer[is_ring] - first
     rms_radii = [float(np.sqrt(np.mean(radius[index == q] ** 2))) for q in range(len(layers))]
@@ -267,8 +266,7 @@ def make_ring_model(
         radii = np.where(index == q, radius, rms_radii[q])[:end]
         k = inner_friction * abs(np.sin(layer.lay_angle))
         friction_angle = np.abs(compute_friction_angle(k, np.arcsin(sine[:end])))
-        has_lengths = contacts.has_lay_lengths
-        turns = np.tan(abs(layer.lay_angle)) / rms_radii[q] if has_lengths else 1.0  # rad/m
+        turns = np.tan(abs(layer.lay_angle)) / rms_radii[q] if contacts.has_lay_lengths else 1.0
         is_outer = np.arange(len(layers)) > q
         pressure_factors = np.where(is_outer, radial_forces, 0.0) / (layer.count * turns)
         ring = Ring(
