@@ -124,7 +124,7 @@ def make_section_plot(table: WireTable, reach: float, unit: Scale) -> Plot:
     lines = [
         plots.make_circles("insulation_wall", 0.0, 0.0, layout.wire_radius),
         plots.make_circles("bore", 0.0, 0.0, layout.bore_radius),
-        *plot_strands(layout, table.spec.orientation),
+        *make_strand_lines(layout, table.spec.orientation),
         make_line("neutral_axis", [-edge, edge], 0.0),
         make_line("scale_bar", [-edge, bar_length - edge], bar_height),
     ]
@@ -145,7 +145,7 @@ def make_section_plot(table: WireTable, reach: float, unit: Scale) -> Plot:
     return Plot(x, y, lines, heading, labels, is_to_scale=True, has_frame=False)
 
 
-def plot_strands(layout: WireLayout, orientation: float = 0.0) -> Iterator[Line]:
+def make_strand_lines(layout: WireLayout, orientation: float = 0.0) -> Iterator[Line]:
     """Yield the outlines of the strands of each layer; the neutral axis is the x axis.
 
     Parameters
