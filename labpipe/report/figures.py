@@ -73,8 +73,8 @@ def _read_protocol(result: TestResult) -> Protocol | None:
         return None
 
 
-_MAX_KEY_CYCLES = 6
-"""Largest number of cycles in the key of a figure.
+_MAX_LEGEND_CYCLES = 6
+"""Largest number of cycles in the legend of a figure.
 
 Up to this number, the cycles of a test have the colours of the style; otherwise, they have those of
 a colour map.
@@ -118,26 +118,26 @@ def _make_curve_lines(result: TestResult) -> Iterator[Line]:
         return
     n_cycles = max(branch.cycle for branch in branches)
     colours = choose_cycle_colours(n_cycles)
-    key_cycles = np.unique(np.linspace(1, n_cycles, min(n_cycles, _MAX_KEY_CYCLES)).round())
+    legend_cycles = np.unique(np.linspace(1, n_cycles, min(n_cycles, _MAX_LEGEND_CYCLES)).round())
     for branch in branches:
         # one more sample makes the lines of neighbouring branches meet
         rows = slice(branch.start, branch.stop + 1)
-        label = f"cycle {branch.cycle}" if n_cycles > 1 and branch.cycle in key_cycles else ""
+        label = f"cycle {branch.cycle}" if n_cycles > 1 and branch.cycle in legend_cycles else ""
         settings = {"color": colours[branch.cycle - 1], "linestyle": _LINE_STYLES[branch.direction]}
         yield make_thinned_line("branch", x[rows], y[rows], label=label, **settings)
-    key_colour = GREY if n_cycles > 1 else colours[0]
+    legend_colour = GREY if n_cycles > 1 else colours[0]
     directions = {branch.direction for branch in branches}
     for direction, style in _LINE_STYLES.items() if n_cycles > 1 or len(directions) > 1 else ():
         if direction in directions:
-            settings = {"color": key_colour, "linestyle": style}
-            yield plots.make_key_entry("branch", label=str(direction), **settings)
+            settings = {"color": legend_colour, "linestyle": style}
+            yield plots.make_legend_line("branch", label=str(direction), **settings)
     _, cycle_numbers = curve.assign_samples()
     for cycle, colour in enumerate(colours, start=1):
         samples = np.flatnonzero((cycle_numbers == cycle) & ~np.isnan(y))
         if len(samples):
             peak = samples[np.argmax(y[samples])]
             yield make_line("peak", x[peak], y[peak], color=colour)
-    yield plots.make_key_entry("peak", label="peak", color=key_colour)
+    yield plots.make_legend_line("peak", label="peak", color=legend_colour)
 
 
 def _get_branches(result: TestResult) -> tuple[Branch, ...]:
@@ -146,7 +146,7 @@ def _get_branches(result: TestResult) -> tuple[Branch, ...]:
 
 def choose_cycle_colours(count: int) -> list[str]:
     """Choose a colour for each of `count` cycles, from the style or from a colour map."""
-    if count > _MAX_KEY_CYCLES:
+    if count > _MAX_LEGEND_CYCLES:
         return figure_page.sample_colour_map(count, 0.92)
     return [f"C{index}" for index in range(count)]
 
@@ -335,7 +335,7 @@ def make_moment_curvature_page(result: TestResult) -> Page:
     if bending.law is not None:
         stiffness_plot = _make_stiffness_plot(result, bending.law, heading)
     panels = [Plot(x, moment_axis, lines, "Moment"), stiffness_plot]
-    return make_test_page(result, "moment-curvature", panels, height=92, key_columns=5)
+    return make_test_page(result, "moment-curvature", panels, height=92, legend_columns=5)
 
 
 def _make_cloud_lines(result: TestResult) -> Iterator[Line]:
@@ -362,11 +362,11 @@ def _make_cloud_lines(result: TestResult) -> Iterator[Line]:
         points = (values[rows].ravel()[::stride] for values in (x, y))
         fill = colour if is_loading else "none"
         yield make_line("cloud", *points, color=colour, markerfacecolor=fill)
-    key_colours = colours if len(colours) <= _MAX_KEY_CYCLES else ()
-    for cycle, colour in enumerate(key_colours, start=1):
-        yield plots.make_key_entry("cloud_key", label=f"cycle {cycle}", color=colour)
+    legend_colours = colours if len(colours) <= _MAX_LEGEND_CYCLES else ()
+    for cycle, colour in enumerate(legend_colours, start=1):
+        yield plots.make_legend_line("cloud_key", label=f"cycle {cycle}", color=colour)
     for label, fill in (("loading", GREY), ("unloading", "none")):
-        yield plots.make_key_entry("cloud_key", label=label, color=GREY, markerfacecolor=fill)
+        yield plots.make_legend_line("cloud_key", label=label, color=GREY, markerfacecolor=fill)
     if law is not None:
         yield make_line("law", law.curvature, law.moment)
         band = law.curvature, law.moment_lower, law.moment_upper
@@ -492,7 +492,7 @@ class FrameSelection(NamedTuple):
     ----------
     frames : shape (n,), indices of the frames, in the order of the deflections
     deflections : shape (n,), nominal deflection of the tip in each frame, m
-    deflection_name : name of the deflection in the key
+    deflection_name : name of the deflection in the legend
     """
 
     frames: Ints
@@ -632,13 +632,13 @@ def _describe_offset(result: TestResult, shape: Shape) -> str:
 def make_shape_lines(
     shape: Shape, selection: FrameSelection, scale: wording.Scale, *, axis_index: int
 ) -> Iterator[Line]:
-    """Yield the points and fitted curves of selected frames, and their entries in the key.
+    """Yield the points and fitted curves of selected frames, and their entries in the legend.
 
     Parameters
     ----------
     shape : points and fitted curves of all frames
     selection : frames that are drawn
-    scale : display unit of displacements, for the key
+    scale : display unit of displacements, for the legend
     axis_index : vertical axis: 1 for y, in the plane of bending; 2 for z, out of plane
     """
     colours, frames = sample_colour_map(len(selection.frames)), selection.frames.tolist()
@@ -652,13 +652,13 @@ def make_shape_lines(
                 yield make_line("marker", x, y, color=colour, **mark)
         text = f"{deflection * scale.factor:g} {scale.unit}"
         label = f"{selection.deflection_name} {text}" if frame == frames[0] else text
-        yield plots.make_key_entry("fitted_curve", label=label, color=colour, linewidth=1.6)
+        yield plots.make_legend_line("fitted_curve", label=label, color=colour, linewidth=1.6)
     drawn_flags = set(np.unique(shape.flags[frames]))
     for flag, mark in _FLAG_MARKS.items():
         if flag in drawn_flags:
-            yield plots.make_key_entry("marker", label=flag.name.lower(), **mark)
+            yield plots.make_legend_line("marker", label=flag.name.lower(), **mark)
     if shape.coefficients.shape[2]:
-        yield plots.make_key_entry("fitted_curve", label="fitted curve")
+        yield plots.make_legend_line("fitted_curve", label="fitted curve")
 
 
 def _compute_fitted_curve(shape: Shape, frame: int) -> Floats:

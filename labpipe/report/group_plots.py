@@ -71,10 +71,20 @@ def _make_plot(
     hidden: Sequence[str] = (),
     **settings: Any,
 ) -> Plot:
-    """Make a plot of the lines of a group with their key, in which `mean` is the label of the mean.
+    """Make a plot of the lines of a group with their legend.
 
-    The key lists spools, or tests if they are few; then other looks. In files, tests are listed
-    only if all are of one spool. On the page, an entry hides a test.
+    The legend lists spools, or tests if they are few, and then the other kinds of lines. In files,
+    tests are listed only if all are of one spool. On the page, an entry hides a test.
+
+    Parameters
+    ----------
+    view : group of the lines
+    kind, title : see `Plot`; the name of the group is appended to the title
+    axes : horizontal and vertical axis
+    lines : lines in the order of drawing
+    mean : label of the mean in the legend
+    hidden : looks without an entry in the legend
+    settings : other fields of `Plot`
     """
     spools = {test.sample.specimen.spool: test.colour for test in view.tests}
     entries = [
@@ -86,7 +96,7 @@ def _make_plot(
             LegendEntry(f"curve {test.colour}", test.sample.test, "t", str(test.number))
             for test in view.tests
         ]
-    legend = [*entries, *list_key_entries(lines, "class", hidden, mean=mean)]
+    legend = [*entries, *list_legend_entries(lines, "class", hidden, mean=mean)]
     all_settings = {"legend": legend, "group": view.stem, "size": _SMALL_PLOT_SIZE, **settings}
     x, y = axes
     return Plot(x, y, lines, kind=kind, title=f"{title} {view.group.name}.", **all_settings)
@@ -214,7 +224,7 @@ def _make_curve_line(
 ) -> Line:
     """Make a line of `y` over the displacement of a curve, thinned to a number of points."""
     x = curve.displacement
-    rows = plots.simplify_line(x, y, max_points=max_points, tolerance=0.001)
+    rows = plots.find_shape_samples(x, y, max_points=max_points, tolerance=0.001)
     return Line(look, x[rows], y[rows], test)
 
 
@@ -268,7 +278,7 @@ def make_band_lines(band: Band, look: str = "", group: str = "") -> Iterator[Lin
 
 def _choose_band_rows(band: Band, values: Floats) -> Ints:
     """Choose the points that preserve the shape of a band or a mean."""
-    return plots.simplify_line(band.displacement, values, max_points=28, tolerance=0.001)
+    return plots.find_shape_samples(band.displacement, values, max_points=28, tolerance=0.001)
 
 
 def make_mean_lines(band: Band, look: str = "", group: str = "") -> Iterator[Line]:
@@ -288,10 +298,10 @@ def make_mean_lines(band: Band, look: str = "", group: str = "") -> Iterator[Lin
         yield Line(f"interval {look}".strip(), x, ends, group=group)
 
 
-def list_key_entries(
+def list_legend_entries(
     lines: Sequence[Line], attribute: str = "", hidden: Sequence[str] = (), **labels: str
 ) -> list[LegendEntry]:
-    """List the entries of a key for the looks of lines, in the order of ``looks.toml``.
+    """List the legend entries for the looks of lines, in the order of ``looks.toml``.
 
     Parameters
     ----------
@@ -405,7 +415,7 @@ def _make_number_plots(group: Group) -> Iterator[Plot]:
             make_dot_axis(number.name, wording.choose_number_scale(group, number), lines),
             Axis(low=0.5 - len(rows), high=0.5, row_names=tuple(rows)),
             lines,
-            legend=list_key_entries(lines, hidden=("interval",)),
+            legend=list_legend_entries(lines, hidden=("interval",)),
             kind="numbers",
             title=f"Each sample's numbers, with 95 % intervals: {group.name}.",
             caption=caption if table_only_names else "",

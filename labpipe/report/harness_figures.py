@@ -16,20 +16,14 @@ from labpipe.records.harness_bundle import BundleModel, FrictionFit
 from labpipe.report import plot_records as plots
 from labpipe.report.figure_page import DASHED, sample_colour_map
 from labpipe.report.plot_records import Axis, Line, Page, Plot, make_line
-from labpipe.report.wire_report import (
-    FORCE_SCALE,
-    LENGTH_SCALE,
-    MOMENT_SCALE,
-    STIFFNESS_SCALE,
-    make_curvature_axis,
-)
-from labpipe.report.wording import format_number, join_sentences
+from labpipe.report.wire_report import MOMENT_SCALE, STIFFNESS_SCALE, make_curvature_axis
+from labpipe.report.wording import FORCE_SCALE, LENGTH_SCALE, format_number, join_sentences
 
 FIGURE, SWEEP_FIGURE = "harness", "harness-sweep"
 """Names of the figures and their files, without the ending."""
 
 _KINDS_OF_MARKS = ("clip", "pin", "grip", "ring", "string", "load")
-"""Kinds of boundaries, in the order of the key."""
+"""Kinds of boundaries, in the order of the legend."""
 _VIEWS = {"side": (0, 2), "end": (1, 2), "top": (0, 1)}
 """Numbers of the coordinates that point to the right and upwards in each view."""
 

@@ -251,7 +251,7 @@ def _format_mean_curve(view: GroupView) -> str:
         if curve is None:
             return ""
         x, y = curve.displacement, curve.force
-    rows = plots.simplify_line(x, y, max_points=24, tolerance=0.01)
+    rows = plots.find_shape_samples(x, y, max_points=24, tolerance=0.01)
     return plots.format_sparkline(x[rows], y[rows])
 
 

@@ -17,18 +17,16 @@ from labpipe.records.arrays import Flags, Floats, Ints
 from labpipe.records.quality import Severity
 from labpipe.records.wire import WireLayout, WireTable
 from labpipe.report import plot_records as plots
-from labpipe.report import table_records
+from labpipe.report import table_records, wording
 from labpipe.report.figure_page import choose_line_look, split_pages
 from labpipe.report.plot_records import Axis, Label, Line, Page, Plot, make_line
 from labpipe.report.table_records import Record, Table
-from labpipe.report.wording import Scale, format_number, join_sentences, shorten
+from labpipe.report.wording import FORCE_SCALE, LENGTH_SCALE, Scale, format_number
 
 CURVATURE_SCALE = Scale(1.0, "1/m")
-LENGTH_SCALE = Scale(1e3, "mm")
 MOMENT_SCALE = Scale(1e3, "N·mm")
 STIFFNESS_SCALE = Scale(1e6, "N·mm²")
 LARGE_STIFFNESS_SCALE = Scale(1.0, "N·m²")
-FORCE_SCALE = Scale(1.0, "N")
 
 MAX_WIRES = 12
 """Largest number of wires on a page; a reader could not distinguish more lines."""
@@ -42,7 +40,7 @@ def choose_stiffness_scale(tables: Sequence[WireTable]) -> Scale:
 
 def _shorten_name(table: WireTable) -> str:
     """Shorten the name of a wire so that other texts fit into the same line."""
-    return shorten(" ".join(table.name.split()), 24)
+    return wording.shorten(" ".join(table.name.split()), 24)
 
 
 def describe_strands(table: WireTable) -> str:
@@ -60,7 +58,9 @@ def describe_strands(table: WireTable) -> str:
 
 def join_warnings(table: WireTable) -> str:
     """Join the warnings and errors among the notes of a wire as sentences."""
-    return join_sentences(note for note in table.notes if note.severity is not Severity.INFO)
+    return wording.join_sentences(
+        note for note in table.notes if note.severity is not Severity.INFO
+    )
 
 
 def flag_bent_rows(table: WireTable) -> Flags:
@@ -440,7 +440,7 @@ def choose_law_rows(table: WireTable, max_rows: int) -> Ints:
     -------
     Sorted indices of rows. All rows are chosen if there are at most `max_rows`, or if no moment is
     positive. Otherwise, the first row, of zero curvature, and those that preserve the shape of the
-    law are chosen with `simplify_line`. The shape is that of the logarithms, so that the first
+    law are chosen with `find_shape_samples`. The shape is that of the logarithms, so that the first
     slips have as much weight as the end of the law.
     """
     n_rows = len(table.curvature)
@@ -448,7 +448,7 @@ def choose_law_rows(table: WireTable, max_rows: int) -> Ints:
     if n_rows <= max_rows or not len(usable_rows):
         return np.arange(n_rows, dtype=np.int64)
     x, y = np.log(table.curvature[usable_rows]), np.log(table.moment[usable_rows])
-    rows = usable_rows[plots.simplify_line(x, y, max_points=max_rows - 1, tolerance=0.0)]
+    rows = usable_rows[plots.find_shape_samples(x, y, max_points=max_rows - 1, tolerance=0.0)]
     return np.union1d([0], rows).astype(np.int64)
 
 
