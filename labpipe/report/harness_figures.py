@@ -387,13 +387,8 @@ def describe_stiffness(model: BundleModel) -> str:
     directions = f"{smallest} to {largest} over all directions"
     if _is_isotropic(model):
         directions = "equal in all directions"
-    return format_sentence(
-        "report.bounds_of_bundle",
-        all_slip=all_slip,
-        wires_slip=wires_slip,
-        nothing_slips=nothing_slips,
-        directions=directions,
-    )
+    facts = {"all_slip": all_slip, "wires_slip": wires_slip, "nothing_slips": nothing_slips}
+    return format_sentence("report.bounds_of_bundle", directions=directions, **facts)
 
 
 def _is_isotropic(model: BundleModel) -> bool:
