@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from labpipe import __version__
-from labpipe.mechanics.decks.mujoco_line import write_line_deck
+from labpipe.mechanics.decks.mujoco_line import format_line_deck
 from labpipe.mechanics.rod import boundaries as rod
 from labpipe.mechanics.rod.bands import StateBands
 from labpipe.mechanics.rod.line import Line
@@ -136,7 +136,7 @@ def _write_solution(solution: HarnessSolution, *, figures: bool, png: bool) -> H
         SHAPE_FILE: format_shape(path, solution.steps, bands),
         FORCES_FILE: format_forces(path, bands),
         VTK_FILE: format_vtk(path, solution.steps, title),
-        DECK_FILE: write_line_deck(path.line, path.boundaries, title=title),
+        DECK_FILE: format_line_deck(path.line, path.boundaries, title=title),
         SUMMARY_FILE: _format_json(build_json(solution)),
     }
     if solution.sweep:
