@@ -183,9 +183,8 @@ def _compare_group(
             wire, parameters, first_curve.length, first_curve.rig, max_deflection
         )
         curvature, deflection = path.clamp_curvature, path.deflection
-        doubtful_deflection = float(
-            np.interp(wire.linear_range, curvature, deflection, right=np.inf)
-        )
+        limit_deflection = np.interp(wire.linear_range, curvature, deflection, right=np.inf)
+        doubtful_deflection = float(limit_deflection)
     return ValidationGroup(
         wire=first_curve.wire,
         length=first_curve.length,
@@ -457,10 +456,8 @@ def _make_comparison_notes(
 ) -> Iterator[QualityNote]:
     """Yield notes on an external curve without tests, and on points that were not compared."""
     if test_match is None:
-        length = 1e3 * curve.length
-        yield QualityNote.of(
-            "mechanics.studies.external_curve_untested", curve.name, wire=curve.wire, length=length
-        )
+        values = {"wire": curve.wire, "length": 1e3 * curve.length}
+        yield QualityNote.of("mechanics.studies.external_curve_untested", curve.name, **values)
     for match in (test_match, model_match):
         if match is not None and match.explanation:
             yield QualityNote.of(
