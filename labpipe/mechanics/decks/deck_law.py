@@ -310,11 +310,12 @@ def describe_law_errors(
         If sliders cannot be fitted to the law (`fit_wire_sliders`).
     """
     card = make_table_card(table)
-    slider_errors = ", ".join(f"{n} sliders {format_percent(error)}" for n, error in card.sliders)
+    sliders = ", ".join(f"{n} sliders {format_percent(error)}" for n, error in card.slider_errors)
     card_sentence = (
-        f"Loss card, largest error of the moment from {card.first:.3g} to {card.last:.4g} 1/m, "
-        f"each form at its best: constant stiffness {format_percent(card.constant)}, Dahl "
-        f"{format_percent(card.dahl.error)}, {slider_errors}."
+        f"Loss card, largest error of the moment from {card.min_curvature:.3g} to "
+        f"{card.max_curvature:.4g} 1/m, each form at its best: constant stiffness "
+        f"{format_percent(card.stiffness_error)}, Dahl {format_percent(card.dahl_law.error)}, "
+        f"{sliders}."
     )
     return describe_unloading(table, unloading_rule, deck_release), card_sentence
 
@@ -391,10 +392,10 @@ def make_loss_card_entry(table: WireTable) -> dict[str, object]:
     except ValueError as error:
         return {"reason": f"{error}"}
     return {
-        "curvature": [card.first, card.last],
-        "constant": {"stiffness": card.stiffness, "error": card.constant},
-        "dahl": card.dahl.error,
-        "sliders": {str(count): error for count, error in card.sliders},
-        "directions": {str(count): error for count, error in card.directions},
+        "curvature": [card.min_curvature, card.max_curvature],
+        "constant": {"stiffness": card.stiffness, "error": card.stiffness_error},
+        "dahl": card.dahl_law.error,
+        "sliders": {str(count): error for count, error in card.slider_errors},
+        "directions": {str(count): error for count, error in card.direction_errors},
         "unloading": make_unloading_entry(table),
     }

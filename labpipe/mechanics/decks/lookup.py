@@ -22,7 +22,7 @@ from labpipe.mechanics.decks.deck_law import (
 )
 from labpipe.mechanics.decks.unloading import make_elastic_release, make_growing_slider_entry
 from labpipe.mechanics.law.loss_card import N_DIRECTIONS, fit_wire_sliders, make_table_card
-from labpipe.mechanics.law.sliders import compute_slip_moments, fit_directions
+from labpipe.mechanics.law.sliders import fit_directions
 from labpipe.messages import format_sentence
 from labpipe.records.wire import WireTable
 
@@ -139,7 +139,8 @@ def format_sliders_csv(table: WireTable) -> str:
     except ValueError as error:
         reason = describe_missing_sliders(error)
         return fill_template("sliders.csv", table=table, reason=reason)
-    columns = (law.stiffnesses, law.slip_curvatures, compute_slip_moments(law))
+    stiffnesses, slip_curvatures = law.slider_stiffnesses, law.slip_curvatures
+    columns = (stiffnesses, slip_curvatures, stiffnesses * slip_curvatures)
     return fill_template(
         "sliders.csv",
         table=table,
@@ -149,7 +150,7 @@ def format_sliders_csv(table: WireTable) -> str:
         error_lines=describe_law_errors(table),
         rows=[
             "stiffness [N*m^2],slip_curvature [1/m],slip_moment [N*m]",
-            f"{law.stiffness!r},inf,inf",
+            f"{law.spring_stiffness!r},inf,inf",
             *(",".join(map(repr, row)) for row in np.transpose(columns).tolist()),
         ],
     )
@@ -175,25 +176,25 @@ def format_sliders_json(table: WireTable) -> str:
     scalar_law = fit_directions(law, N_DIRECTIONS)
     content = {
         **identity,
-        "range": {"curvature": [law.first, law.last], "beyond": "not valid"},
+        "range": {"curvature": [law.min_curvature, law.max_curvature], "beyond": "not valid"},
         "doubtful_beyond": table.doubtful_curvature if table.is_doubtful.any() else None,
         "meaning": format_sentence("mechanics.decks.slider_law"),
-        "stiffness": law.stiffness,
-        "stiffnesses": law.stiffnesses.tolist(),
+        "stiffness": law.spring_stiffness,
+        "stiffnesses": law.slider_stiffnesses.tolist(),
         "slip_curvatures": law.slip_curvatures.tolist(),
-        "slip_moments": compute_slip_moments(law).tolist(),
+        "slip_moments": (law.slider_stiffnesses * law.slip_curvatures).tolist(),
         "error": law.error,
         "growing": make_growing_slider_entry(table),
         "scalar_sliders": {
-            "directions": scalar_law.directions,
+            "directions": scalar_law.n_directions,
             "apart": "180 / directions degrees; each acts on its component of the curvature",
-            "stiffness": scalar_law.stiffness,
-            "stiffnesses": scalar_law.stiffnesses.tolist(),
+            "stiffness": scalar_law.spring_stiffness,
+            "stiffnesses": scalar_law.slider_stiffnesses.tolist(),
             "slip_curvatures": scalar_law.slip_curvatures.tolist(),
             "error": scalar_law.error,
-            "sideways": scalar_law.sideways,
+            "sideways": scalar_law.transverse_ratio,
         },
-        "dahl": {"meaning": format_sentence("mechanics.decks.dahl_law"), **asdict(card.dahl)},
+        "dahl": {"meaning": format_sentence("mechanics.decks.dahl_law"), **asdict(card.dahl_law)},
         "loss_card": make_loss_card_entry(table),
         "mass_per_length": get_mass_per_length(table),
         "torsional_stiffness": table.torsional_stiffness,

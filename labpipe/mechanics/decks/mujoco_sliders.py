@@ -41,12 +41,12 @@ from labpipe.mechanics.decks.unloading import make_table_strand_slider
 from labpipe.mechanics.law.loss_card import N_DIRECTIONS, fit_wire_sliders
 from labpipe.mechanics.law.plays import require, require_positive
 from labpipe.mechanics.law.sliders import (
-    TURNS,
+    ROTATIONS,
     SliderLaw,
+    average_rotations,
     convert_to_plays,
     fit_directions,
-    share_hardening,
-    turn_directions,
+    split_hardening,
 )
 from labpipe.mechanics.wire.first_loading import compute_end_load_path
 from labpipe.records.arrays import Floats
@@ -173,35 +173,35 @@ def build_plane_hinges(chain: Chain) -> Hinges:
     """Build the hinges of a chain that bends in one plane."""
     law = chain.law
     slider_sentence = (
-        f"{len(law.stiffnesses)} sliders at each of {chain.n_nodes} nodes, in one plane: error up "
-        f"to {100.0 * law.error:.2g} % of the moment."
+        f"{len(law.slider_stiffnesses)} sliders at each of {chain.n_nodes} nodes, in one plane: "
+        f"error up to {100.0 * law.error:.2g} % of the moment."
     )
-    axes, tendon_coefficients = (("z", "0 0 1", law.stiffness),), np.ones((1, 1, 1))
-    stiffnesses, slip_curvatures = law.stiffnesses, law.slip_curvatures
+    axes, tendon_coefficients = (("z", "0 0 1", law.spring_stiffness),), np.ones((1, 1, 1))
+    stiffnesses, slip_curvatures = law.slider_stiffnesses, law.slip_curvatures
     return Hinges(axes, tendon_coefficients, stiffnesses, slip_curvatures, (slider_sentence,))
 
 
 def build_space_hinges(chain: Chain) -> Hinges:
     """Build the hinges of a chain that bends in every plane and twists."""
-    law, spring_stiffness = chain.law, chain.law.stiffness
+    law, spring_stiffness = chain.law, chain.law.spring_stiffness
     tendon_coefficients = np.zeros((1, 0, 2))  # a law without sliders has no tendons
     stiffnesses = slip_curvatures = np.zeros(0)
-    slider_sentence = f"Bending stiffness {law.stiffness:.6g} N m2, constant."
-    if len(law.stiffnesses):
+    slider_sentence = f"Bending stiffness {law.spring_stiffness:.6g} N m2, constant."
+    if len(law.slider_stiffnesses):
         scalar_law = fit_directions(law, N_DIRECTIONS, max_sliders=8)
         # the sum of cos^2 over the directions is half their number
-        spring_stiffness = scalar_law.stiffness * N_DIRECTIONS / 2.0
-        tendon_coefficients = np.array([scalar_law.compute_normals(rotation) for rotation in TURNS])
-        stiffnesses, slip_curvatures = scalar_law.stiffnesses, scalar_law.slip_curvatures
-        mean_law = turn_directions(law, scalar_law)
-        angles = ", ".join(f"{180.0 / N_DIRECTIONS * rotation:.4g}" for rotation in TURNS)
+        spring_stiffness = scalar_law.spring_stiffness * N_DIRECTIONS / 2.0
+        tendon_coefficients = np.array([*map(scalar_law.compute_unit_vectors, ROTATIONS)])
+        stiffnesses, slip_curvatures = scalar_law.slider_stiffnesses, scalar_law.slip_curvatures
+        mean_law = average_rotations(law, scalar_law)
+        angles = ", ".join(f"{180.0 / N_DIRECTIONS * rotation:.4g}" for rotation in ROTATIONS)
         slider_sentence = (
             f"{len(stiffnesses)} sliders in each of {N_DIRECTIONS} directions at each of "
             f"{chain.n_nodes} nodes, rotated by {angles} deg at successive nodes. MuJoCo has no "
-            f"vector sliders: in the worst bending direction, the moment of {len(TURNS)} nodes has "
-            f"an error of {format_percent(mean_law.error)} and a lateral part of "
-            f"{format_percent(mean_law.sideways)} (a single node: "
-            f"{format_percent(scalar_law.error)}, {format_percent(scalar_law.sideways)})."
+            f"vector sliders: in the worst bending direction, the moment of {len(ROTATIONS)} nodes "
+            f"has an error of {format_percent(mean_law.error)} and a lateral part of "
+            f"{format_percent(mean_law.transverse_ratio)} (a single node: "
+            f"{format_percent(scalar_law.error)}, {format_percent(scalar_law.transverse_ratio)})."
         )
     torsion_sentence = f"Torsional stiffness {chain.torsional_stiffness:.6g} N m2, linear."
     axes = (
@@ -228,7 +228,7 @@ def _format_chain_deck(
         reason = describe_missing_sliders(error)
         return fill_template("wire_chain.xml", name=name, table=table, chain=None, reason=reason)
     if isotropic_share > 0.0:
-        law = share_hardening(law, make_table_strand_slider(table), isotropic_share)
+        law = split_hardening(law, make_table_strand_slider(table), isotropic_share)
     length = table.spec.length if length is None else length
     require_positive("length", length)
     chain = Chain(

@@ -18,9 +18,9 @@ from labpipe.mechanics.law.sliders import (
     GrowingSlider,
     SliderLaw,
     bend_to_moment,
-    make_unbent_rests,
-    share_hardening,
+    make_unbent_history,
     slide,
+    split_hardening,
 )
 from labpipe.mechanics.wire.bending_law import make_strand_slider
 from labpipe.mechanics.wire.wire_table import (
@@ -74,7 +74,7 @@ def make_table_strand_slider(table: WireTable) -> GrowingSlider:
         If sliders cannot be fitted to the law (`fit_wire_sliders`).
     """
     law = fit_wire_sliders(table)
-    breakpoints = np.append(law.slip_curvatures, law.last)
+    breakpoints = np.append(law.slip_curvatures, law.max_curvature)
     layers, chord_ratio = make_layers(table.spec), compute_chord_ratio(law, table)
     return make_strand_slider(layers, breakpoints, factor=chord_ratio)
 
@@ -100,7 +100,7 @@ def compute_releases(table: WireTable) -> tuple[Release, Release]:
     law, strand_slider = fit_wire_sliders(table), make_table_strand_slider(table)
     curvatures = choose_bend_curvatures(table)
     releases = [
-        compute_release(share_hardening(law, strand_slider, share), curvatures)
+        compute_release(split_hardening(law, strand_slider, share), curvatures)
         for share in get_isotropic_share_interval(table)
     ]
     residual_curvature = np.column_stack([release.residual_curvature for release in releases])
@@ -110,9 +110,8 @@ def compute_releases(table: WireTable) -> tuple[Release, Release]:
 
 def choose_bend_curvatures(table: WireTable) -> Floats:
     """Return the `BEND_CURVATURES` within the range of a table, 1/m; without any, the last one."""
-    max_curvature = float(table.curvature[-1])
-    curvatures = [curvature for curvature in BEND_CURVATURES if curvature <= max_curvature]
-    return np.array(curvatures or [max_curvature])
+    curvatures = [curvature for curvature in BEND_CURVATURES if curvature <= table.curvature[-1]]
+    return np.array(curvatures or table.curvature[-1:])
 
 
 def compute_release(law: SliderLaw, curvatures: Floats) -> Release:
@@ -124,12 +123,12 @@ def compute_release(law: SliderLaw, curvatures: Floats) -> Release:
     curvatures : shape (n,), 1/m, curvatures from which the wire is released, positive
     """
     n_bends = len(curvatures)
-    rests = slide(law, curvatures, make_unbent_rests(law, n_bends)).rests
+    rests = slide(law, curvatures, make_unbent_history(law, n_bends)).history
     residual_curvature, _ = bend_to_moment(law, np.zeros(n_bends), curvatures, rests)
     fractions = np.linspace(0.0, 1.0, _N_BRANCH_POINTS)[:, None]
     loading = fractions * curvatures
     unloading = curvatures + fractions * (residual_curvature - curvatures)
-    unbent_rests = make_unbent_rests(law, loading.size)
+    unbent_rests = make_unbent_history(law, loading.size)
     loading_moment = slide(law, loading.ravel(), unbent_rests).moment.reshape(loading.shape)
     bent_rests = np.tile(rests, (_N_BRANCH_POINTS, 1))
     unloading_moment = slide(law, unloading.ravel(), bent_rests).moment.reshape(loading.shape)
@@ -155,8 +154,7 @@ def compute_linear_release(table: WireTable, stiffness: float) -> Release:
 
 def make_elastic_release(table: WireTable) -> Release:
     """Return the release of an elastic law: zero residual curvature and zero dissipated work."""
-    zeros = np.zeros(len(choose_bend_curvatures(table)))
-    return Release(zeros, zeros)
+    return Release(*np.zeros((2, len(choose_bend_curvatures(table)))))
 
 
 def make_growing_slider_entry(table: WireTable) -> dict[str, object] | None:
@@ -180,17 +178,17 @@ def make_growing_slider_entry(table: WireTable) -> dict[str, object] | None:
     share = 0.5 * sum(share_interval)
     if share == 0.0:
         return None
-    law = share_hardening(fit_wire_sliders(table), make_table_strand_slider(table), share)
-    (slider,) = law.growing
+    law = split_hardening(fit_wire_sliders(table), make_table_strand_slider(table), share)
+    (slider,) = law.growing_sliders
     return {
         "isotropic_share": share,
         "share_interval": list(share_interval),
         "use": format_sentence("mechanics.decks.growing_use"),
         "stiffness": slider.stiffness,
-        "slid": slider.slid.tolist(),
+        "slid": slider.slid_curvatures.tolist(),
         "limits": slider.limits.tolist(),
-        "spring_beside": law.stiffness,
-        "sliders_beside": law.stiffnesses.tolist(),
+        "spring_beside": law.spring_stiffness,
+        "sliders_beside": law.slider_stiffnesses.tolist(),
     }
 
 
