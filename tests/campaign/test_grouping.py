@@ -21,7 +21,7 @@ from labpipe.campaign.reporting import (
     rename_shared_spools,
 )
 from labpipe.errors import UsageError
-from labpipe.protocol.load import dump_protocol, find_protocol, load_protocol, parse_protocol
+from labpipe.protocol.load import find_protocol, format_protocol, load_protocol, parse_protocol
 from labpipe.protocol.schema import Groups, Protocol
 from labpipe.records.group import Verdict
 from tests.builders.bundle_campaigns import (
@@ -154,7 +154,7 @@ def tube() -> Protocol:
 
 
 def changed(protocol: Protocol, old: str, new: str) -> Protocol:
-    text = dump_protocol(protocol)
+    text = format_protocol(protocol)
     assert old in text
     return parse_protocol(text.replace(old, new, 1), "synthetic")
 
