@@ -640,8 +640,8 @@ def describe_agreement(group: ValidationGroup) -> list[str]:
     rmse = SMALL_FORCE.factor * errors.rmse
     percentage = write_percent(errors.rmse_share)
     texts.append(f"RMSE {rmse:.3g} {SMALL_FORCE.unit}, {percentage} of the largest force")
-    if math.isfinite(errors.inside):
-        texts.append(f"{write_percent(errors.inside)} of the points inside the band")
+    if math.isfinite(errors.coverage):
+        texts.append(f"{write_percent(errors.coverage)} of the points inside the band")
     return texts
 
 
@@ -849,7 +849,7 @@ def _list_match_records(comparison: ExternalCurveComparison) -> Iterator[tables.
             "load": "normal" if curve.is_normal else "as tested",
             "compared with": reference,
             "points compared": 0 if errors is None else errors.n,
-            "points left out": None if match is None else match.left_out,
+            "points left out": None if match is None else match.n_excluded,
             **_make_error_cells(errors),
             "reason": "no tests of this wire and length" if match is None else match.explanation,
             "file": curve.file,
@@ -862,7 +862,7 @@ def _make_error_cells(errors: CurveErrors | None) -> tables.Record:
     return {
         FORCE.label("RMSE"): None if errors is None else FORCE.factor * errors.rmse,
         "RMSE over the largest force (%)": None if errors is None else 100.0 * errors.rmse_share,
-        "points inside the band (%)": None if errors is None else 100.0 * errors.inside,
+        "points inside the band (%)": None if errors is None else 100.0 * errors.coverage,
     }
 
 

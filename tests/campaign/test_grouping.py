@@ -104,7 +104,7 @@ def test_differences_of_a_single_field_come_first_in_rising_order() -> None:
     questions = [item for item in differences if item.family == QUESTION_FAMILY]
     assert {item.name for item in questions} == {MAIN[0]}
     assert {item.name for item in differences if item.family == OTHER_FAMILY} == {MAIN[1]}
-    assert {item.tests for item in questions} == {len(questions)}
+    assert {item.n_comparisons for item in questions} == {len(questions)}
     assert fields == sorted(fields, key=list(dict.fromkeys(fields)).index)
     taping = [item.fields["taping"] for item in differences if item.single_field == "taping"]
     assert set(taping) == {("none", "coarse"), ("none", "half-lap"), ("coarse", "half-lap")}

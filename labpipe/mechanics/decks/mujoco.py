@@ -76,7 +76,7 @@ def write_mujoco_deck(
     min_edges = 3
     settling_time = 35.0  # times the first angular frequency
     origin = "as given"
-    if stiffness is None and table.slips_at_once:
+    if stiffness is None and table.slips_immediately:
         stiffness = float(table.secant_stiffness[1])
         origin = "the slope of the law at zero, its first secant, as strands slip at once"
     elif stiffness is None:

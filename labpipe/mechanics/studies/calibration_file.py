@@ -173,7 +173,7 @@ def build_comparison_json(comparison: ExternalCurveComparison) -> dict[str, obje
 def _build_match(match: CurveMatch) -> dict[str, object]:
     """Build the entry of the comparison of an external curve with another curve."""
     n_points = 0 if match.errors is None else match.errors.n
-    entries = select_json(match, "left_out", force="reference", reason="explanation")
+    entries = select_json(match, left_out="n_excluded", force="reference", reason="explanation")
     return {"n": n_points, **entries, **_build_errors(match.errors)}
 
 

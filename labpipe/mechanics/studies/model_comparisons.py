@@ -275,10 +275,10 @@ def note_misfits(groups: Sequence[ValidationGroup]) -> tuple[QualityNote, ...]:
         QualityNote.of(
             "mechanics.studies.model_misses_tests",
             f"{group.wire}, {1e3 * group.length:.4g} mm",
-            share=100.0 * group.errors.inside,
+            share=100.0 * group.errors.coverage,
         )
         for group in groups
-        if group.is_calibrated and group.errors and group.errors.inside < min_inside_fraction
+        if group.is_calibrated and group.errors and group.errors.coverage < min_inside_fraction
     )
 
 
