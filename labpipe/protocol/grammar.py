@@ -515,7 +515,7 @@ class Block(BaseModel):
             if is_valid and hasattr(value, "find_value_faults"):
                 contradictions += prefix_paths(path, value.find_value_faults())
         # If a key must not be there, a fault of its value is omitted.
-        refused_keys = {fault.path for fault in contradictions if fault.at == "key"}
+        refused_keys = {fault.path for fault in contradictions if fault.is_key}
         faults = [fault for fault in faults if fault.path not in refused_keys]
         invalid_paths -= refused_keys
         return block, faults + [x for x in contradictions if x.path not in invalid_paths]

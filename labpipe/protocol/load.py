@@ -454,7 +454,7 @@ def _find_wrong_answers(sheet: TestSheet, protocol: Protocol) -> Iterator[Fault]
         if name not in questions:
             remedy = "The protocol asks no questions; use specimen.labels."
             expected = "a question of the protocol:"
-            yield build_choice_fault(path, name, questions, expected, remedy=remedy, at="key")
+            yield build_choice_fault(path, name, questions, expected, remedy=remedy, is_key=True)
         elif answer not in questions[name]:
             answers = ", ".join(map(repr, questions[name]))
             yield Fault.of("protocol.no_answer", path, answers=answers, found=answer)
@@ -465,7 +465,7 @@ def _find_role_faults(sheet: TestSheet, protocol: Protocol) -> Iterator[Fault]:
     sources = protocol.sources or sheet.files.keys()
     for role in sheet.files.keys() - sources:
         expected = "a role of the protocol:"
-        yield build_choice_fault(("files", role), role, sources, expected, at="key")
+        yield build_choice_fault(("files", role), role, sources, expected, is_key=True)
     for role, source in (protocol.sources or {}).items():
         if role in ROLES and role not in sheet.files and not source.optional:
             yield Fault.of("protocol.no_file_of_role", ("files",), role=role)
@@ -517,7 +517,7 @@ def apply_overrides(protocol: Document, sheet: Document) -> Iterator[Fault]:
             override, value = sheet.get_value(path), sheet.get_value(sheet_paths[key])
             yield Fault.of("protocol.override_twice", path, key=key, override=override, value=value)
         elif key == "follow_links":  # a test folder from elsewhere must not allow links
-            yield Fault.of("protocol.not_overridable", path[:2], at="key", key=key)
+            yield Fault.of("protocol.not_overridable", path[:2], is_key=True, key=key)
         else:
             value_paths[key] = path
     for key, path in value_paths.items():
@@ -550,7 +550,7 @@ def _set_value(
             if depth == 1 and word in ("steps", "results"):
                 path = value_path[:2]
                 yield Fault.of(
-                    "protocol.override_of_no_list", path, at="key", key=dotted_key, block=word
+                    "protocol.override_of_no_list", path, is_key=True, key=dotted_key, block=word
                 )
                 return
             node[word], node.locations[word] = LocatedBlock(), location._replace(name=word)
@@ -596,11 +596,11 @@ def _list_names(item: object) -> list[str]:
 def _build_key_fault(node: object, word: str, path: KeyPath) -> Fault:
     """Build the fault of an unknown word of a dotted key."""
     if not isinstance(node, list):
-        return Fault.of("protocol.below_a_value", path, at="key", key=word)
+        return Fault.of("protocol.below_a_value", path, is_key=True, key=word)
     labels = [label for item in node for label in {*_list_kinds(item), *_list_names(item)}]
     remedy = "Use its number." if labels.count(word) > 1 else suggest_word(word, labels)
     last = len(node) - 1
-    return Fault.of("protocol.no_item", path, at="key", key=word, last=last, remedy=remedy)
+    return Fault.of("protocol.no_item", path, is_key=True, key=word, last=last, remedy=remedy)
 
 
 def remove_absent_sources(protocol: Protocol, roles: Collection[str]) -> Protocol:

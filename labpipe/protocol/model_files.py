@@ -182,7 +182,7 @@ class SectionBlock(Block):
         for key in sorted(all_keys & stated_keys - {*own_keys}):
             keys = ", ".join(map(repr, own_keys))
             yield Fault.of(
-                "protocol.other_section", (key,), at="key", key=key, kind=kind, keys=keys
+                "protocol.other_section", (key,), is_key=True, key=key, kind=kind, keys=keys
             )
 
 
@@ -274,9 +274,9 @@ class Grip(Holder):
             if point.step <= previous.step:
                 path = ("path", index, "step")
                 yield Fault.of("protocol.step_not_after", path, previous=previous, point=point)
-        for index, point in enumerate(self.path if self.holds == "position" else ()):
+        for i, point in enumerate(self.path if self.holds == "position" else ()):
             for key in sorted({"direction", "turn"} & point.model_fields_set):
-                yield Fault.of("protocol.turn_of_no_pose", ("path", index, key), at="key", key=key)
+                yield Fault.of("protocol.turn_of_no_pose", ("path", i, key), is_key=True, key=key)
 
 
 class Ring(_Boundary):
@@ -683,7 +683,7 @@ class _Parameter(Block):
             if not getattr(self, key):
                 yield Fault.of("protocol.no_key_of_parameter", key=key, enters=self.enters)
         if self.enters != "prior" and self.factor is not None:
-            yield Fault.of("protocol.factor_of_no_prior", ("factor",), at="key")
+            yield Fault.of("protocol.factor_of_no_prior", ("factor",), is_key=True)
 
 
 class RadialFriction(_Parameter):

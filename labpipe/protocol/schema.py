@@ -460,7 +460,7 @@ class Protocol(Block):
         """Find contradictions between the blocks of the protocol."""
         sources = self.sources or {}
         for role in sources.keys() - {*ROLES}:
-            yield build_choice_fault(("sources", role), role, ROLES, at="key")
+            yield build_choice_fault(("sources", role), role, ROLES, is_key=True)
         if sources:
             yield from _find_repeated_channels(self)
             yield from _find_step_faults(self)
@@ -537,7 +537,7 @@ def _find_repeated_channels(protocol: Protocol) -> Faults:
                 path: KeyPath = ("sources", role)
                 path += () if channel is source else ("channels", name)
                 owner = owners[name]
-                yield Fault.of("protocol.channel_taken", path, at="key", name=name, owner=owner)
+                yield Fault.of("protocol.channel_taken", path, is_key=True, name=name, owner=owner)
             owners[name] = f"the source {role!r}"
 
 

@@ -253,11 +253,11 @@ class SheetSpecimen(Block):
             if is_misspelt or re.fullmatch(_DIMENSION_NAME, key) is None:
                 remedy = f"Write it as {snake_key!r}." if snake_key != key else ""
                 remedy = remedy or suggest_word(key, keys)
-                yield Fault.of("protocol.no_dimension", path, at="key", key=key, remedy=remedy)
+                yield Fault.of("protocol.no_dimension", path, is_key=True, key=key, remedy=remedy)
             elif try_parse_quantity(value, "m") is None and not is_number:
-                yield Fault.of("protocol.label_as_size", path, at="key", key=key, value=value)
+                yield Fault.of("protocol.label_as_size", path, is_key=True, key=key, value=value)
         for key in {*(self.labels or {})} & {*keys}:
-            yield Fault.of("protocol.label_as_key", ("labels", key), at="key", key=key)
+            yield Fault.of("protocol.label_as_key", ("labels", key), is_key=True, key=key)
 
 
 COPY_REMEDY = "Copy the export into the folder of the test and name it from there."

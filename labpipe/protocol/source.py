@@ -426,7 +426,7 @@ class ChannelSource(Block):
         # Only the intervals of forces include the drift of the zero.
         if quantity != "force" and self.zero_drift is not None:
             path = ("zero_drift",)
-            yield Fault.of("protocol.drift_of_no_force", path, at="key", quantity=quantity)
+            yield Fault.of("protocol.drift_of_no_force", path, is_key=True, quantity=quantity)
         if self.unit is not None:
             yield from self._find_unit_faults(quantity, self.unit)
             return
@@ -494,7 +494,7 @@ class Source(ChannelSource, _Export):
         channel_keys = self._list_channel_keys()
         if "load-frame" not in self.reader:
             for key in {"dialect", "part"} & stated_keys:
-                yield Fault.of("protocol.load_frame_key", (key,), at="key", key=key)
+                yield Fault.of("protocol.load_frame_key", (key,), is_key=True, key=key)
         readers = MARKER_READERS if has_markers else {*READER_NAMES} - MARKER_READERS
         if not {*self.reader} <= readers:
             content = "marker tracks" if has_markers else "channels"

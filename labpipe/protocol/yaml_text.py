@@ -20,7 +20,7 @@ import yaml
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
-from labpipe.errors import At, Fault, KeyPath, ProtocolError, format_error, sort_by_likeness
+from labpipe.errors import Fault, KeyPath, ProtocolError, format_error, sort_by_likeness
 
 _LOADER = yaml.CBaseLoader if yaml.__with_libyaml__ else yaml.BaseLoader
 Mark: TypeAlias = tuple[int, int]
@@ -83,7 +83,7 @@ def build_choice_fault(
     expected: str = "one of",
     *,
     remedy: str = "",
-    at: At = "value",
+    is_key: bool = False,
 ) -> Fault:
     """Build the fault of a word that is not among the valid ones.
 
@@ -94,12 +94,12 @@ def build_choice_fault(
     choices : the valid words
     expected : phrase before the valid words, such as ``one of the channels``
     remedy : remedy if there are no valid words; otherwise, the most similar word is suggested
-    at : whether the word is a key or a value
+    is_key : whether the word is a key, not a value
     """
     valid_words = sorted(set(choices))
     remedy = suggest_word(str(word), valid_words) or remedy
     expected = f"{expected} {format_nearest_words(str(word), valid_words)}"
-    return Fault(path, expected, describe_value(word), remedy, at)
+    return Fault(path, expected, describe_value(word), remedy, is_key)
 
 
 class FaultsError(ValueError):
@@ -169,13 +169,13 @@ def _convert_error(details: ErrorDetails, path: KeyPath, keys: Iterable[str]) ->
             key = quoted_words["discriminator"][0] if quoted_words else str(details["loc"][-1])
             return Fault.of("protocol.no_key", path, key=key, missing=key)
         case "extra_forbidden":
-            return build_choice_fault(path, path[-1], keys, "one of the keys", at="key")
+            return build_choice_fault(path, path[-1], keys, "one of the keys", is_key=True)
         case "union_tag_invalid":
             key = quoted_words["discriminator"][0]
             return build_choice_fault((*path, key), value[key], quoted_words["expected_tags"])
         case "literal_error":
-            at: At = "key" if details["loc"][-1] == "[key]" else "value"
-            return build_choice_fault(path, value, quoted_words["expected"], at=at)
+            is_key = details["loc"][-1] == "[key]"
+            return build_choice_fault(path, value, quoted_words["expected"], is_key=is_key)
         case "too_short":
             min_length = details["ctx"]["min_length"]
             expected = "at least one entry" if min_length == 1 else f"at least {min_length} entries"
@@ -276,7 +276,7 @@ class Document:
         remark : sentence that is appended to the message
         """
         location, path = self.find_location(fault.path)
-        mark = location.key_mark if fault.at == "key" else location.value_mark
+        mark = location.key_mark if fault.is_key else location.value_mark
         return _place_fault(location.file, mark, replace(fault, path=path), remark)
 
 

@@ -149,7 +149,7 @@ def _build_group(group: ValidationGroup) -> dict[str, object]:
 
 def _build_errors(errors: CurveErrors | None) -> dict[str, float | None]:
     """Build the entries of errors; each is None if there are no errors."""
-    names = {"rmse": "rmse", "rmse_share": "rmse_share", "inside_band": "inside"}
+    names = {"rmse": "rmse", "rmse_share": "rmse_share", "inside_band": "coverage"}
     return dict.fromkeys(names) if errors is None else select_json(errors, **names)
 
 
