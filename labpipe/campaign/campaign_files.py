@@ -155,7 +155,7 @@ class OutcomeFiles:
     @property
     def names(self) -> set[str]:
         """Names of the files."""
-        return {part.partition(":")[0] for part in self.signature.split()}
+        return {file_state.partition(":")[0] for file_state in self.signature.split()}
 
 
 NO_OUTCOME = OutcomeFiles(Path(), "")
@@ -204,12 +204,13 @@ def find_outcome(campaign: CampaignFolders, test: str) -> OutcomeFiles:
 
 
 def _compute_signature(folder: str) -> str:
-    parts = []
+    """Compute `OutcomeFiles.signature` of the files in a folder."""
+    file_states = []
     for name in _OUTCOME_FILES:
         with suppress(OSError):
             status = os.stat(f"{folder}/{name}")  # noqa: PTH116  Path is slow for 10 000 files
-            parts.append(f"{name}:{status.st_size}:{status.st_mtime_ns}:{status.st_ino}")
-    return " ".join(parts)
+            file_states.append(f"{name}:{status.st_size}:{status.st_mtime_ns}:{status.st_ino}")
+    return " ".join(file_states)
 
 
 def _walk(

@@ -76,13 +76,14 @@ class ProcessedTest:
     folder : folder with result.h5, summary.json and figures
     result : result of the test; `attempt` removes recordings, curve and shape from it
     figures : paths of the figures
-    has_finished_files : whether files that a killed process had left unfinished were completed
+    has_completed_replacement : whether a replacement of files was completed that a killed process
+        had left unfinished
     """
 
     folder: Path
     result: TestResult
     figures: tuple[Path, ...]
-    has_finished_files: bool = False
+    has_completed_replacement: bool = False
 
     @property
     def n_failed(self) -> int:
@@ -130,11 +131,11 @@ def process(task: Task, on_stage: StageCallback = lambda _: None) -> ProcessedTe
         If an input is not valid. Earlier results are then unchanged.
     """
     on_stage("read")
-    source, has_finished_files = task.sheet, False
+    source, has_completed_replacement = task.sheet, False
     is_in_place = source.suffix == ".h5" and task.results_folder in (None, source.parent)
     if is_in_place and is_unfinished(source.parent):  # an earlier process was killed
         with lock(source.parent), map_errors(source.parent):
-            has_finished_files = finish_moves(source.parent)
+            has_completed_replacement = finish_moves(source.parent)
     raw, protocol = read_source(source, follow_links=task.follow_links)
     on_stage("process")
     result = reduce_test(raw, protocol)
@@ -157,7 +158,7 @@ def process(task: Task, on_stage: StageCallback = lambda _: None) -> ProcessedTe
                 paths = save_figures(result, new_folder / FIGURES_FOLDER, png=task.png)
             write_future.result()
     figures = tuple(folder / path.relative_to(new_folder) for path in paths)
-    return ProcessedTest(folder, result, figures, has_finished_files)
+    return ProcessedTest(folder, result, figures, has_completed_replacement)
 
 
 def draw_figures(folder: Path) -> tuple[Path, ...]:

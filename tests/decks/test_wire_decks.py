@@ -44,7 +44,7 @@ from labpipe.mechanics.law.loss_card import (
     fit_equivalent_material,
     fit_wire_sliders,
 )
-from labpipe.mechanics.law.sliders import make_unbent_rests, share_hardening, slide
+from labpipe.mechanics.law.sliders import make_unbent_history, slide, split_hardening
 from labpipe.mechanics.wire.bending_law import fit_play_law
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote, Severity
@@ -467,9 +467,9 @@ def test_the_json_table() -> None:
     card = loss_card(table.curvature, table.moment)
     losses = content["loss_card"]
     assert losses == json.loads(write_sliders_json(table))["loss_card"]
-    assert losses["constant"]["error"] == card.constant
-    assert losses["sliders"]["12"] == dict(card.sliders)[12]
-    assert losses["directions"]["16"] == dict(card.directions)[16] < losses["directions"]["4"]
+    assert losses["constant"]["error"] == card.stiffness_error
+    assert losses["sliders"]["12"] == dict(card.slider_errors)[12]
+    assert losses["directions"]["16"] == dict(card.direction_errors)[16] < losses["directions"]["4"]
     stiff = replace(table, moment=table.moment * (1.0 + (table.curvature / 50.0) ** 2))
     assert json.loads(write_lookup_json(stiff))["loss_card"]["reason"].startswith(
         "the law stiffens"
@@ -493,7 +493,7 @@ def test_decks_state_what_they_keep_of_a_bend(share: float | None) -> None:
         law = fit_play_law(
             section, contacts_of(section), isotropic_share=m, largest_curvature=table.curvature[-1]
         )
-        history = law.respond(moment, law.make_unbent_history(len(bends))).plays
+        history = law.respond(moment, law.make_unbent_history(len(bends))).history
         released = law.respond(np.zeros(len(bends)), history).curvature
         assert kept_share == pytest.approx(released / bends, abs=0.004)
     lowest, highest = np.array(numbers["wire"]["lost"]).T
@@ -533,11 +533,11 @@ def test_the_growing_slider_of_the_json() -> None:
         stops = np.clip(stops + change, -slips, slips)
         moment = block["spring_beside"] * kappa + stops @ np.array(block["sliders_beside"])
         moments.append(moment + block["stiffness"] * (kappa - p))
-    law = share_hardening(fit_wire_sliders(table), make_table_strands(table), 0.675)
-    rests, expected = make_unbent_rests(law, 1), []
+    law = split_hardening(fit_wire_sliders(table), make_table_strands(table), 0.675)
+    rests, expected = make_unbent_history(law, 1), []
     for kappa in path:
         step = slide(law, np.array([kappa]), rests)
-        rests = step.rests
+        rests = step.history
         expected.append(step.moment[0])
     assert moments == pytest.approx(expected, rel=1e-9)
     assert moments[:2] == pytest.approx(
@@ -565,7 +565,7 @@ def test_rows_of_the_csv_make_the_law() -> None:
 def test_numbers_of_the_json() -> None:
     table = wire_table("A2")
     content, law = json.loads(write_sliders_json(table)), fit_wire_sliders(table)
-    assert content["stiffnesses"] == law.stiffnesses.tolist()
+    assert content["stiffnesses"] == law.slider_stiffnesses.tolist()
     assert content["slip_curvatures"] == law.slip_curvatures.tolist()
     assert content["error"] == law.error < 0.003
     assert content["doubtful_beyond"] == table.doubtful_curvature == pytest.approx(37.5)

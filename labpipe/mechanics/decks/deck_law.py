@@ -300,11 +300,12 @@ def describe_losses(
         As `fit_sliders`.
     """
     card = make_table_card(table)
-    sliders = ", ".join(f"{count} sliders {format_percent(error)}" for count, error in card.sliders)
+    sliders = ", ".join(f"{n} sliders {format_percent(error)}" for n, error in card.slider_errors)
     card_sentence = (
-        f"Loss card, largest error of the moment from {card.first:.3g} to {card.last:.4g} 1/m, "
-        f"each form at its best: constant stiffness {format_percent(card.constant)}, Dahl "
-        f"{format_percent(card.dahl.error)}, {sliders}."
+        f"Loss card, largest error of the moment from {card.min_curvature:.3g} to "
+        f"{card.max_curvature:.4g} 1/m, each form at its best: constant stiffness "
+        f"{format_percent(card.stiffness_error)}, Dahl {format_percent(card.dahl_law.error)}, "
+        f"{sliders}."
     )
     return describe_unloading(table, unloading_rule, deck_release), card_sentence
 
@@ -379,10 +380,10 @@ def collect_card_numbers(table: WireTable) -> dict[str, object]:
     except ValueError as error:
         return {"reason": f"{error}"}
     return {
-        "curvature": [card.first, card.last],
-        "constant": {"stiffness": card.stiffness, "error": card.constant},
-        "dahl": card.dahl.error,
-        "sliders": {str(count): error for count, error in card.sliders},
-        "directions": {str(count): error for count, error in card.directions},
+        "curvature": [card.min_curvature, card.max_curvature],
+        "constant": {"stiffness": card.stiffness, "error": card.stiffness_error},
+        "dahl": card.dahl_law.error,
+        "sliders": {str(count): error for count, error in card.slider_errors},
+        "directions": {str(count): error for count, error in card.direction_errors},
         "unloading": collect_unloading_numbers(table),
     }

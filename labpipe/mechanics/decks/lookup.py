@@ -23,7 +23,7 @@ from labpipe.mechanics.decks.deck_law import (
 )
 from labpipe.mechanics.decks.unloading import collect_growing_numbers, make_zero_release
 from labpipe.mechanics.law.loss_card import N_DIRECTIONS, fit_wire_sliders, make_table_card
-from labpipe.mechanics.law.sliders import compute_slip_moments, fit_directions
+from labpipe.mechanics.law.sliders import fit_directions
 from labpipe.messages import format_sentence
 from labpipe.records.wire import WireTable
 
@@ -128,9 +128,9 @@ def write_sliders_csv(table: WireTable) -> str:
     try:
         law = fit_wire_sliders(table)
     except ValueError as error:
-        reason = describe_missing_sliders(error)
-        return fill_template("sliders.csv", head=head, reason=reason)
-    columns = (law.stiffnesses, law.slip_curvatures, compute_slip_moments(law))
+        return fill_template("sliders.csv", head=head, reason=describe_missing_sliders(error))
+    stiffnesses, slip_curvatures = law.slider_stiffnesses, law.slip_curvatures
+    columns = (stiffnesses, slip_curvatures, stiffnesses * slip_curvatures)
     return fill_template(
         "sliders.csv",
         table=table,
@@ -141,7 +141,7 @@ def write_sliders_csv(table: WireTable) -> str:
         losses=describe_losses(table),
         rows=[
             "stiffness [N*m^2],slip_curvature [1/m],slip_moment [N*m]",
-            f"{law.stiffness!r},inf,inf",
+            f"{law.spring_stiffness!r},inf,inf",
             *(",".join(map(repr, row)) for row in np.transpose(columns).tolist()),
         ],
     )
@@ -162,25 +162,25 @@ def write_sliders_json(table: WireTable) -> str:
     scalar_law = fit_directions(law, N_DIRECTIONS)
     document = {
         **identity,
-        "range": {"curvature": [law.first, law.last], "beyond": "not valid"},
+        "range": {"curvature": [law.min_curvature, law.max_curvature], "beyond": "not valid"},
         "doubtful_beyond": table.doubtful_curvature if table.is_doubtful.any() else None,
         "meaning": format_sentence("mechanics.decks.slider_law"),
-        "stiffness": law.stiffness,
-        "stiffnesses": law.stiffnesses.tolist(),
+        "stiffness": law.spring_stiffness,
+        "stiffnesses": law.slider_stiffnesses.tolist(),
         "slip_curvatures": law.slip_curvatures.tolist(),
-        "slip_moments": compute_slip_moments(law).tolist(),
+        "slip_moments": (law.slider_stiffnesses * law.slip_curvatures).tolist(),
         "error": law.error,
         "growing": collect_growing_numbers(table),
         "scalar_sliders": {
-            "directions": scalar_law.directions,
+            "directions": scalar_law.n_directions,
             "apart": "180 / directions degrees; each acts on its component of the curvature",
-            "stiffness": scalar_law.stiffness,
-            "stiffnesses": scalar_law.stiffnesses.tolist(),
+            "stiffness": scalar_law.spring_stiffness,
+            "stiffnesses": scalar_law.slider_stiffnesses.tolist(),
             "slip_curvatures": scalar_law.slip_curvatures.tolist(),
             "error": scalar_law.error,
-            "sideways": scalar_law.sideways,
+            "sideways": scalar_law.transverse_ratio,
         },
-        "dahl": {"meaning": format_sentence("mechanics.decks.dahl_law"), **asdict(card.dahl)},
+        "dahl": {"meaning": format_sentence("mechanics.decks.dahl_law"), **asdict(card.dahl_law)},
         "loss_card": collect_card_numbers(table),
         "mass_per_length": get_mass_per_length(table),
         "torsional_stiffness": table.torsional_stiffness,

@@ -39,12 +39,12 @@ from labpipe.mechanics.decks.unloading import make_table_strands
 from labpipe.mechanics.law.loss_card import N_DIRECTIONS, fit_wire_sliders
 from labpipe.mechanics.law.plays import require, require_positive
 from labpipe.mechanics.law.sliders import (
-    TURNS,
+    ROTATIONS,
     SliderLaw,
+    average_rotations,
     convert_to_plays,
     fit_directions,
-    share_hardening,
-    turn_directions,
+    split_hardening,
 )
 from labpipe.mechanics.wire.first_loading import compute_end_load_path
 from labpipe.records.arrays import Floats
@@ -169,35 +169,35 @@ def write_mujoco_space_deck(table: WireTable, *, length: float | None = None) ->
 
 def make_plane_hinges(chain: Chain) -> Hinges:
     """Build the hinges of a chain that bends in one plane."""
-    law = chain.law
+    law, sliders = chain.law, (chain.law.slider_stiffnesses, chain.law.slip_curvatures)
     sentence = (
-        f"{len(law.stiffnesses)} sliders at each of {chain.nodes} nodes, in one plane: error up "
-        f"to {100.0 * law.error:.2g} % of the moment."
+        f"{len(law.slider_stiffnesses)} sliders at each of {chain.nodes} nodes, in one plane: "
+        f"error up to {100.0 * law.error:.2g} % of the moment."
     )
-    axes = (("z", "0 0 1", law.stiffness),)
-    return Hinges(axes, np.ones((1, 1, 1)), law.stiffnesses, law.slip_curvatures, (sentence,))
+    axes = (("z", "0 0 1", law.spring_stiffness),)
+    return Hinges(axes, np.ones((1, 1, 1)), *sliders, (sentence,))
 
 
 def make_space_hinges(chain: Chain) -> Hinges:
     """Build the hinges of a chain that bends in every plane and twists."""
     law = chain.law
-    directions, spring_stiffness = N_DIRECTIONS, law.stiffness
+    directions, spring_stiffness = N_DIRECTIONS, law.spring_stiffness
     tendons, sliders = np.zeros((1, 0, 2)), (np.zeros(0), np.zeros(0))
-    sentence = f"Bending stiffness {law.stiffness:.6g} N m2, constant."
-    if len(law.stiffnesses):
+    sentence = f"Bending stiffness {law.spring_stiffness:.6g} N m2, constant."
+    if len(law.slider_stiffnesses):
         scalar_law = fit_directions(law, directions, max_sliders=8)
-        spring_stiffness = scalar_law.stiffness * directions / 2.0
-        tendons = np.array([scalar_law.compute_normals(rotation) for rotation in TURNS])
-        sliders = (scalar_law.stiffnesses, scalar_law.slip_curvatures)
-        mean_law = turn_directions(law, scalar_law)
-        angles = ", ".join(f"{180.0 / directions * rotation:.4g}" for rotation in TURNS)
+        spring_stiffness = scalar_law.spring_stiffness * directions / 2.0
+        tendons = np.array([scalar_law.compute_unit_vectors(rotation) for rotation in ROTATIONS])
+        sliders = (scalar_law.slider_stiffnesses, scalar_law.slip_curvatures)
+        mean_law = average_rotations(law, scalar_law)
+        angles = ", ".join(f"{180.0 / directions * rotation:.4g}" for rotation in ROTATIONS)
         sentence = (
-            f"{len(scalar_law.stiffnesses)} sliders in each of {directions} directions at each of "
+            f"{len(sliders[0])} sliders in each of {directions} directions at each of "
             f"{chain.nodes} nodes, rotated from node to node by {angles} deg. MuJoCo has no vector "
-            f"sliders: in the worst direction of bending, the moment of {len(TURNS)} nodes has an "
-            f"error of {format_percent(mean_law.error)} and a lateral part of "
-            f"{format_percent(mean_law.sideways)} (one node: "
-            f"{format_percent(scalar_law.error)}, {format_percent(scalar_law.sideways)})."
+            f"sliders: in the worst direction of bending, the moment of {len(ROTATIONS)} nodes has "
+            f"an error of {format_percent(mean_law.error)} and a lateral part of "
+            f"{format_percent(mean_law.transverse_ratio)} (one node: "
+            f"{format_percent(scalar_law.error)}, {format_percent(scalar_law.transverse_ratio)})."
         )
     twist = f"Torsional stiffness {chain.torsional_stiffness:.6g} N m2, linear."
     axes = (
@@ -226,7 +226,7 @@ def _write_chain(
             "wire_chain.xml", name=table.name, head=head, chain=None, reason=reason
         )
     if isotropic_share > 0.0:
-        law = share_hardening(law, make_table_strands(table), isotropic_share)
+        law = split_hardening(law, make_table_strands(table), isotropic_share)
     length = table.spec.length if length is None else length
     require_positive("length", length)
     radius, torsional_stiffness = table.layout.wire_radius, table.torsional_stiffness

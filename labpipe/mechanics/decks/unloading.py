@@ -17,9 +17,9 @@ from labpipe.mechanics.law.sliders import (
     GrowingSlider,
     SliderLaw,
     bend_to_moment,
-    make_unbent_rests,
-    share_hardening,
+    make_unbent_history,
     slide,
+    split_hardening,
 )
 from labpipe.mechanics.wire.bending_law import make_strand_slider
 from labpipe.mechanics.wire.wire_table import (
@@ -72,7 +72,8 @@ def make_table_strands(table: WireTable) -> GrowingSlider:
         As `fit_sliders`.
     """
     law = fit_wire_sliders(table)
-    corners, factor = np.append(law.slip_curvatures, law.last), compute_chord_ratio(law, table)
+    corners = np.append(law.slip_curvatures, law.max_curvature)
+    factor = compute_chord_ratio(law, table)
     return make_strand_slider(make_layers(table.spec), corners, factor=factor)
 
 
@@ -95,7 +96,7 @@ def compute_releases(table: WireTable) -> tuple[Release, Release]:
     """
     law, strands, bends = fit_wire_sliders(table), make_table_strands(table), choose_bends(table)
     ends = [
-        compute_release(share_hardening(law, strands, share), bends)
+        compute_release(split_hardening(law, strands, share), bends)
         for share in get_share_interval(table)
     ]
     residual = np.column_stack([end.residual_curvature for end in ends])
@@ -105,8 +106,7 @@ def compute_releases(table: WireTable) -> tuple[Release, Release]:
 
 def choose_bends(table: WireTable) -> Floats:
     """Return the `BENDS` within the range of a table, 1/m; if there is none, its end."""
-    end = float(table.curvature[-1])
-    return np.array([bend for bend in BENDS if bend <= end] or [end])
+    return np.array([bend for bend in BENDS if bend <= table.curvature[-1]] or table.curvature[-1:])
 
 
 def compute_release(law: SliderLaw, bends: Floats) -> Release:
@@ -117,11 +117,11 @@ def compute_release(law: SliderLaw, bends: Floats) -> Release:
     law : law of the wire
     bends : shape (n,), 1/m, curvatures before the release, positive
     """
-    rests = slide(law, bends, make_unbent_rests(law, len(bends))).rests
+    rests = slide(law, bends, make_unbent_history(law, len(bends))).history
     residual, _ = bend_to_moment(law, np.zeros(len(bends)), bends, rests)
     fractions = np.linspace(0.0, 1.0, _BRANCH_POINTS)[:, None]
     loading, unloading = fractions * bends, bends + fractions * (residual - bends)
-    unbent_rests = make_unbent_rests(law, loading.size)
+    unbent_rests = make_unbent_history(law, loading.size)
     loading_moment = slide(law, loading.ravel(), unbent_rests).moment.reshape(loading.shape)
     bent_rests = np.tile(rests, (_BRANCH_POINTS, 1))
     unloading_moment = slide(law, unloading.ravel(), bent_rests).moment.reshape(loading.shape)
@@ -147,8 +147,7 @@ def compute_elastic_release(table: WireTable, stiffness: float) -> Release:
 
 def make_zero_release(table: WireTable) -> Release:
     """Return the release of an elastic law: zero residual curvature and zero dissipated work."""
-    zeros = np.zeros(len(choose_bends(table)))
-    return Release(zeros, zeros)
+    return Release(*np.zeros((2, len(choose_bends(table)))))
 
 
 def collect_growing_numbers(table: WireTable) -> dict[str, object] | None:
@@ -172,17 +171,17 @@ def collect_growing_numbers(table: WireTable) -> dict[str, object] | None:
     share = 0.5 * (shares[0] + shares[1])
     if share == 0.0:
         return None
-    law = share_hardening(fit_wire_sliders(table), make_table_strands(table), share)
-    (slider,) = law.growing
+    law = split_hardening(fit_wire_sliders(table), make_table_strands(table), share)
+    (slider,) = law.growing_sliders
     return {
         "isotropic_share": share,
         "share_interval": list(shares),
         "use": format_sentence("mechanics.decks.growing_use"),
         "stiffness": slider.stiffness,
-        "slid": slider.slid.tolist(),
+        "slid": slider.slid_curvatures.tolist(),
         "limits": slider.limits.tolist(),
-        "spring_beside": law.stiffness,
-        "sliders_beside": law.stiffnesses.tolist(),
+        "spring_beside": law.spring_stiffness,
+        "sliders_beside": law.slider_stiffnesses.tolist(),
     }
 
 

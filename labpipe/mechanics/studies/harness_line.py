@@ -27,7 +27,7 @@ import numpy as np
 from labpipe.errors import ReadError
 from labpipe.mechanics.law.loss_card import fit_wire_sliders
 from labpipe.mechanics.law.plays import require
-from labpipe.mechanics.law.sliders import GrowingSlider, SliderLaw, make_linear_law, share_hardening
+from labpipe.mechanics.law.sliders import GrowingSlider, SliderLaw, make_linear_law, split_hardening
 from labpipe.mechanics.rod import boundaries as rod
 from labpipe.mechanics.rod.bands import (
     InputDistribution,
@@ -493,7 +493,7 @@ def make_section_function(spec: WireSpec, values: Mapping[str, float]) -> Sectio
     table = tabulate_wire(set_parameters(spec, values))
     base_law = fit_wire_sliders(table)
     chord_scale = compute_chord_ratio(base_law, table)
-    corners = np.concatenate([[0.0], base_law.slip_curvatures, [base_law.last]])
+    corners = np.concatenate([[0.0], base_law.slip_curvatures, [base_law.max_curvature]])
 
     def build_section(inputs: Mapping[str, float]) -> Section:
         """Build the section of a line for other inputs."""
@@ -501,7 +501,7 @@ def make_section_function(spec: WireSpec, values: Mapping[str, float]) -> Sectio
         wire = build_wire(set_parameters(spec, {**values, **changed}))
         slopes = chord_scale * compute_hull_slopes(corners, wire.compute_curve(corners).moment)
         stiffnesses = np.maximum(-np.diff(slopes), min_slider_stiffness * slopes[0])
-        law = replace(base_law, stiffness=float(slopes[-1]), stiffnesses=stiffnesses)
+        law = replace(base_law, spring_stiffness=float(slopes[-1]), slider_stiffnesses=stiffnesses)
         share = inputs.get(ISOTROPIC_SHARE, spec.isotropic_share or 0.0)
         layers, factor = wire.section.layers, chord_scale
         strands = make_strand_slider(layers, corners[1:], factor=factor) if share > 0.0 else None
@@ -557,7 +557,7 @@ def _read_deck_material(block: SectionBlock, path: Path) -> Material:
         str(deck.get("wire", path.stem)),
         (partial(_adjust_section, section, strands, low if low == high else 0.0),),
         *_find_lowest_limit(
-            {"the range of the deck": section.law.last, _INSULATION_LIMIT: doubtful_curvature}
+            {"the range of the deck": last_curvature, _INSULATION_LIMIT: doubtful_curvature}
         ),
         files=(describe_file("sliders", path),),
         distributions=distributions,
@@ -596,16 +596,16 @@ def _adjust_section(
     law = section.law
     if strands is not None:
         share = min(max(inputs.get(ISOTROPIC_SHARE, default_share), 0.0), 1.0)
-        law = share_hardening(law, strands, share)
+        law = split_hardening(law, strands, share)
     factors = [math.exp(inputs.get(name, 0.0)) for name in FACTORS]
     moment_factor, torsion_factor, mass_factor = factors
     return replace(
         section,
         law=replace(
             law,
-            stiffness=moment_factor * law.stiffness,
-            stiffnesses=moment_factor * law.stiffnesses,
-            growing=tuple(slider.scale(moment_factor) for slider in law.growing),
+            spring_stiffness=moment_factor * law.spring_stiffness,
+            slider_stiffnesses=moment_factor * law.slider_stiffnesses,
+            growing_sliders=tuple(slider.scale(moment_factor) for slider in law.growing_sliders),
         ),
         torsional_stiffness=torsion_factor * section.torsional_stiffness,
         mass_per_length=mass_factor * section.mass_per_length,

@@ -212,7 +212,7 @@ def build_json(solution: HarnessSolution) -> dict[str, object]:
             "elements": len(line.lengths),
             **select_json(section, *section_fields),
             "first_bending_stiffness": section.law.first_stiffness,
-            "sliders": len(section.law.stiffnesses),
+            "sliders": len(section.law.slider_stiffnesses),
             **select_json(material, backed_curvature="curvature_limit", backed_by="limit_source"),
         },
         "bend_radius": {
