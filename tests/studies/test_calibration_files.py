@@ -169,7 +169,7 @@ def test_held_against_tests_and_model(calibration: Calibration) -> None:
         assert test.errors.n == 16
         assert test.errors.rmse_share < 0.03  # scatter of three samples of 3 %
     assert compared.model.errors is not None
-    assert compared.model.errors.inside == 1.0
+    assert compared.model.errors.coverage == 1.0
     assert compared.prediction is not None
     assert compared.prediction.deflection[-1] == pytest.approx(0.05, abs=1e-3)  # as far as tests
     assert not compared.notes
@@ -198,7 +198,7 @@ def test_what_lies_beyond_is_left_out_and_told(calibration: Calibration) -> None
     """Units mistaken leave nothing to compare_tests."""
     comparison = held(calibration, third(deepest=0.08))
     assert comparison.tests is not None
-    assert (comparison.tests.left_out, comparison.model.left_out) == (6, 5)
+    assert (comparison.tests.n_excluded, comparison.model.n_excluded) == (6, 5)
     assert [note.code for note in comparison.notes] == ["external_curve_cut", "external_curve_cut"]
     tests, model = (note.message for note in comparison.notes)
     assert tests.startswith("6 of 16 points left out, outside of 0.")
@@ -276,7 +276,7 @@ def test_groups_are_by_wire_and_length_the_own_first(groups: tuple[ValidationGro
     for group in groups:
         assert group.errors is not None
         assert group.errors.rmse_share < 0.05
-        assert group.errors.inside > 0.9
+        assert group.errors.coverage > 0.9
         assert group.band.n == 3
     group = groups[0]
     assert group.errors is not None

@@ -75,7 +75,7 @@ def write_mujoco_deck(
     min_edges = 3
     settling_angle = 35.0  # settling time times the first angular frequency
     source = "as given"
-    if stiffness is None and table.slips_at_once:
+    if stiffness is None and table.slips_immediately:
         stiffness = float(table.secant_stiffness[1])
         source = "the slope of the law at zero, its first secant, as strands slip immediately"
     elif stiffness is None:

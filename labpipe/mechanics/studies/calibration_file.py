@@ -147,7 +147,7 @@ def _build_group(group: ValidationGroup) -> dict[str, object]:
 
 def _build_errors(errors: CurveErrors | None) -> dict[str, float | None]:
     """Build the entries of errors; each is None if there are no errors."""
-    names = {"rmse": "rmse", "rmse_share": "rmse_share", "inside_band": "inside"}
+    names = {"rmse": "rmse", "rmse_share": "rmse_share", "inside_band": "coverage"}
     return dict.fromkeys(names) if errors is None else select_json(errors, **names)
 
 
@@ -171,7 +171,7 @@ def build_comparison_json(comparison: ExternalCurveComparison) -> dict[str, obje
 def _build_match(match: CurveMatch) -> dict[str, object]:
     """Build the entry of the comparison of an external curve with another curve."""
     n_points = 0 if match.errors is None else match.errors.n
-    entries = select_json(match, "left_out", force="reference", reason="explanation")
+    entries = select_json(match, left_out="n_excluded", force="reference", reason="explanation")
     return {"n": n_points, **entries, **_build_errors(match.errors)}
 
 

@@ -279,10 +279,10 @@ def make_misfit_notes(groups: Sequence[ValidationGroup]) -> tuple[QualityNote, .
         QualityNote.of(
             "mechanics.studies.model_misses_tests",
             f"{group.wire}, {1e3 * group.length:.4g} mm",
-            inside_percent=100.0 * group.errors.inside,
+            inside_percent=100.0 * group.errors.coverage,
         )
         for group in groups
-        if group.is_calibrated and group.errors and group.errors.inside < min_inside_fraction
+        if group.is_calibrated and group.errors and group.errors.coverage < min_inside_fraction
     )
 
 
