@@ -415,7 +415,7 @@ def _compare_external_curve(
     except ValueError as error:
         reason = format_sentence("mechanics.studies.no_such_curve", error=error)
         no_force = np.full(len(curve.deflection), np.nan)
-        model_match = CurveMatch(no_force, None, left_out=len(no_force), explanation=reason)
+        model_match = CurveMatch(no_force, None, n_excluded=len(no_force), explanation=reason)
     else:
         bounds = prediction.lower_mean, prediction.upper_mean
         deflection, force = prediction.deflection, prediction.force
