@@ -771,11 +771,11 @@ def make_budget_page(result: TestResult) -> Page:
     """
     row_mm, frame_mm = 6.0, 26.0
     candidates = (entry for entry in result.results if budgets.has_budget_bar(entry.name))
-    entries = [entry for entry in candidates if entry.largest_share is not None][: budgets.MAX_BARS]
+    entries = [entry for entry in candidates if entry.largest_cause is not None][: budgets.MAX_BARS]
     bars = []
     for entry in entries:
         causes = [contribution.cause for contribution in entry.budget]
-        shares = dict(zip(causes, entry.shares, strict=True))
+        shares = dict(zip(causes, entry.fractions, strict=True))
         bars.append(budgets.make_budget_bar(entry, shares, entry.interval, result.display))
     panel, height = budgets.make_budget_plot(bars), frame_mm + row_mm * len(bars)
     has_cycles = any("." in entry.name for entry in entries)

@@ -126,7 +126,7 @@ def render_page(
     report_id, script = compute_report_id(campaign), read_page_script()
     samples = list_samples(campaign)
     protocols = ", ".join(sorted({group.protocol for group in campaign.groups})) or "none"
-    origin = [report_id, str(campaign.made_on or ""), f"labpipe {campaign.labpipe_version}".strip()]
+    origin = [report_id, str(campaign.date or ""), f"labpipe {campaign.labpipe_version}".strip()]
     facts = [
         *(letterhead or {}).items(),
         ("Tested", page_tables.describe_testing(samples)),
@@ -299,7 +299,7 @@ def describe_campaign(campaign: Campaign, open_decisions: Sequence[OpenDecision]
     counts = [
         wording.format_count(len(list_samples(campaign)), "test"),
         f"{len(campaign.rejected)} rejected",
-        *([f"{len(campaign.left_out)} not read"] if campaign.left_out else []),
+        *([f"{len(campaign.failures)} not read"] if campaign.failures else []),
         f"{n_undecided} to decide",
     ]
     return " \u00b7 ".join(counts)
@@ -537,7 +537,7 @@ def _make_number_table(result: TestResult) -> Table:
 def _describe_largest_causes(result: Result) -> str:
     """List up to three causes of at least 1 % of the variance of a result, with their shares."""
     max_causes, min_share = 3, 0.01
-    pairs = sorted(zip(result.shares, result.budget, strict=True), key=lambda pair: -pair[0])
+    pairs = sorted(zip(result.fractions, result.budget, strict=True), key=lambda pair: -pair[0])
     largest = [(share, cause) for share, cause in pairs[:max_causes] if share >= min_share]
     return "; ".join(f"{cause.cause} {100 * share:.0f} %" for share, cause in largest)
 
