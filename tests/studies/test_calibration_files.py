@@ -27,7 +27,7 @@ from labpipe.mechanics.studies.first_loadings import FirstLoading
 from labpipe.mechanics.studies.model_comparisons import (
     compare_external_curves,
     compare_tests,
-    note_misfits,
+    make_misfit_notes,
     read_external_curves,
 )
 from labpipe.mechanics.studies.wire_sheets import WireSheet, read_wire_sheet
@@ -291,16 +291,16 @@ def test_groups_are_by_wire_and_length_the_own_first(groups: tuple[ValidationGro
 def test_tests_that_the_model_does_not_follow_are_said(calibration: Calibration) -> None:
     """A wave of 10 mN in the force, as no wire has, beside what the wire does."""
     (right,) = compare_tests(calibration, WIRES, loadings("A2"))
-    assert not note_misfits([right])
+    assert not make_misfit_notes([right])
     waves = [replace(c, force=c.force + 0.01 * np.sin(c.deflection / 0.008)) for c in CURVES]
     outcome = calibrate(wire_of("A2"), waves, Settings())
     assert isinstance(outcome, Calibration)
     tests = [FirstLoading(curve, 0.0, ()) for curve in waves]
     (wrong,) = compare_tests(outcome, WIRES, tests)
-    [note] = note_misfits([wrong])
+    [note] = make_misfit_notes([wrong])
     assert (note.code, note.where) == ("model_misses_tests", "A2, 85 mm")
     assert 65 <= int(note.message.partition(" % of the points of the calibrating tests")[0]) <= 75
-    assert not note_misfits([replace(wrong, is_calibrated=False)])
+    assert not make_misfit_notes([replace(wrong, is_calibrated=False)])
 
 
 def test_what_cannot_be_predicted_says_why(calibration: Calibration) -> None:

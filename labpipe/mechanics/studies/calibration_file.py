@@ -69,12 +69,10 @@ def build_json(study: CalibrationStudy) -> dict[str, object]:
     study : calibration with its comparisons; a missing number becomes None
     """
     calibration, share = study.calibration, study.calibration.isotropic_share
-    names = ("widening", "levels", "n_points", "n_samples", "sse", "rmse", "rmse_share")
+    error_names = ("sse", "rmse", "rmse_share")
+    names = ("widening", "levels", "n_points", "n_samples", *error_names)
     solution_names = ("rise", "likelihood", "rmse", "limit", "covariance", "mixture")
-    curve_names = (
-        *("test", "sample", "length", "sample_factor"),
-        *("sse", "rmse", "rmse_share", "runs_p"),
-    )
+    curve_names = ("test", "sample", "length", "sample_factor", *error_names, "runs_p")
     return {
         "schema": SCHEMA,
         "labpipe": __version__,
