@@ -18,7 +18,7 @@ from labpipe.records.group import Band, SampleCurve
 from labpipe.records.quality import QualityNote, Reason, Severity
 from labpipe.records.wire import (
     COPPER_SCALE,
-    DISPLAYED,
+    DISPLAY_UNITS,
     INSULATION_MODULUS,
     PARAMETERS,
     RADIAL_FRICTION,
@@ -48,7 +48,7 @@ PARAMETER_LABELS: Mapping[str, str] = {
     INSULATION_MODULUS: "Insulation modulus",
     COPPER_SCALE: "Factor on copper strength",
 }
-PARAMETER_SCALES: Mapping[str, Scale] = {name: Scale(*unit) for name, unit in DISPLAYED.items()}
+PARAMETER_SCALES: Mapping[str, Scale] = {name: Scale(*unit) for name, unit in DISPLAY_UNITS.items()}
 _PARAMETER_NAMES: Mapping[str, str] = {
     RADIAL_FRICTION: "phi",
     INSULATION_MODULUS: "the modulus of the insulation",
