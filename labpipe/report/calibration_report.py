@@ -18,7 +18,7 @@ from labpipe.records.group import Band, SampleCurve
 from labpipe.records.quality import QualityNote, Reason, Severity
 from labpipe.records.wire import (
     COPPER_SCALE,
-    DISPLAYED,
+    DISPLAY_UNITS,
     INSULATION_MODULUS,
     PARAMETERS,
     RADIAL_FRICTION,
@@ -49,7 +49,7 @@ PARAMETER_LABELS: Mapping[str, str] = {
     INSULATION_MODULUS: "Insulation modulus",
     COPPER_SCALE: "Factor on copper strength",
 }
-PARAMETER_SCALES: Mapping[str, Scale] = {name: Scale(*unit) for name, unit in DISPLAYED.items()}
+PARAMETER_SCALES: Mapping[str, Scale] = {name: Scale(*unit) for name, unit in DISPLAY_UNITS.items()}
 _PARAMETER_NAMES: Mapping[str, str] = {
     RADIAL_FRICTION: "phi",
     INSULATION_MODULUS: "the modulus of the insulation",
@@ -662,8 +662,8 @@ def describe_agreement(group: ValidationGroup) -> list[str]:
     rmse = SMALL_FORCE_SCALE.factor * errors.rmse
     percentage = format_percent(errors.rmse_share)
     texts.append(f"RMSE {rmse:.3g} {SMALL_FORCE_SCALE.unit}, {percentage} of the largest force")
-    if math.isfinite(errors.inside):
-        texts.append(f"{format_percent(errors.inside)} of the points inside the band")
+    if math.isfinite(errors.coverage):
+        texts.append(f"{format_percent(errors.coverage)} of the points inside the band")
     return texts
 
 
@@ -873,7 +873,7 @@ def _list_match_records(comparison: ExternalCurveComparison) -> Iterator[tables.
             "load": "normal" if curve.is_normal else "as tested",
             "compared with": reference,
             "points compared": 0 if errors is None else errors.n,
-            "points left out": None if match is None else match.left_out,
+            "points left out": None if match is None else match.n_excluded,
             **_make_error_cells(errors),
             "reason": "no tests of this wire and length" if match is None else match.explanation,
             "file": curve.file,
@@ -886,7 +886,7 @@ def _make_error_cells(errors: CurveErrors | None) -> tables.Record:
     return {
         FORCE_SCALE.label("RMSE"): None if errors is None else FORCE_SCALE.factor * errors.rmse,
         "RMSE over the largest force (%)": None if errors is None else 100.0 * errors.rmse_share,
-        "points inside the band (%)": None if errors is None else 100.0 * errors.inside,
+        "points inside the band (%)": None if errors is None else 100.0 * errors.coverage,
     }
 
 

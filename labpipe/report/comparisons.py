@@ -322,11 +322,11 @@ def _add_plus_sign(number: str) -> str:
 def list_pair_remarks(campaign: Campaign) -> list[str]:
     """List remarks on pairs of groups that the page does not show, or that have no verdict."""
     remarks = []
-    if campaign.compared:
-        name = campaign.compared.replace("_", " ")
+    if campaign.compared_field:
+        name = campaign.compared_field.replace("_", " ")
         if not campaign.differences:
             remarks.append(format_sentence("report.no_pair_differs", field=name))
-        option, pairs = campaign.compared, _count_pairs(campaign.pairs_not_shown)
+        option, pairs = campaign.compared_field, _count_pairs(campaign.pairs_not_shown)
         text = format_sentence("report.pairs_left_out", field=name, option=option, pairs=pairs)
         remarks.append(text)
     # only pairs that differ in one single field belong to a family

@@ -766,11 +766,11 @@ def make_budget_page(result: TestResult) -> Page:
     """
     row_mm, frame_mm = 6.0, 26.0
     results = (entry for entry in result.results if budgets.has_budget_bar(entry.name))
-    numbers = [number for number in results if number.largest_share is not None][: budgets.MAX_BARS]
+    numbers = [number for number in results if number.largest_cause is not None][: budgets.MAX_BARS]
     bars = []
     for number in numbers:
         causes = [contribution.cause for contribution in number.budget]
-        shares = dict(zip(causes, number.shares, strict=True))
+        shares = dict(zip(causes, number.fractions, strict=True))
         bars.append(budgets.make_budget_bar(number, shares, number.interval, result.display))
     panel, height = budgets.make_budget_plot(bars), frame_mm + row_mm * len(bars)
     has_cycles = any("." in number.name for number in numbers)

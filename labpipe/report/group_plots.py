@@ -257,7 +257,7 @@ def make_band_lines(band: Band, look: str = "", group: str = "") -> Iterator[Lin
     look : class of the colour of the band
     group : stem of the group in a plot of several groups, which shows only the pointwise band
     """
-    if band.n < 2 or not band.has_area:
+    if band.n < 2 or not band.has_band:
         return
     rows = _choose_band_rows(band, band.upper)
     x = band.displacement[rows]
@@ -282,7 +282,7 @@ def make_mean_lines(band: Band, look: str = "", group: str = "") -> Iterator[Lin
     """
     if not len(band.displacement) or (band.n < 2 and not group):
         return  # the mean of one sample is that sample
-    rows, marks = _choose_band_rows(band, band.mean), band.marks
+    rows, marks = _choose_band_rows(band, band.mean), band.interval_indices
     yield Line(f"mean {look}".strip(), band.displacement[rows], band.mean[rows], group=group)
     if len(marks):
         x = join_with_gaps(band.displacement[marks], band.displacement[marks])

@@ -123,7 +123,7 @@ def render_page(
     report_id, script = compute_report_id(campaign), read_page_script()
     samples = list_samples(campaign)
     protocols = ", ".join(sorted({group.protocol for group in campaign.groups})) or "none"
-    origin = [report_id, str(campaign.made_on or ""), f"labpipe {campaign.labpipe_version}".strip()]
+    origin = [report_id, str(campaign.date or ""), f"labpipe {campaign.labpipe_version}".strip()]
     facts = [
         *(letterhead or {}).items(),
         ("Tested", page_tables.describe_testing(samples)),
@@ -290,7 +290,7 @@ def describe_campaign(campaign: Campaign, open_decisions: Sequence[OpenDecision]
     counts = [
         wording.format_count(len(list_samples(campaign)), "test"),
         f"{len(campaign.rejected)} rejected",
-        *([f"{len(campaign.left_out)} not read"] if campaign.left_out else []),
+        *([f"{len(campaign.failures)} not read"] if campaign.failures else []),
         f"{n_undecided} to decide",
     ]
     return " \u00b7 ".join(counts)
@@ -528,7 +528,7 @@ def _make_number_table(result: TestResult) -> Table:
 def _list_largest_causes(number: Result) -> str:
     """List up to three causes of at least 1 % of the variance, with their shares."""
     n_causes, min_share = 3, 0.01
-    shares = sorted(zip(number.shares, number.budget, strict=True), key=lambda pair: -pair[0])
+    shares = sorted(zip(number.fractions, number.budget, strict=True), key=lambda pair: -pair[0])
     largest = [(share, entry) for share, entry in shares[:n_causes] if share >= min_share]
     return "; ".join(f"{entry.cause} {100 * share:.0f} %" for share, entry in largest)
 

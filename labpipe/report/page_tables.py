@@ -175,7 +175,7 @@ def find_group_of_rejected(sample: Sample, campaign: Campaign) -> Group | None:
         group
         for group in campaign.groups
         if group.protocol == sample.protocol
-        and all(fields.get(name) == group.fields.get(name) for name in campaign.by if name != SPOOL)
+        and all(fields.get(x) == group.fields.get(x) for x in {*campaign.grouping_fields} - {SPOOL})
     ]
 
     def count_common_fields(group: Group) -> int:

@@ -575,7 +575,7 @@ def fit_loading_law(test: BendingTest, cloud: BendingCloud) -> MeasuredLaw:
         common_errors,
         scale_error=test.errors.force_scale,
         noise=rest.marker_noise / np.sqrt(frames_per_mean),
-        curvature_noise=float(np.nanmedian(cloud.noise[cloud.branch == test.first_branch])),
+        curvature_noise=float(np.nanmedian(cloud.total_error[cloud.branch == test.first_branch])),
         n_frames=n_means * frames_per_mean,
     )
 
