@@ -9,7 +9,7 @@ import pytest
 from scipy.optimize import minimize
 
 from labpipe.errors import LabpipeError
-from labpipe.mechanics.decks.lookup import write_sliders_json
+from labpipe.mechanics.decks.lookup import format_sliders_json
 from labpipe.mechanics.decks.unloading import compute_release
 from labpipe.mechanics.law.sliders import (
     SliderLaw,
@@ -204,7 +204,7 @@ def test_a_wire_has_the_law_of_its_sheet(tmp_path: Path) -> None:
         "X,1.6,7,0.32,0.3,12\n"
     )
     assert material(tmp_path, "{wire: X}", wires=sheet).name == "X"
-    (tmp_path / "A2.sliders.json").write_text(write_sliders_json(table), encoding="utf-8")
+    (tmp_path / "A2.sliders.json").write_text(format_sliders_json(table), encoding="utf-8")
     deck = material(tmp_path, "{sliders: A2.sliders.json, diameter: 1.6 mm}")
     of_deck = deck.sections[0]({})
     assert of_deck.law.slider_stiffnesses == pytest.approx(section.law.slider_stiffnesses, rel=1e-6)
@@ -220,7 +220,7 @@ def test_a_wire_has_the_law_of_its_sheet(tmp_path: Path) -> None:
         )
         assert computed == pytest.approx(expected, rel=1e-6)
     stated = replace(table, spec=replace(table.spec, isotropic_share=0.5))
-    (tmp_path / "known.json").write_text(write_sliders_json(stated), encoding="utf-8")
+    (tmp_path / "known.json").write_text(format_sliders_json(stated), encoding="utf-8")
     of_known = material(tmp_path, "{sliders: known.json, diameter: 1.6 mm}")
     assert not of_known.distributions
     assert of_known.sections[0]({}).law.growing_sliders[0].stiffness == pytest.approx(

@@ -246,7 +246,7 @@ def test_numbers_that_the_notes_name() -> None:
 @pytest.mark.parametrize(("force", "sticks"), [(0.0, False), (1e-9, False), (1e6, True)])
 def test_strands_slip_at_once_or_not_within_the_range(force: float, sticks: bool) -> None:
     table = tabulate_wire(replace(A2, radial_force=force))
-    assert table.slips_at_once != sticks
+    assert table.slips_immediately != sticks
     assert ("slips_at_once" in codes(table)) != sticks
     stiffness = table.stick_stiffness if sticks else table.slip_stiffness
     assert table.secant_stiffness[1] == pytest.approx(stiffness, rel=1e-2)

@@ -72,8 +72,8 @@ from labpipe.protocol.model_files import (
     String,
     Waypoint,
     compute_path,
-    find_line_start,
-    find_named_file,
+    get_line_start,
+    resolve_file_name,
 )
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote
@@ -157,7 +157,7 @@ def _place_nodes(harness: HarnessFile) -> Floats:
 def _build_line(harness: HarnessFile, section: Section, stations: Floats) -> Line:
     """Build the line in its shape at rest: straight, or an arc with the curvature of the spool."""
     steep_rise = 0.9  # z of the unit direction; the axis d1 of a steeper line does not point up
-    start, direction = (np.array(vector) for vector in find_line_start(harness))
+    start, direction = (np.array(vector) for vector in get_line_start(harness))
     spool = harness.line.spool
     if spool is None:
         positions = start + stations[:, None] * direction
@@ -349,7 +349,7 @@ def read_material(harness: HarnessFile, file: Path, wires: Path | None = None) -
     if block.wire is not None:
         material = _read_wire_material(block, file, wires)
     elif block.sliders is not None:
-        material = _read_deck_material(block, find_named_file(block.sliders, file))
+        material = _read_deck_material(block, resolve_file_name(block.sliders, file))
     else:
         material = _build_stiffness_material(block)
     deviations = [(LAW_FACTOR, block.stiffness_uncertainty or 0.0, "stiffness as stated")]
@@ -389,12 +389,12 @@ def describe_file(role: str, path: Path) -> InputFile:
 def _read_wire_material(block: SectionBlock, file: Path, wires: Path | None) -> Material:
     """Read the material of a wire of a sheet, with its calibration if the file names one."""
     max_stretch = 1e-3  # copper yields beyond this strain
-    sheet = wires or find_named_file(block.sheet or DEFAULT_SHEET, file)
+    sheet = wires or resolve_file_name(block.sheet or DEFAULT_SHEET, file)
     spec = read_wire_sheet(sheet).find_wire(str(block.wire), f"{file}, line.section.wire")
     files = [describe_file("wires", sheet)]
     calibration = None
     if block.calibration is not None:
-        path = find_named_file(block.calibration, file)
+        path = resolve_file_name(block.calibration, file)
         calibration = read_calibration(path)
         files.append(describe_file("calibration", path))
     values_by_solution: list[dict[str, float]] = [{}]
