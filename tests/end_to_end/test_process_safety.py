@@ -161,7 +161,7 @@ from labpipe.campaign.executors import process_locally
 from labpipe.process.run import Task
 sheets = sorted(Path(sys.argv[1]).glob("raw/c/*/test.yaml"))
 for task, attempted in process_locally((Task(sheet, png=True) for sheet in sheets), jobs=2):
-    print(task.sheet.parent.name, type(attempted).__name__, flush=True)
+    print(task.source.parent.name, type(attempted).__name__, flush=True)
 """
 CHANGED = "overrides:\n  branches.min_stroke: {value: 3 mm, because: a test of the software}\n"
 

@@ -141,7 +141,7 @@ def test_two_spools_of_three_samples() -> None:
     """Means of spools, scatter within and between, pooled and not; they are not pooled."""
     found = compute_nested_mean(FIRST_REGION)
     assert [found.spool_means[key].mean for key in "12"] == pytest.approx([57.44, 47.12], abs=5e-3)
-    assert (found.within, found.between_spools) == pytest.approx((1.05, 7.27), abs=0.005)
+    assert (found.within_spools, found.between_spools) == pytest.approx((1.05, 7.27), abs=0.005)
     pooled = compute_mean([value for values in FIRST_REGION.values() for value in values])
     assert pooled.interval is not None
     assert found.chosen.interval is not None
@@ -180,7 +180,7 @@ INNER_ONLY = Contacts((0.7,) * 4, (0.0,) * 4)
 
 """Each layer rubs on what it is pressed against by its own pull and that of the layers outside."""
 
-SHARED = Contacts((0.7,) * 4, (0.35, 0.35, 0.35, 0.0), lay_lengths=True)
+SHARED = Contacts((0.7,) * 4, (0.35, 0.35, 0.35, 0.0), has_lay_lengths=True)
 
 """Sliding against the layer outside is shared between the two; pressure by lay lengths."""
 
