@@ -325,8 +325,8 @@ def test_a_node_sticks_until_friction_is_reached_and_drags_its_contact_along() -
     sliding = compute_plane_contact(plane, 1e4, np.array([[9e-4, 0.0, -1e-3]]), start, max_gap=0.0)
     np.testing.assert_allclose(sliding.forces, [[-5.0, 0.0, 10.0]])
     np.testing.assert_allclose(sliding.points[:, :2], [[4e-4, 0.0]])
-    back = compute_plane_contact(plane, 1e4, start + [8e-4, 0, -1e-3], sliding.points, max_gap=0.0)
-    np.testing.assert_allclose(back.forces, [[-4.0, 0.0, 10.0]])
+    end = compute_plane_contact(plane, 1e4, np.array([[8e-4, 0, -1e-3]]), sliding.points, max_gap=0)
+    np.testing.assert_allclose(end.forces, [[-4.0, 0.0, 10.0]])
 
 
 def ended(line: Line, steps: int, *boundaries: Boundary) -> tuple[str, tuple[object, ...]]:
