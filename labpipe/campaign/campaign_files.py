@@ -27,7 +27,7 @@ from labpipe.errors import Fault, LabpipeError, StoreError, UsageError, describe
 from labpipe.process.output_paths import FIGURES_FOLDER, RESULT_FILE
 from labpipe.process.reading import fingerprint_dialect_cards, list_named_exports
 from labpipe.process.run import PROCESSING_VERSION, make_input_key
-from labpipe.protocol.load import dump_protocol, find_protocol, load_test_sheet, resolve_protocol
+from labpipe.protocol.load import find_protocol, format_protocol, load_test_sheet, resolve_protocol
 from labpipe.protocol.sheet_grammar import SHEET_NAME
 from labpipe.store.replace import TEMPORARY_FOLDERS, finish_moves, is_unfinished, lock, map_errors
 from labpipe.store.summaries import FAILURE_FILE, SUMMARY_FILE
@@ -428,7 +428,7 @@ class InputReader:
             for name in itertools.chain(*sheet.files.values()):
                 stamps[name] = take_stamp(folder / name, previous_stamps.get(name))
             protocol = resolve_protocol(sheet, sheet_path, follow_links=True)
-            protocol_text = dump_protocol(protocol)
+            protocol_text = format_protocol(protocol)
             cards = fingerprint_dialect_cards(protocol)
         except (LabpipeError, OSError, ValueError):  # a faulty sheet or protocol
             dependencies = self._hash_dependencies(folder, protocol_name)

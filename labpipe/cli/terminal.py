@@ -113,7 +113,7 @@ def format_result(result: Result, display: Mapping[str, str], width: int) -> str
     interval = f"95 %: {texts.lower} to {texts.upper}"
     if texts.estimate:
         interval = f"estimate {texts.estimate}, {interval}"
-    if result.largest_share is None:
+    if result.largest_cause is None:
         return f"{line} {interval}"
-    cause, share = result.largest_share
+    cause, share = result.largest_cause
     return f"{line} {interval:<{interval_width}} {cause} {100.0 * share:.0f} %"

@@ -32,8 +32,8 @@ from labpipe.process.sanity_checks import list_certified_instruments
 from labpipe.process.story import reduce_recordings
 from labpipe.protocol.grammar import is_test_name
 from labpipe.protocol.load import (
-    dump_protocol,
-    find_missing_exports,
+    find_export_error,
+    format_protocol,
     load_test_sheet,
     parse_protocol,
     resolve_protocol,
@@ -207,14 +207,14 @@ def read_source(source: Path, *, follow_links: bool = False) -> tuple[RawTest, P
         return _read_stored(source)
     sheet = load_test_sheet(source)
     protocol = resolve_protocol(sheet, source, follow_links=follow_links)
-    if error := find_missing_exports(sheet, source):
+    if error := find_export_error(sheet, source):
         raise error
     recordings, inputs = read_inputs(source.parent, sheet, protocol)
     raw = RawTest(
         test=sheet.test,
         specimen=sheet.specimen.record,
         protocol=protocol.name,
-        protocol_yaml=dump_protocol(protocol),
+        protocol_yaml=format_protocol(protocol),
         test_yaml=source.read_text(encoding="utf-8"),
         labpipe_version=__version__,
         inputs=inputs,
@@ -473,7 +473,7 @@ def _add_inputs(failure: FailedTest, task: Task) -> FailedTest:
             return failure
         sheet, text = load_test_sheet(task.sheet), task.sheet.read_text(encoding="utf-8")
         protocol = resolve_protocol(sheet, task.sheet, follow_links=task.follow_links)
-        texts = {"sheet": text, "protocol": dump_protocol(protocol)}
+        texts = {"sheet": text, "protocol": format_protocol(protocol)}
         hashes = {name: sha256(text.encode()).hexdigest() for name, text in texts.items()}
         failure = replace(failure, made_of=hashes)  # they remain if an export cannot be read
         named_exports, folder = list_named_exports(sheet, protocol), task.sheet.parent

@@ -322,11 +322,11 @@ def _add_plus_sign(number: str) -> str:
 def list_pair_remarks(campaign: Campaign) -> list[str]:
     """List remarks on pairs of groups that the page does not show, or that have no verdict."""
     remarks = []
-    if campaign.compared:
-        name = campaign.compared.replace("_", " ")
+    if campaign.compared_field:
+        name = campaign.compared_field.replace("_", " ")
         if not campaign.differences:
             remarks.append(format_sentence("report.no_pair_differs", field=name))
-        option, pairs = campaign.compared, _count_pairs(campaign.pairs_not_shown)
+        option, pairs = campaign.compared_field, _count_pairs(campaign.pairs_not_shown)
         text = format_sentence("report.pairs_left_out", field=name, option=option, pairs=pairs)
         remarks.append(text)
     # only pairs that differ in one single field belong to a family
@@ -406,7 +406,7 @@ def _make_curve_plots(
     ends = np.array(plots.clip_range(means, edges, max_extension))
     x = plots.make_axis("Displacement", x_scale, [line.x for line in lines])
     y = plots.make_axis(name, y_scale, [ends])
-    legend += group_plots.list_key_entries(lines, hidden=("mean",))
+    legend += group_plots.list_legend_entries(lines, hidden=("mean",))
     title, size = f"Mean force against displacement of {count}.", (392, 200)
     yield Plot(x, y, lines, heading, legend=legend, kind="means", title=title, size=size)
 

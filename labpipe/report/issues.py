@@ -78,7 +78,7 @@ def find_issues(campaign: Campaign) -> tuple[Issue, ...]:
     Issues in the order of `Kind`, then of groups and samples. Numbers of a test with the same
     reasons are one issue.
     """
-    excluded = {Kind.UNREADABLE: campaign.left_out, Kind.REJECTED: campaign.rejected}
+    excluded = {Kind.UNREADABLE: campaign.failures, Kind.REJECTED: campaign.rejected}
     order = [*Kind]
     issues = [
         Issue(kind, "", (file,), "", reason)
@@ -146,7 +146,7 @@ def _list_number_issues(group: Group) -> Iterator[Issue]:
     }
     for number in group.numbers:
         label, names = wording.format_label(number.name), (number.name,)
-        for test, reasons in number.left_out.items():
+        for test, reasons in number.exclusions.items():
             if (test, number.name) not in failed_results:
                 reason, codes = wording.join_sentences(reasons), _join_codes(reasons)
                 yield Issue(Kind.LEFT_OUT, group.name, (test,), label, reason, codes, names)
@@ -329,7 +329,7 @@ def _compute_effect(group: Group, number: GroupNumber, tests: set[str]) -> Effec
     """Compute the effect of tests on the mean of a number, which includes or lacks them."""
     lost_interval_size = 10.0  # rank of a mean of a single value, which has no interval
     label, n = f"{wording.format_label(number.name)} of {group.name}", number.mean.chosen.n
-    n_missing = len(tests & number.left_out.keys())
+    n_missing = len(tests & number.exclusions.keys())
     if n_missing and not number.values:
         return Effect(inf, format_sentence("report.effect_no_value", number=label))
     if n_missing and n == 1:

@@ -67,7 +67,7 @@ def _list_facts(campaign: Campaign) -> Iterator[str]:
         yield f"Tested {page_tables.describe_testing(samples)}."
     for instrument in page_tables.list_instruments(samples):
         yield f"{instrument.name}: {instrument.calibration}."
-    date = f" on {campaign.made_on}" if campaign.made_on is not None else ""
+    date = f" on {campaign.date}" if campaign.date is not None else ""
     version = f"labpipe {campaign.labpipe_version}".strip()
     yield f"Report {page_tables.compute_report_id(campaign)}, made{date} by {version}."
 
@@ -191,9 +191,9 @@ def _make_mean_record(
         "unit": scale.unit, **_make_mean_cells(mean, scale),
     }  # fmt: skip
     if not number.values:
-        reason = "; ".join(map(join_reasons, number.left_out.values()))
+        reason = "; ".join(map(join_reasons, number.exclusions.values()))
         return {**record, "reason": reason, "result": number.name}
-    deviations = nested_mean.within, nested_mean.between_spools
+    deviations = nested_mean.within_spools, nested_mean.between_spools
     cells = [make_number_cell(value, mean.interval, scale.factor) for value in deviations]
     all_samples_record: Record = {
         "mean over": "samples" if nested_mean.is_pooled else "spool means",
@@ -351,7 +351,7 @@ def _make_difference_record(difference: Difference, display: Mapping[str, str]) 
         "different, p": make_number_cell(difference.p),
         "equivalent, p": make_number_cell(difference.p_equivalent),
         "family": difference.family,
-        "in family": difference.tests or None,
+        "in family": difference.n_comparisons or None,
         "why": "; ".join(filter(None, (difference.verdict_reason, *difference.caveats))),
         "reason": str(mean_difference.reason or ""),
         "result": difference.name,

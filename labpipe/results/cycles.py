@@ -590,7 +590,7 @@ class PeakForce(CycleKind):
     def choose(self, test: ReducedTest, trace: Trace, cycle: int) -> Reading:
         """Choose the largest sample of the force, from its own signal if that has another clock."""
         reading, signal = choose_peak_sample(test, trace, cycle), test.force
-        if signal.clock == test.clocks.curve or trace.is_smooth:
+        if signal.clock == test.clocks.curve_clock or trace.is_smooth:
             return reading
         samples = find_cycle_samples(trace, cycle)
         ends = trace.time[[samples.start, min(samples.stop, len(trace.time)) - 1]]

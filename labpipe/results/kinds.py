@@ -265,7 +265,7 @@ class ReducedTest:
             If there is none.
         """
         if stage is None:
-            raise UnavailableError(self.findings.blocked or missing)
+            raise UnavailableError(self.findings.blocking_reason or missing)
         if isinstance(stage, Failure):
             raise UnavailableError(stage)
         return stage
@@ -327,7 +327,7 @@ class ReducedTest:
     def _overlaps(self, doubt: Doubt, period: Stretch | None) -> bool:
         if doubt.period is None or period is None:
             return True
-        stretches, signals = [(*period, self.clocks.curve)], self.signals
+        stretches, signals = [(*period, self.clocks.curve_clock)], self.signals
         for name, zero in {**signals.moving_zero_stretches, **signals.zero_stretches}.items():
             if signals.quantities.get(name) == doubt.quantity:
                 stretches.append((*zero, signals.raw[name].clock))
@@ -630,7 +630,7 @@ class ClockResult(Kind):
 
     def measure(self, test: ReducedTest) -> Iterator[Part]:
         """Yield offset and drift of force time against marker time; no drift from one event."""
-        fit = test.require(test.clocks.force, Failure.of("results.one_clock"))
+        fit = test.require(test.clocks.force_fit, Failure.of("results.one_clock"))
         events = len(fit.event_times_motion)
         offset = Estimate(fit.offset, fit.offset_interval.standard_error, events)
         drift: Outcome = Estimate(fit.drift, fit.drift_interval.standard_error, events)

@@ -621,7 +621,7 @@ class HalfBundle:
 
         contact = float(brentq(compute_roller_offset, 0.0, self.arc_length[-1], xtol=1e-14))
         _, displacement = self._compute_roller_position(self._interpolate(axis, contact)).tolist()
-        state = {"moment": moment, "curvature": response.curvature, "plays": response.plays}
+        state = {"moment": moment, "curvature": response.curvature, "plays": response.history}
         return HalfShape(displacement, 0.0, contact, axis, **state)
 
     def solve_equilibrium(
@@ -656,11 +656,11 @@ class HalfBundle:
                 return None
             moment, contact = unknowns[:-2], float(unknowns[-1])
             if np.max(np.abs(correction[:-2])) <= tolerance * (np.max(np.abs(moment)) + 1e-12):
-                response = self.law.respond(moment, start_shape.plays)
-                axis = self._compute_axis(response.curvature)
+                bent = self.law.respond(moment, start_shape.plays)
+                axis = self._compute_axis(bent.curvature)
                 _, fy = _compute_direction(self._interpolate(axis, contact)[2], friction)
                 force = 2.0 * float(unknowns[-2]) * float(fy)
-                state = {"moment": moment, "curvature": response.curvature, "plays": response.plays}
+                state = {"moment": moment, "curvature": bent.curvature, "plays": bent.history}
                 return HalfShape(displacement, force, contact, axis, **state)
         return None
 

@@ -177,7 +177,7 @@ def test_agreement_of_each_wire_and_length() -> None:
         "wire": "A2", "length (mm)": pytest.approx(85.0), "samples": 2, "points": errors.n,
         "SSE (N²)": errors.sse, "RMSE (N)": errors.rmse, "reason": "",
         "RMSE over the largest force (%)": pytest.approx(100.0 * errors.rmse_share),
-        "points inside the band (%)": pytest.approx(100.0 * errors.inside),
+        "points inside the band (%)": pytest.approx(100.0 * errors.coverage),
         "model is": "calibrated by these samples",
     })  # fmt: skip
     holds(single, {"model is": "predicted", "samples": 1})

@@ -38,7 +38,7 @@ def test_unloading_is_that_of_sliders_and_kinematic_plasticity(wire: StrandedWir
     loading, unloading = np.linspace(0.3, 29.0, 97), np.linspace(29.0, -5.0, 140)[1:]
     path = bend_along(section, contacts, np.concatenate([loading, unloading]))
     top, down = path[len(loading) - 1], path[len(loading) :]
-    history = law.respond(np.array([top]), law.make_unbent_history(1)).plays
+    history = law.respond(np.array([top]), law.make_unbent_history(1)).history
     curvatures = law.respond(down, np.repeat(history, len(down), axis=0)).curvature
     moment = np.interp(unloading[::-1], curvatures[::-1], down[::-1])[::-1]
     assert np.max(np.abs(moment - down)) < 1e-3 * top

@@ -334,7 +334,7 @@ def bend_cells(
     return BentCells(
         rotation_vectors=psi,
         curvatures=curvatures,
-        slider_rests=response.rests,
+        slider_rests=response.history,
         turn_maps=turn_maps,
         gradients=np.matvec(turn_maps, moments),
         stiffnesses=0.5 * (stiffnesses + stiffnesses.mT),

@@ -43,7 +43,7 @@ from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote
 from labpipe.records.wire import (
-    AUTO,
+    AUTO_LAYOUT,
     COPPER_SCALE,
     INSULATION_MODULUS,
     RADIAL_FRICTION,
@@ -323,7 +323,7 @@ def _place_strands(spec: WireSpec) -> tuple[CrossSection, list[QualityNote]]:
     tube, layers = make_insulation(spec), make_layers(spec)
     if spec.layout == "compressed":
         return place_sectors(layers, tube, radii=spec.layer_radii), []
-    if spec.layout != AUTO:
+    if spec.layout != AUTO_LAYOUT:
         return make_cross_section(layers, tube, kind=cast("LayoutKind", spec.layout)), []
     try:
         return place_hexagon(layers, tube), []
@@ -495,7 +495,7 @@ def set_parameters(spec: WireSpec, values: Mapping[str, float]) -> WireSpec:
 
 def compute_chord_ratio(law: SliderLaw, table: WireTable) -> float:
     """Compute the first slope of a fitted law divided by that of the first chord of its table."""
-    corners = np.concatenate([[0.0], law.slip_curvatures, [law.last]])
+    corners = np.concatenate([[0.0], law.slip_curvatures, [law.max_curvature]])
     moment = np.interp(corners, table.curvature, table.moment)
     return law.first_stiffness / float(compute_hull_slopes(corners, moment)[0])
 
