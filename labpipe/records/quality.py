@@ -99,7 +99,8 @@ class QualityNote:
         where, stretches : see the class
         """
         severity = Severity(get_template(name)["severity"].partition(" or ")[0])
-        return cls(get_code(name), severity, where, format_sentence(name, **facts), stretches)
+        code, message = get_code(name), format_sentence(name, **facts)
+        return cls(code, severity, where, message, stretches=stretches)
 
 
 @dataclass(frozen=True, slots=True)
