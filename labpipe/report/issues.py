@@ -331,9 +331,10 @@ def _find_effect(cause: Cause, groups: Mapping[str, Group]) -> Effect | None:
 
 
 def _compute_effect(group: Group, number: GroupNumber, tests: set[str]) -> Effect | None:
-    """Compute the effect of tests on the mean of a number; None without any of their values.
+    """Compute the effect of tests on the mean of a number; None if they do not affect the mean.
 
-    If tests have no value, the effect is that of the missing values; otherwise, it is the shift.
+    If any of the tests has no value, the effect is that of the missing values. Otherwise, it is the
+    shift of the mean when the values of the tests are left out.
     """
     lost_interval_size = 10.0  # size for a mean of a single value, which has no interval
     label, n = f"{wording.format_label(number.name)} of {group.name}", number.mean.chosen.n

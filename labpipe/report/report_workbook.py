@@ -81,7 +81,7 @@ def _list_tables(campaign: Campaign) -> Iterator[Table | None]:
     differences = sorted(campaign.differences, key=lambda difference: not difference.family)
     first_displays = (displays[difference.first] for difference in differences)
     difference_records = map(_make_difference_record, differences, first_displays)
-    has_scaled = any(group.band_scaled is not None for group in campaign.groups)
+    has_scaled = any(group.scaled_band is not None for group in campaign.groups)
     lot_records = (_make_lot_record(group, group.lot) for group in campaign.groups if group.lot)
     yield _tabulate_unless_empty("lots", lot_records)
     yield _tabulate_unless_empty("answers", map(_make_answer_record, pairs))
@@ -108,7 +108,7 @@ def _make_lot_record(group: Group, lot: Lot) -> Record:
     scale = page_tables.choose_lot_scale(group, lot)
     forces = {
         "limit": 1.0, "mean": lot.mean, "standard deviation": lot.deviation,
-        "smallest": lot.smallest, "tolerance bound": lot.bound,
+        "smallest": lot.minimum, "tolerance bound": lot.tolerance_bound,
     }  # fmt: skip
     return {
         "group": group.name,
@@ -237,8 +237,8 @@ def _make_test_record(group: str, sample: Sample, lot: Lot | None) -> Record:
     verdict = None if lot is None else lot.verdicts.get(sample.test)
     verdict_cells: Record = {}
     if verdict is not None:
-        verdict_cells["verdict"] = str(verdict.by_number)
-        verdict_cells["verdict with interval"] = str(verdict.with_interval)
+        verdict_cells["verdict"] = str(verdict.value_answer)
+        verdict_cells["verdict with interval"] = str(verdict.interval_answer)
     sizes = {f"{name.replace('_', ' ')} (mm)": 1e3 * size
              for name, size in specimen.dimensions.items()}  # fmt: skip
     number_cells: Record = {}
@@ -303,7 +303,7 @@ def _tabulate_curves(campaign: Campaign, *, is_scaled: bool) -> Table:
         y_scale, title = wording.Scale(1.0, ""), "Mean force over peak force"
     charts: dict[str, dict[str, list[Record]]] = {}
     for group in campaign.groups:
-        band = group.band_scaled if is_scaled else group.band
+        band = group.scaled_band if is_scaled else group.band
         if band is not None:
             chart_title = f"{title} on first loading ({group.protocol})"
             records = _list_band_records(group.name, band, (x_scale, y_scale))
