@@ -139,8 +139,7 @@ def check_lost_samples(
             sample, size = max(jumps, key=lambda jump: abs(jump[1]))
             size_text = f"{1e3 * size:.4g} mm" if signal.unit == "m" else f"{size:.4g} N"
             facts: dict[str, Any] = {"channel": channel, "size": size_text, "duration": duration}
-            facts |= {"at": float(time[sample]), "ratio": abs(size) / usual_change}
-            facts |= {"count": len(jumps)}
+            facts |= {"at": time[sample], "count": len(jumps), "ratio": abs(size) / usual_change}
             yield Finding.of("process.samples_lost", channel, quantity, "clock", **facts)
 
 
