@@ -179,7 +179,7 @@ class CheckedRecord:
         message: str,
         *quantities: str,
         channel: Quantity = "force",
-        sample: int | None = None,
+        at: int | None = None,
         segment: tuple[int, int] | None = None,
         **facts: Any,
     ) -> Finding:
@@ -190,15 +190,15 @@ class CheckedRecord:
         message, facts : name and facts of the message, see `labpipe.messages.format_sentence`
         quantities : doubtful quantities
         channel : quantity whose channel the note names
-        sample : index of the sample that the message names by its time, or by its number if the
-            export has no time; None if the message names no sample
+        at : index of the sample whose time, or number if the export has no time, becomes the fact
+            ``at`` of the message; None if the message has no such fact
         segment : indices of the first and last doubtful sample; -1 is the last sample of the
             record; None for all samples
         """
         time = self.curve.time
-        if sample is not None:
+        if at is not None:
             is_timed = self.curve.time_unit == "s"
-            facts["at"] = f"{time[sample]:.3f} s" if is_timed else f"sample {sample + 1}"
+            facts["at"] = f"{time[at]:.3f} s" if is_timed else f"sample {at + 1}"
         period = None if segment is None else (float(time[segment[0]]), float(time[segment[1]]))
         channel_name = getattr(self.signals, channel)
         return Finding.of(message, channel_name, *quantities, period=period, **facts)
@@ -267,7 +267,7 @@ def _check_displacement_jumps(record: CheckedRecord) -> Iterator[Finding]:
     drop = abs(force[sample - 1]) - abs(force[sample])
     is_break = drop > min_break_drop * record.largest_force
     if len(jumps) > 1 or not is_break:
-        facts: dict[str, Any] = {"sample": sample, "mm": 1e3 * size, "count": len(jumps)}
+        facts: dict[str, Any] = {"at": sample, "mm": 1e3 * size, "count": len(jumps)}
         yield record.report("process.zero_jump", *QUANTITIES, channel="displacement", **facts)
 
 
@@ -297,7 +297,7 @@ def _check_rest_levels(record: CheckedRecord) -> Iterator[Finding]:
         elif not is_zeroed:
             yield record.report("process.rest_force_doubtful", "force_zero", **facts)
         elif not is_small:
-            yield record.report("process.rest_force_left", "force_zero", sample=rest_start, **facts)
+            yield record.report("process.rest_force_left", "force_zero", at=rest_start, **facts)
     displacement = float(curve.displacement[start])
     is_displaced = abs(displacement) > min_displacement * record.displacement_range
     if is_displaced and not signals.is_zeroed(signals.displacement):
@@ -359,10 +359,10 @@ def _check_force_level(record: CheckedRecord) -> Iterator[Finding]:
     ]
     if overflows:
         sample, size = overflows[0]
-        yield record.report("process.overflow", "force", "displacement", sample=sample, size=size)
+        yield record.report("process.overflow", "force", "displacement", at=sample, size=size)
     elif 0 < len(jumps) <= max_jumps:
         sample, size = jumps[0]
-        facts: dict[str, Any] = {"sample": sample, "segment": (sample, -1), "size": size}
+        facts: dict[str, Any] = {"at": sample, "segment": (sample, -1), "size": size}
         yield record.report("process.force_jump", "force", **facts)
     else:
         yield from _check_zero_drift(record)
@@ -457,7 +457,7 @@ def _check_partial_breaks(record: CheckedRecord) -> Iterator[Finding]:
                 losses.append((segment, relative_loss[run].max()))
     for segment, loss in losses if len(losses) <= max_losses else ():
         # The peak force is not doubtful, because the specimen was whole when it was reached.
-        facts: dict[str, Any] = {"sample": segment[0], "segment": segment, "loss": loss}
+        facts: dict[str, Any] = {"at": segment[0], "segment": segment, "loss": loss}
         yield record.report("process.partial_break", "displacement", **facts)
 
 
@@ -475,7 +475,7 @@ def _check_cycle_changes(record: CheckedRecord) -> Iterator[Finding]:
         is_turn_shifted = abs(new_travel[-1] - old_travel[-1]) > max_shift
         only_force_changes = kind == "level" and not is_turn_shifted
         facts: dict[str, Any] = {"cycle": new_cycle.loading.cycle, "size": size}
-        facts |= {"sample": new_cycle.loading.start, "segment": (old_cycle.unloading.stop - 1, -1)}
+        facts |= {"at": new_cycle.loading.start, "segment": (old_cycle.unloading.stop - 1, -1)}
         quantities = ("force",) if only_force_changes else QUANTITIES
         if kind == "level":
             yield record.report("process.cycle_level", *quantities, **facts)
@@ -553,7 +553,7 @@ def _check_loading_directions(record: CheckedRecord) -> Iterator[Finding]:
         fall = median(branch_force[:n_end]) - median(branch_force[-n_end:])
         if branch.direction is Direction.LOADING and fall > min_fall * record.largest_force:
             facts: dict[str, Any] = {"cycle": branch.cycle, "ratio": fall / record.largest_force}
-            facts |= {"sample": branch.start, "segment": (previous.start, -1)}
+            facts |= {"at": branch.start, "segment": (previous.start, -1)}
             facts |= {"channel": "displacement"}
             yield record.report("process.loading_reversed", *QUANTITIES, **facts)
             return
@@ -589,7 +589,7 @@ def _check_turns(record: CheckedRecord) -> Iterator[Finding]:
         yield record.report("process.force_late", "clock", **facts)
     elif largest_growth > record.compute_min_change(limits.turn_jump, record.force_noise):
         facts = {"growth": largest_growth, "branch": branch}
-        facts |= {"sample": branch.start, "segment": (branch.start, -1)}
+        facts |= {"at": branch.start, "segment": (branch.start, -1)}
         yield record.report("process.turn_jump", "force", **facts)
 
 
@@ -611,7 +611,7 @@ def _check_skipped_turns(record: CheckedRecord) -> Iterator[Finding]:
             is_interrupted = steps[index] > min_step_ratio * max(other_steps, default=inf)
             if sample is not None and is_interrupted:
                 segment = turn.start, min(turn.stop, len(curve.time)) - 1
-                facts: dict[str, Any] = {"sample": sample, "size": jumps[sample]}
+                facts: dict[str, Any] = {"at": sample, "size": jumps[sample]}
                 facts |= {"segment": segment, "channel": "displacement"}
                 yield record.report("process.turn_skipped", *QUANTITIES, **facts)
 
@@ -658,7 +658,7 @@ def _check_held_turns(record: CheckedRecord) -> Iterator[Finding]:
         growth = float(force.max() - max(force[0], force[-1])) if len(force) else 0.0
         if growth > record.compute_min_change(min_growth, record.force_noise):
             facts: dict[str, Any] = {"growth": growth, "position": 1e3 * curve.displacement[turn]}
-            facts |= {"sample": turn, "segment": (first.start, second.stop - 1)}
+            facts |= {"at": turn, "segment": (first.start, second.stop - 1)}
             quantity: Quantity = "displacement"
             yield record.report("process.displacement_limited", quantity, channel=quantity, **facts)
 
@@ -686,7 +686,7 @@ def _check_jump_to_peak(record: CheckedRecord) -> Iterator[Finding]:
     is_lost = float(np.min(forces_after)) < max_remaining_force * force[peak]
     if is_lost and jump > max(limit, min_step_ratio * float(largest_step)):
         segment = peak - reach, peak
-        yield record.report("process.last_rise", "force", sample=peak, segment=segment, size=jump)
+        yield record.report("process.last_rise", "force", at=peak, segment=segment, size=jump)
 
 
 def _check_gaps_at_peaks(record: CheckedRecord) -> Iterator[Finding]:
@@ -709,7 +709,7 @@ def _check_gaps_at_peaks(record: CheckedRecord) -> Iterator[Finding]:
         travel_before = abs(displacement[gap] - displacement[earlier_sample])
         if is_at_peak and travel_before > travel_limit:
             segment = max(gap - peak_reach, 0), min(gap + peak_reach + 1, len(time) - 1)
-            facts: dict[str, Any] = {"sample": gap, "length": steps[gap], "segment": segment}
+            facts: dict[str, Any] = {"at": gap, "length": steps[gap], "segment": segment}
             facts |= {"channel": "displacement"}
             yield record.report("process.peak_in_hole", *QUANTITIES, **facts)
 

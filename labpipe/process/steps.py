@@ -491,8 +491,8 @@ def zero_signal(signals: Signals, step: declarations.Zero) -> tuple[Signals, lis
     facts = {"level": round(level, 12), "unit": signal.unit, "method": method}
     facts |= {"end": step.at, "count": len(values)}
     is_short = len(values) < MIN_ZERO_SAMPLES_NOISE_UNKNOWN
-    message = "process.zeroed_on_few" if is_short else "process.zeroed"
-    return signals.subtract_level(name, level, error), [Finding.of(message, name, **facts)]
+    finding = Finding.of("process.zeroed_on_few" if is_short else "process.zeroed", name, **facts)
+    return signals.subtract_level(name, level, error), [finding]
 
 
 def _require_time(signal: Signal, name: str, setting: str) -> None:
