@@ -43,7 +43,7 @@ from labpipe.records.result import Result, Specimen, Status
 from labpipe.records.signals import Clocks
 from labpipe.results.bending import BendingStiffness, MomentCurvature
 from labpipe.results.kinds import Kind, LoadString, ReducedTest, Setup, Stiffness
-from labpipe.uncertainty.intervals import Measured
+from labpipe.uncertainty.intervals import MeasuredNumber
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -184,7 +184,7 @@ def add_curve(
     findings += check_consistency(CheckedRecord(test.signals, curve, protocol.limits, findings))
     test, new_findings = correct_curve(replace(test, curve=curve), settings)
     findings += new_findings
-    has_slack = isinstance(test.slack, Measured)
+    has_slack = isinstance(test.slack, MeasuredNumber)
     findings += check_start(test.signals, motion, has_slack=has_slack)
     if test.curve is not None:
         record = CheckedRecord(test.signals, test.curve, protocol.limits, findings)

@@ -263,7 +263,7 @@ class BendingStiffness(DerivedKind):
             rigidity = slope * compute_beam_factor(trace.sizes[self.length], self.support)
             return np.asarray(rigidity / (np.nan if isinstance(ratio, Failure) else ratio[0]))
 
-        return test.measure_one(combine_numbers(compute_rigidity, stiffness.decide))
+        return test.measure_one(combine_numbers(compute_rigidity, stiffness.choose_samples))
 
     def collect_context(self, test: ReducedTest, stiffness: Stiffness) -> dict[str, Any]:
         """Return a remark on the corrections and their sizes."""

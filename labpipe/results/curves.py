@@ -94,8 +94,7 @@ def compute_zero_crossing(x: Floats, y: Floats) -> Floats:
     """
     slope = compute_slope(x, y)
     slope = np.where(slope > 0.0, slope, np.nan)
-    zero: Floats = x.mean(axis=-1) - y.mean(axis=-1) / slope
-    return zero
+    return np.asarray(x.mean(axis=-1) - y.mean(axis=-1) / slope)
 
 
 def fit_chosen_lines(is_chosen: Flags, x: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:
@@ -140,8 +139,7 @@ def compute_polynomial_weights(x: Floats, *, degree: int) -> Floats:
     """
     scale = float(np.abs(x).max()) or 1.0
     powers = np.arange(degree + 1.0)[:, np.newaxis]
-    weights: Floats = np.linalg.pinv((x / scale) ** powers).T / scale**powers
-    return weights
+    return np.asarray(np.linalg.pinv((x / scale) ** powers).T / scale**powers)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -457,7 +455,7 @@ def replicate_curves(test: ReducedTest) -> Replicates | None:
         inputs,
         seed=test.seed,
         compliance=test.compliance,
-        averaged=averaged,
+        averaged_trace=averaged,
     )
 
 
@@ -641,7 +639,7 @@ def _list_inputs(
     curve_step = len(starts) / len(time)  # in steps of the grid
 
     def delay_end(trace: Trace, x: float) -> Trace:
-        return replace(trace, steps_beyond=x * curve_step)
+        return replace(trace, steps_to_event=x * curve_step)
 
     yield Input(causes.STEP, delay_end, distribution="step", moves_curve=False)
     for index, slip in enumerate(_list_repaired(test), start=1):

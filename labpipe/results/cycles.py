@@ -20,7 +20,7 @@ from labpipe.records.signals import Stretch
 from labpipe.results import curves, kinds
 from labpipe.results.kinds import Kind, Part, ReducedTest
 from labpipe.uncertainty.autocorrelation import estimate_fast_noise, scale_limit_by_noise
-from labpipe.uncertainty.replicates import Reading, Trace, read_part
+from labpipe.uncertainty.replicates import Extractor, Trace, restrict
 
 
 def integrate_energy(displacement: Floats, force: Floats) -> Floats:
@@ -39,8 +39,7 @@ def integrate_energy(displacement: Floats, force: Floats) -> Floats:
     np.subtract(displacement[..., 2:], displacement[..., :-2], out=steps[..., 1:-1])
     steps[..., 0] = displacement[..., 1] - displacement[..., 0]
     steps[..., -1] = displacement[..., -1] - displacement[..., -2]
-    work: Floats = 0.5 * np.vecdot(steps, force)
-    return work
+    return np.asarray(0.5 * np.vecdot(steps, force))
 
 
 FOOT_LIMIT_FACTOR = 5.0
@@ -190,8 +189,7 @@ def _fit_zero_crossing(finite: Ints, time: Floats, force: Floats, limit: float) 
             step = divide(level + zero * (slope + zero * curvature), slope + 2.0 * zero * curvature)
             zero = np.clip(zero - step, centred[0], centred[-1])
         position, speed, second = np.moveaxis(displacement[..., samples] @ weights, -1, 0)
-        value: Floats = position + zero * (speed + zero * second)
-        return value
+        return np.asarray(position + zero * (speed + zero * second))
 
     return UnloadingEnd("through zero", limit, len(centred), compute)
 
@@ -259,7 +257,7 @@ class CycleKind(Kind):
     """Quantity whose largest sample the number depends on."""
 
     @abstractmethod
-    def choose(self, test: ReducedTest, trace: Trace, cycle: int) -> Reading:
+    def choose(self, test: ReducedTest, trace: Trace, cycle: int) -> Extractor:
         """Choose the samples of a cycle on a curve.
 
         Parameters
@@ -286,8 +284,8 @@ class CycleKind(Kind):
         """Measure the number of each cycle."""
         for branches in test.require(test.cycles or None):
             cycle, complete = branches[0].cycle, branches[: self.n_complete_branches]
-            decide = partial(self.choose, test, cycle=cycle)
-            outcome = return_failure(test.measure_one)(decide)
+            choose_samples = partial(self.choose, test, cycle=cycle)
+            outcome = return_failure(test.measure_one)(choose_samples)
             doubts = find_truncation(test, complete, self.outputs[0].depends_on)
             doubts += self.list_doubts(test, branches)
             period, suffix = _find_period(branches, *self.read_range), f".{cycle}"
@@ -405,7 +403,7 @@ class Energy(CycleKind):
     n_complete_branches: ClassVar = 2
     method: ClassVar = "integral of force, trapezoids"
 
-    def choose(self, test: ReducedTest, trace: Trace, cycle: int) -> Reading:
+    def choose(self, test: ReducedTest, trace: Trace, cycle: int) -> Extractor:
         """Choose the samples for the integral of the force over a cycle."""
         del test
         require_unloading(select_cycle(trace, cycle))
@@ -425,7 +423,7 @@ def require_unloading(branches: list[Branch]) -> Branch:
     return branches[1]
 
 
-def choose_work_samples(trace: Trace, samples: slice) -> Reading:
+def choose_work_samples(trace: Trace, samples: slice) -> Extractor:
     """Choose the samples for the work (J) over a part of a curve by trapezoids.
 
     Parameters
@@ -447,7 +445,8 @@ def choose_work_samples(trace: Trace, samples: slice) -> Reading:
     every_second = np.append(np.arange(0, len(force) - 1, 2), len(force) - 1)
     coarse_work = integrate_energy(displacement[every_second], force[every_second])
     correction = (float(integrate_energy(displacement, force) - coarse_work) / 3.0,)
-    return Reading(read_part(integrate_energy, samples), len(force), sampling_correction=correction)
+    compute = restrict(integrate_energy, samples)
+    return Extractor(compute, len(force), sampling_correction=correction)
 
 
 class ResidualDisplacement(CycleKind):
@@ -466,11 +465,11 @@ class ResidualDisplacement(CycleKind):
         "displacement once the force is back at zero, within {force_below:g} N or less"
     )
 
-    def choose(self, test: ReducedTest, trace: Trace, cycle: int) -> Reading:
+    def choose(self, test: ReducedTest, trace: Trace, cycle: int) -> Extractor:
         """Choose the samples at the end of unloading; a smooth curve ends as the measured one."""
         measured_end = self._find_end(curves.make_trace(test), cycle) if trace.is_smooth else None
         end, part = self._find_end(trace, cycle, measured_end), select_cycle(trace, cycle)[1]
-        return Reading(read_part(end.compute, slice(part.start, part.stop)), end.n)
+        return Extractor(restrict(end.compute, slice(part.start, part.stop)), end.n)
 
     def _find_end(
         self, trace: Trace, cycle: int, measured_end: UnloadingEnd | None = None
@@ -529,7 +528,7 @@ def estimate_rise_beyond_top(values: Floats, travel: Floats) -> float:
 
 def choose_peak_sample(
     test: ReducedTest, trace: Trace, cycle: int, quantity: curves.Quantity = "force"
-) -> Reading:
+) -> Extractor:
     """Choose the largest sample of a cycle in the direction of loading.
 
     Parameters
@@ -558,7 +557,8 @@ def choose_peak_sample(
 
     def compute_peak(trace: Trace) -> tuple[Floats]:
         signed_curves = sign * getattr(trace, quantity)[..., samples]
-        return (sign * (np.fmax.reduce(signed_curves, axis=-1) + trace.steps_beyond * rise_beyond),)
+        rise = trace.steps_to_event * rise_beyond
+        return (sign * (np.fmax.reduce(signed_curves, axis=-1) + rise),)
 
     @cache
     def select_noise() -> curves.SampleNoise | None:
@@ -572,7 +572,7 @@ def choose_peak_sample(
         noise = getattr(noisy_trace, quantity) - values
         return (compute_peak(trace)[0] + peak_samples.compute_peak_effect(noise, sign),)
 
-    return Reading(compute_peak, int((~np.isnan(signed_values)).sum()), compute_with_noise)
+    return Extractor(compute_peak, int((~np.isnan(signed_values)).sum()), compute_with_noise)
 
 
 class PeakForce(CycleKind):
@@ -587,17 +587,17 @@ class PeakForce(CycleKind):
     peak_quantity: ClassVar = "force"
     method: ClassVar = "largest force of the cycle after the filter, in the sense of loading"
 
-    def choose(self, test: ReducedTest, trace: Trace, cycle: int) -> Reading:
+    def choose(self, test: ReducedTest, trace: Trace, cycle: int) -> Extractor:
         """Choose the largest sample of the force, from its own signal if that has another clock."""
-        reading, signal = choose_peak_sample(test, trace, cycle), test.force
+        extractor, signal = choose_peak_sample(test, trace, cycle), test.force
         if signal.clock == test.clocks.curve or trace.is_smooth:
-            return reading
+            return extractor
         samples = find_cycle_samples(trace, cycle)
         ends = trace.time[[samples.start, min(samples.stop, len(trace.time)) - 1]]
         part = np.searchsorted(signal.time, test.clocks.from_curve(ends, signal.clock))
         sign = find_loading_sign(trace, trace.force)
         largest = np.fmax.reduce(sign * signal.values[slice(*part)], initial=-np.inf)
-        return replace(reading, values=(sign * float(largest),))
+        return replace(extractor, values=(sign * float(largest),))
 
 
 class PeakDisplacement(CycleKind):
@@ -615,6 +615,6 @@ class PeakDisplacement(CycleKind):
     peak_quantity: ClassVar = "displacement"
     method: ClassVar = "largest displacement of the cycle, in the sense of loading"
 
-    def choose(self, test: ReducedTest, trace: Trace, cycle: int) -> Reading:
+    def choose(self, test: ReducedTest, trace: Trace, cycle: int) -> Extractor:
         """Choose the largest sample of the displacement."""
         return choose_peak_sample(test, trace, cycle, "displacement")

@@ -19,14 +19,7 @@ import numpy as np
 from labpipe.errors import Fault
 from labpipe.records.arrays import Flags, Floats, Ints
 from labpipe.records.curve import Branch, Curve, Direction, Interval
-from labpipe.records.declarations import (
-    Area,
-    Force,
-    FromCard,
-    Needs,
-    Output,
-    WholeNumber,
-)
+from labpipe.records.declarations import Area, Force, FromCard, Needs, Output, WholeNumber
 from labpipe.records.estimates import Failure, UnavailableError
 from labpipe.records.quality import Reason
 from labpipe.records.result import Result, Status
@@ -37,7 +30,7 @@ from labpipe.results.cycles import WORK_QUANTITIES, CycleKind, PeakForce
 from labpipe.results.kinds import FailurePoint, Kind, Part, ReducedTest
 from labpipe.statistics.lots import FORCE_LIMIT, PEAK_OVER_LIMIT, judge_sample
 from labpipe.uncertainty.autocorrelation import estimate_fast_noise
-from labpipe.uncertainty.replicates import Reading, Trace
+from labpipe.uncertainty.replicates import Extractor, Trace
 from labpipe.units import parse_quantity
 
 
@@ -206,7 +199,7 @@ class FailureResult(Kind):
         yield self.make_result(test, force, output=1, period=period, doubts=doubts)
 
 
-def _choose_failure_samples(test: ReducedTest, trace: Trace) -> Reading:
+def _choose_failure_samples(test: ReducedTest, trace: Trace) -> Extractor:
     """Choose the samples for displacement and force at the failure.
 
     The specimen fails within one sampling step after the sample of the failure. If that sample has
@@ -224,15 +217,15 @@ def _choose_failure_samples(test: ReducedTest, trace: Trace) -> Reading:
     loss = _measure_loss(test, failure)
 
     def compute_numbers(trace: Trace) -> tuple[Floats, Floats]:
-        displacement = trace.displacement[..., sample] + trace.steps_beyond * step
-        return displacement, trace.force[..., sample] + trace.steps_beyond * change
+        displacement = trace.displacement[..., sample] + trace.steps_to_event * step
+        return displacement, trace.force[..., sample] + trace.steps_to_event * change
 
     def compute_with_noise(noisy_trace: Trace) -> tuple[Floats, Floats]:
         displacement, force = compute_numbers(noisy_trace)
         displacement = displacement + draw_noise("displacement", force.shape)
         return displacement, force - loss + draw_noise("force", force.shape)
 
-    return Reading(compute_numbers, 1, compute_with_noise)
+    return Extractor(compute_numbers, 1, compute_with_noise)
 
 
 def _choose_by_force(
@@ -243,7 +236,7 @@ def _choose_by_force(
     select: Callable[[Floats], Ints],
     *,
     is_break: bool,
-) -> Reading:
+) -> Extractor:
     """Choose displacement and force at the sample that a function selects in each curve.
 
     Parameters
@@ -261,14 +254,14 @@ def _choose_by_force(
         displacement, force = trace.displacement[..., finite], trace.force[..., finite]
         index = np.asarray(select(sign * force))[..., np.newaxis]
         step = np.gradient(displacement, axis=-1)
-        displacement = displacement + step * trace.steps_beyond * is_break
+        displacement = displacement + step * trace.steps_to_event * is_break
         return tuple(np.take_along_axis(x, index, axis=-1)[..., 0] for x in (displacement, force))
 
     def compute_with_noise(noisy_trace: Trace) -> tuple[Floats, ...]:
         noise = draw_noise("force", noisy_trace.force.shape)
         return compute_numbers(replace(noisy_trace, force=noisy_trace.force + noise))
 
-    return Reading(compute_numbers, 1, compute_with_noise)
+    return Extractor(compute_numbers, 1, compute_with_noise)
 
 
 def _find_largest(force: Floats) -> Ints:
@@ -354,7 +347,7 @@ class PeakForceDisplacement(CycleKind):
         " the first and the last of several equal ones"
     )
 
-    def choose(self, test: ReducedTest, trace: Trace, cycle: int) -> Reading:
+    def choose(self, test: ReducedTest, trace: Trace, cycle: int) -> Extractor:
         """Choose the displacement at the largest force.
 
         With noise, a neighbouring sample may have the largest force. If the specimen breaks there,
@@ -371,8 +364,8 @@ class PeakForceDisplacement(CycleKind):
         top = int(_find_largest(force))
         rise = cycles.estimate_rise_beyond_top(force, displacement)
         is_break, sample = rise > 0.5 * (force[top] - force[top - 1]), int(finite[top])
-        reading = _choose_by_force(test, trace, sample, finite, _find_largest, is_break=is_break)
-        return replace(reading, n=len(finite))
+        extractor = _choose_by_force(test, trace, sample, finite, _find_largest, is_break=is_break)
+        return replace(extractor, n=len(finite))
 
 
 class EnergyToBreak(Kind):
@@ -393,7 +386,7 @@ class EnergyToBreak(Kind):
         yield self.make_result(test, outcome, period=period, doubts=doubts)
 
 
-def _choose_work_to_break(test: ReducedTest, trace: Trace) -> Reading:
+def _choose_work_to_break(test: ReducedTest, trace: Trace) -> Extractor:
     """Choose the samples for the work up to the failure."""
     sample = test.require(trace.failed_at)
     loading = slice(find_loading_before(trace, sample).start, sample + 1)
@@ -401,10 +394,10 @@ def _choose_work_to_break(test: ReducedTest, trace: Trace) -> Reading:
     step = _measure_next_step(trace, sample)
 
     def compute_numbers(trace: Trace) -> tuple[Floats]:
-        last_step = trace.steps_beyond * step * trace.force[..., sample]
-        return (np.asarray(work.numbers(trace)[0] + last_step, dtype=np.float64),)
+        last_step = trace.steps_to_event * step * trace.force[..., sample]
+        return (np.asarray(work.compute_numbers(trace)[0] + last_step, dtype=np.float64),)
 
-    return Reading(compute_numbers, work.n)
+    return Extractor(compute_numbers, work.n)
 
 
 CONDUCTOR = "conductor"

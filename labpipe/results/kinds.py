@@ -35,8 +35,8 @@ from labpipe.records.quality import Doubt, Finding, Findings, Reason
 from labpipe.records.result import Contribution, Result, Status
 from labpipe.records.signals import Clocks, Signal, Signals, Stretch
 from labpipe.signal.turning_points import estimate_noise_level
-from labpipe.uncertainty.intervals import Measured, measure_numbers
-from labpipe.uncertainty.replicates import Decide, Replicates
+from labpipe.uncertainty.intervals import MeasuredNumber, measure_numbers
+from labpipe.uncertainty.replicates import Choice, Replicates
 
 if TYPE_CHECKING:
     from labpipe.markers.three_point_axis import SpanShape
@@ -139,7 +139,7 @@ class Stiffness:
     Parameters
     ----------
     name : name of its result
-    decide : function that chooses its samples on a curve
+    choose_samples : function that chooses its samples on a curve
     value : N/m
     period : first and last time of its samples, s
     window : displacements between which it was measured, m
@@ -148,7 +148,7 @@ class Stiffness:
     """
 
     name: str
-    decide: Decide
+    choose_samples: Choice
     value: float
     period: Stretch | None
     window: tuple[float, float]
@@ -198,7 +198,7 @@ class ReducedTest:
     failure: FailurePoint | Failure | None = None
     slips: tuple[Slip, ...] = ()
     compliance: float = 0.0
-    slack: Measured | Failure | None = None
+    slack: MeasuredNumber | Failure | None = None
     pull: Pull | Failure | None = None
     cut_at: Mapping[str, float] = field(default_factory=dict)
     stiffnesses: Mapping[str, Stiffness] = field(default_factory=dict)
@@ -233,23 +233,23 @@ class ReducedTest:
             raise ValueError(format_sentence("results.no_curve"))
         return self.curve
 
-    def measure(self, decide: Decide) -> tuple[Measured, ...]:
+    def measure(self, choose: Choice) -> tuple[MeasuredNumber, ...]:
         """Measure numbers of the curve with their uncertainty.
 
         Parameters
         ----------
-        decide : choice of samples, see `labpipe.uncertainty.intervals.measure_numbers`
+        choose : choice of samples, see `labpipe.uncertainty.intervals.measure_numbers`
 
         Raises
         ------
         UnavailableError
             If there are no such numbers, or no curve.
         """
-        return measure_numbers(self.require(self.replicates), decide)
+        return measure_numbers(self.require(self.replicates), choose)
 
-    def measure_one(self, decide: Decide) -> Measured:
-        """Measure the first number of a reading, as `measure`."""
-        return self.measure(decide)[0]
+    def measure_one(self, choose: Choice) -> MeasuredNumber:
+        """Measure the first number of a extractor, as `measure`."""
+        return self.measure(choose)[0]
 
     def require(self, stage: _Part | Failure | None, missing: Failure = NO_LOADING) -> _Part:
         """Return a stage of the test.
@@ -361,7 +361,7 @@ def compute_loading_sign(values: Floats) -> float:
     return 1.0 if finite.max() >= -finite.min() else -1.0
 
 
-Outcome: TypeAlias = Measured | Estimate | Failure
+Outcome: TypeAlias = MeasuredNumber | Estimate | Failure
 Part: TypeAlias = Result | Stiffness | FittedLine | Finding
 """What a kind of result measures: numbers, stiffnesses for later entries, lines for figures, and
 notes on the test."""
@@ -477,7 +477,7 @@ class Kind(ABC):
             ordered = [*curve_doubts, outcome] if is_explained else [outcome, *curve_doubts]
             reasons, failed = tuple(dict.fromkeys(ordered)), Status.FAILED
             return Result(name, None, declared.unit, None, failed, reasons, method, made_of=made_of)
-        by_quantity = outcome.doubts if isinstance(outcome, Measured) else ()
+        by_quantity = outcome.doubts if isinstance(outcome, MeasuredNumber) else ()
         quantities = "", *declared.depends_on
         noise_doubts = [reason for quantity, reason in by_quantity if quantity in quantities]
         test_doubts = test.collect_doubts(_list_quantities(declared, test), period)
@@ -496,7 +496,7 @@ class Kind(ABC):
             n=outcome.n,
             made_of=made_of,
             remark="; ".join(filter(None, remarks)),
-            estimate=outcome.estimate if isinstance(outcome, Measured) else None,
+            estimate=outcome.estimate if isinstance(outcome, MeasuredNumber) else None,
             budget=budget,
         )
 
@@ -507,7 +507,7 @@ def _list_quantities(declared: Output, test: ReducedTest) -> tuple[str, ...]:
     A slope depends on that zero only if slack was subtracted, whose end follows from the force.
     """
     signs = {"N": _SIGN_QUANTITIES[:1], "m": _SIGN_QUANTITIES[1:]}.get(declared.unit, ())
-    needs_zero = not declared.is_slope or isinstance(test.slack, Measured)
+    needs_zero = not declared.is_slope or isinstance(test.slack, MeasuredNumber)
     zeros = ("force_zero",) if "force" in declared.depends_on and needs_zero else ()
     return (*declared.depends_on, *zeros, *signs)
 
@@ -531,7 +531,7 @@ _EXPLAINED_FAILURES = frozenset({"not_reached", "no_travel"})
 
 def _widen_estimate(outcome: Outcome, errors: Errors) -> tuple[Outcome, tuple[Contribution, ...]]:
     """Add errors to an `Estimate`; return the outcome and its budget, a failure if not finite."""
-    budget = outcome.budget if isinstance(outcome, Measured) else ()
+    budget = outcome.budget if isinstance(outcome, MeasuredNumber) else ()
     if isinstance(outcome, Estimate):
         fit = outcome.error if outcome.interval is None else outcome.interval.standard_error
         changes = {FIT: fit, **errors}

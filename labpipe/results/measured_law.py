@@ -240,8 +240,7 @@ def average_frames(shape: Shape, branch: Ints, *, frames_per_mean: int) -> tuple
         for start, stop in pairwise(branch_ends)
         if branch[start] >= 0
     ]
-    no_rows = np.zeros(0, np.int64)
-    rows = np.concatenate([no_rows, *first_rows])[:, None] + np.arange(frames_per_mean)
+    rows = np.concatenate([np.arange(0), *first_rows])[:, None] + np.arange(frames_per_mean)
     indices = rows[..., None], np.flatnonzero(_flag_markers(shape))
     flags = shape.flags[indices]
     is_measured = np.isin(flags, (PointFlag.MEASURED, PointFlag.RELABELLED))
@@ -311,9 +310,8 @@ class BendingTest:
             raise ValueError(format_sentence("results.no_fitted_frame"))
         direction = coefficients[fitted_frames[0], :, 1] / length
         ends = EndConditions(length=length, direction=direction, free_tip=self.free_tip)
-        arc_length, offset = self.marker_arc_length, self.centre_offset
         terms = coefficients.shape[2] + extra_terms
-        return fit_frames(markers, arc_length, offset, ends, terms=terms)
+        return fit_frames(markers, self.marker_arc_length, self.centre_offset, ends, terms=terms)
 
     @cached_property
     def specimen_at_rest(self) -> SpecimenAtRest:
@@ -560,10 +558,9 @@ def fit_loading_law(test: BendingTest, cloud: BendingCloud) -> MeasuredLaw:
     change with half as many intervals between knots.
     """
     min_means = 24
-    is_first_loading, rest = test.branch == test.first_branch, test.specimen_at_rest
-    frames_per_mean = max(1, int(is_first_loading.sum()) // N_FIT_MEANS)
-    branch = np.where(is_first_loading, test.branch, -1)
-    means = test.fit_means(branch, frames_per_mean=frames_per_mean)
+    is_loading, rest = test.branch == test.first_branch, test.specimen_at_rest
+    frames_per_mean = max(1, int(is_loading.sum()) // N_FIT_MEANS)
+    means = test.fit_means(np.where(is_loading, test.branch, -1), frames_per_mean=frames_per_mean)
     n_means = len(means.force)
     if n_means < min_means:
         raise ValueError(format_sentence("results.few_means", count=n_means, needed=min_means))
@@ -918,8 +915,9 @@ def fit_law(data: LawData, basis: LawBasis) -> LawFit:
     loaded_residuals, count = residuals[:-1, :, 0], int(is_measured.sum())
     sensitivity = np.einsum("kj,nmj->knm", _invert(normal_matrix), design)[:, :-1]
     degrees_of_freedom = max(float(count) - len(ones) - is_measured.shape[1], 1.0)
-    noise = _estimate_long_run_covariance(loaded_residuals, is_measured)
-    noise = noise * count / degrees_of_freedom
+    noise = (
+        _estimate_long_run_covariance(loaded_residuals, is_measured) * count / degrees_of_freedom
+    )
     covariance = np.einsum("knm,ml,jnl->kj", sensitivity, noise, sensitivity, optimize=True)
     return LawFit(
         basis=basis,

@@ -24,8 +24,8 @@ from labpipe.uncertainty.autocorrelation import (
     cut_smooth_stretches,
     fit_linear,
 )
-from labpipe.uncertainty.intervals import Measured, SmoothNumbers, measure_numbers
-from labpipe.uncertainty.replicates import Decide, Input, Reading, Replicates, Trace, read_part
+from labpipe.uncertainty.intervals import MeasuredNumber, SmoothNumbers, measure_numbers
+from labpipe.uncertainty.replicates import Choice, Extractor, Input, Replicates, Trace, restrict
 
 MAD_FACTOR = 1.4826
 """Ratio of the standard deviation of normal noise to its median absolute deviation."""
@@ -399,7 +399,7 @@ def _compute_distinctness(f: Floats, min_drop: float) -> Floats:
     return distinctness
 
 
-def list_slack_doubts(measured_slack: Measured) -> tuple[Reason, ...]:
+def list_slack_doubts(measured_slack: MeasuredNumber) -> tuple[Reason, ...]:
     """List doubts about displacements that are measured from a doubtful slack."""
     return tuple(
         Reason(reason.code, format_sentence("results.doubtful_slack", why=reason.message))
@@ -420,7 +420,7 @@ class SlipResults(Kind):
     def measure(self, test: ReducedTest) -> Iterator[Part]:
         """Yield position and drop of each slip of the ledger."""
         slack_error, doubts = 0.0, tuple[Reason, ...]()
-        if isinstance(test.slack, Measured):
+        if isinstance(test.slack, MeasuredNumber):
             slack_error, doubts = test.slack.error, list_slack_doubts(test.slack)
         for index, slip in enumerate(test.slips, start=1):
             time = test.required_curve.time
@@ -503,7 +503,7 @@ def _find_crossing(force: Floats, level: float) -> int:
     return (int(np.argmax(is_above)) + int(np.flatnonzero(~is_above)[-1]) + 1) // 2
 
 
-def choose_slack_samples(trace: Trace, *, start_fraction: float, stop_fraction: float) -> Reading:
+def choose_slack_samples(trace: Trace, *, start_fraction: float, stop_fraction: float) -> Extractor:
     """Choose the samples for the displacement at which the linear region meets zero force.
 
     Parameters
@@ -513,7 +513,7 @@ def choose_slack_samples(trace: Trace, *, start_fraction: float, stop_fraction: 
 
     Returns
     -------
-    The reading of the slack, m.
+    The extractor of the slack, m.
 
     Raises
     ------
@@ -528,18 +528,18 @@ def choose_slack_samples(trace: Trace, *, start_fraction: float, stop_fraction: 
         stop_fraction=stop_fraction,
     )
     samples = np.arange(stretch.start, stretch.stop)[region]
-    slack = read_part(curves.compute_zero_crossing, convert_to_slice(samples))
-    return Reading(slack, len(samples), ends_at_samples=True)
+    slack = restrict(curves.compute_zero_crossing, convert_to_slice(samples))
+    return Extractor(slack, len(samples), ends_at_samples=True)
 
 
-def subtract_slack(replicates: Replicates, decide: Decide, measured_slack: Measured) -> Replicates:
+def subtract_slack(replicates: Replicates, choose: Choice, slack: MeasuredNumber) -> Replicates:
     """Subtract the measured slack from all curves, and add its noise as an input.
 
     Parameters
     ----------
     replicates : replicates of a curve whose slack can be measured
-    decide : function that chooses the samples of the slack
-    measured_slack : slack of the measured curve, m
+    choose : function that chooses the samples of the slack
+    slack : slack of the measured curve, m
 
     Returns
     -------
@@ -548,28 +548,29 @@ def subtract_slack(replicates: Replicates, decide: Decide, measured_slack: Measu
     that input. The effect of another input on the slack is subtracted from its effect on the
     displacement, so that an error of the zero of the displacement cancels.
     """
-    draws = measure_numbers(replace(replicates, inputs=()), decide)[0].deviations
+    draws = measure_numbers(replace(replicates, inputs=()), choose)[0].deviations
     draws = np.where(np.isnan(draws), np.nanmean(draws), draws)
     error = float(np.std(draws))
-    inputs = tuple(_subtract_slack_effect(x, replicates.smooth, decide) for x in replicates.inputs)
+    smooth_trace = replicates.smooth_trace
+    inputs = tuple(_subtract_slack_effect(x, smooth_trace, choose) for x in replicates.inputs)
     corrected = replace(replicates, inputs=inputs)
     if not error:
-        return corrected.shift_displacement(-measured_slack.value)
+        return corrected.shift_displacement(-slack.value)
     shift = partial(curves.shift_displacement_by, change=-error)
-    doubts = list_slack_doubts(measured_slack)
-    slack_input = Input(SLACK, shift, draws=draws / error, doubts=doubts)
-    return corrected.shift_displacement(-measured_slack.value, slack_input)
+    doubts = list_slack_doubts(slack)
+    slack_input = Input(SLACK, shift, drawn_errors=draws / error, doubts=doubts)
+    return corrected.shift_displacement(-slack.value, slack_input)
 
 
-def _subtract_slack_effect(quantity: Input, smooth: Trace, decide: Decide) -> Input:
+def _subtract_slack_effect(quantity: Input, smooth: Trace, choose: Choice) -> Input:
     """Subtract the effect of an input on the slack from its effect on the displacement.
 
     Without a slack of the smooth curve, the input remains as it is.
     """
-    reading = return_failure(decide)(smooth)
-    if isinstance(reading, Failure):
+    extractor = return_failure(choose)(smooth)
+    if isinstance(extractor, Failure):
         return quantity
-    smooth_slack = SmoothNumbers.of(decide, smooth, reading)
+    smooth_slack = SmoothNumbers.of(choose, smooth, extractor)
     lower, upper = (float(smooth_slack.compute_change(quantity, x)[0]) for x in (-1.0, 1.0))
 
     def perturb(trace: Trace, x: float) -> Trace:

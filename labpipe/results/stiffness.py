@@ -30,8 +30,8 @@ from labpipe.results.cycles import CycleKind
 from labpipe.results.kinds import Kind, Part, ReducedTest, Stiffness
 from labpipe.signal.filters import compute_moving_average
 from labpipe.uncertainty.autocorrelation import estimate_fast_noise, scale_limit_by_noise
-from labpipe.uncertainty.intervals import Measured
-from labpipe.uncertainty.replicates import Reading, Trace, combine_numbers, read_part
+from labpipe.uncertainty.intervals import MeasuredNumber
+from labpipe.uncertainty.replicates import Extractor, Trace, combine_numbers, restrict
 
 _MIN_FOOT_SAMPLES = 8
 _MIN_SIGNIFICANT_ERRORS = 3.0
@@ -503,13 +503,13 @@ class UnloadingStiffness(CycleKind):
         "line over {over_mm:g} mm off the peak without its first tenth, time as instrument"
     )
 
-    def choose(self, test: ReducedTest, trace: Trace, cycle: int) -> Reading:
+    def choose(self, test: ReducedTest, trace: Trace, cycle: int) -> Extractor:
         """Choose the samples in the length `over` after the turn, without its first tenth."""
         del test
         branch = cycles.require_unloading(cycles.select_cycle(trace, cycle))
         sense = cycles.find_loading_sign(trace, trace.displacement)
         compute, n_samples = choose_unloading_window(trace, branch, length=self.over, sense=sense)
-        return Reading(read_part(compute, slice(None)), n_samples)
+        return Extractor(restrict(compute, slice(None)), n_samples)
 
 
 class LoadingStiffness(CycleKind):
@@ -524,16 +524,16 @@ class LoadingStiffness(CycleKind):
 
     method: ClassVar = "line over {over_mm:g} mm from the onset of the force, time as instrument"
 
-    def choose(self, test: ReducedTest, trace: Trace, cycle: int) -> Reading:
+    def choose(self, test: ReducedTest, trace: Trace, cycle: int) -> Extractor:
         """Choose the samples after the onset, with the limit of the measured curve if smooth."""
         branch = cycles.select_cycle(trace, cycle)[0]
         columns, samples = cycles.cut_branch(trace, branch), slice(branch.start, branch.stop)
         limit = self._choose_measured_window(test, cycle).onset.limit if trace.is_smooth else None
         steps = trace.parts_per_step
         window = choose_loading_window(*columns, length=self.over, limit=limit, steps=steps)
-        numbers = read_part(window.compute, samples)
-        noisy_numbers = read_part(partial(window.compute, has_noise=True), samples)
-        return Reading(numbers, window.slope.n_samples, noisy_numbers, ends_at_samples=True)
+        compute = restrict(window.compute, samples)
+        compute_noisy = restrict(partial(window.compute, has_noise=True), samples)
+        return Extractor(compute, window.slope.n_samples, compute_noisy, ends_at_samples=True)
 
     def list_doubts(self, test: ReducedTest, branches: list[Branch]) -> tuple[Reason, ...]:
         """List a doubt if over 10 % of the samples of the window are in its first fiftieth."""
@@ -569,14 +569,14 @@ class Hardening(Kind):
         base = return_failure(test.measure_one)(partial(stiffness.choose, test, cycle=1))
         doubts = stiffness.list_doubts(test, first)
 
-        def choose_first(trace: Trace) -> Reading:
-            reading = return_failure(stiffness.choose)(test, trace, 1)
-            if isinstance(reading, Failure):
-                raise UnavailableError.of("results.no_first_stiffness", why=reading.message)
-            return reading
+        def choose_first(trace: Trace) -> Extractor:
+            extractor = return_failure(stiffness.choose)(test, trace, 1)
+            if isinstance(extractor, Failure):
+                raise UnavailableError.of("results.no_first_stiffness", why=extractor.message)
+            return extractor
 
         @return_failure
-        def measure_ratio(cycle: int) -> Measured:
+        def measure_ratio(cycle: int) -> MeasuredNumber:
             choose = partial(stiffness.choose, test, cycle=cycle)
             ratio = combine_numbers(lambda _, x, first: divide(x, first), choose, choose_first)
             hardening, first_stiffness = test.measure_one(ratio), test.require(base)
@@ -624,7 +624,7 @@ class RangeKind(Kind):
         return slice(loading.start + first, loading.start + (beyond or len(displacement)))
 
 
-def _choose_secant_window(trace: Trace, start: float, stop: float) -> Reading:
+def _choose_secant_window(trace: Trace, start: float, stop: float) -> Extractor:
     """Choose the samples for the stiffness between two displacements of the first loading."""
     branch = trace.branches[0]
     time, path, force = cycles.cut_branch(trace, branch)
@@ -635,9 +635,9 @@ def _choose_secant_window(trace: Trace, start: float, stop: float) -> Reading:
     def compute_noisy_stiffness(path: Floats, force: Floats) -> Floats:
         return slope.compute(path, force, middle - path[..., window].mean(axis=-1))
 
-    numbers = read_part(slope.compute, samples)
-    noisy_numbers = read_part(compute_noisy_stiffness, samples)
-    return Reading(numbers, slope.n_samples, noisy_numbers, ends_at_samples=True)
+    compute = restrict(slope.compute, samples)
+    compute_noisy = restrict(compute_noisy_stiffness, samples)
+    return Extractor(compute, slope.n_samples, compute_noisy, ends_at_samples=True)
 
 
 class InitialStiffness(RangeKind):
@@ -652,12 +652,12 @@ class InitialStiffness(RangeKind):
     def measure(self, test: ReducedTest) -> Iterator[Part]:
         """Measure the slope with time as the instrument, for the result and for later entries."""
         window = self.start, self.stop
-        decide = partial(_choose_secant_window, start=self.start, stop=self.stop)
-        outcome, period = test.measure_one(decide), test.find_loading_interval(*window)
+        choose_samples = partial(_choose_secant_window, start=self.start, stop=self.stop)
+        outcome, period = test.measure_one(choose_samples), test.find_loading_interval(*window)
         doubts = kinds.find_pause(test, window)
         result = self.make_result(test, outcome, period=period, doubts=doubts)
         yield result
-        yield Stiffness(result.name, decide, outcome.value, period, window, doubts=doubts)
+        yield Stiffness(result.name, choose_samples, outcome.value, period, window, doubts=doubts)
 
 
 class LineStiffness(InitialStiffness):
@@ -680,7 +680,7 @@ class LineStiffness(InitialStiffness):
         if test.shape is not None:
             yield from super().measure(test)
             return
-        slope, curve = test.measure_one(self.decide), curves.make_trace(test)
+        slope, curve = test.measure_one(self.choose_samples), curves.make_trace(test)
         samples = self.select_finite_samples(curve)
         d, f = curve.displacement[samples], curve.force[samples]
         stretch = start, stop = float(d.min()), float(d.max())
@@ -691,7 +691,7 @@ class LineStiffness(InitialStiffness):
             doubts = (Reason.of("results.negative_slope"), *doubts)
         yield self.make_result(test, slope, period=period, doubts=doubts)
         window = max(start, 0.0), stop
-        yield Stiffness(self.name, self.decide, slope.value, period, window, stretch, pause)
+        yield Stiffness(self.name, self.choose_samples, slope.value, period, window, stretch, pause)
         yield FittedLine(self.name, slope.value, start_force, *stretch)
 
     def select_finite_samples(self, trace: Trace) -> Ints:
@@ -705,7 +705,7 @@ class LineStiffness(InitialStiffness):
         finite = curves.find_finite_samples(trace.displacement[window], trace.force[window])
         return np.asarray(window.start + finite)
 
-    def decide(self, trace: Trace) -> Reading:
+    def choose_samples(self, trace: Trace) -> Extractor:
         """Choose the samples for the slope of the line over the window.
 
         Parameters
@@ -715,8 +715,8 @@ class LineStiffness(InitialStiffness):
         samples = self.select_finite_samples(trace)
         curves.require_samples(len(samples), MIN_LINE_SAMPLES)
         curves.require_travel(trace.displacement[samples])
-        slope = read_part(curves.compute_slope, convert_to_slice(samples))
-        return Reading(slope, len(samples), ends_at_samples=True)
+        slope = restrict(curves.compute_slope, convert_to_slice(samples))
+        return Extractor(slope, len(samples), ends_at_samples=True)
 
 
 class DerivedKind(Kind):
@@ -772,8 +772,8 @@ class NormalisedStiffness(DerivedKind):
         peak_force = test.measure_one(choose_peak)
         if peak_force.value <= _MIN_SIGNIFICANT_ERRORS * peak_force.error:
             raise UnavailableError.of("results.no_peak_force", peak=peak_force.value)
-        quotient = combine_numbers(lambda _, x, peak: x / peak, stiffness.decide, choose_peak)
-        return test.measure_one(quotient)
+        choices = stiffness.choose_samples, choose_peak
+        return test.measure_one(combine_numbers(lambda _, x, peak: x / peak, *choices))
 
 
 class Modulus(DerivedKind):
@@ -794,7 +794,7 @@ class Modulus(DerivedKind):
         if "length" not in test.setup.sizes:
             raise UnavailableError.of("results.no_gauge_length")
         compute_area(test.setup.sizes, self.area)
-        return test.measure_one(combine_numbers(self._compute_modulus, stiffness.decide))
+        return test.measure_one(combine_numbers(self._compute_modulus, stiffness.choose_samples))
 
     def _compute_modulus(self, trace: Trace, stiffness: Floats) -> Floats:
         """Compute the modulus, Pa, NaN if the sizes of a replicate give no area."""
@@ -865,10 +865,10 @@ class ComplianceResult(Kind):
 
     def measure(self, test: ReducedTest) -> Iterator[Part]:
         """Fit displacement against force, with a rigid bar."""
-        compliance = test.measure_one(self.decide)
+        compliance = test.measure_one(self.choose_samples)
         yield self.make_result(test, compliance, period=test.find_loading_interval())
 
-    def decide(self, trace: Trace) -> Reading:
+    def choose_samples(self, trace: Trace) -> Extractor:
         """Choose the samples for the slope of displacement against force over the window.
 
         Parameters
@@ -879,7 +879,7 @@ class ComplianceResult(Kind):
         d, f = trace.displacement[stretch], trace.force[stretch]
         window = find_compliance_window(d, f, start=self.start, stop=self.stop)
         samples = np.arange(stretch.start, stretch.stop)[window]
-        compute = read_part(lambda d, f: curves.compute_slope(f, d), convert_to_slice(samples))
+        compute = restrict(lambda d, f: curves.compute_slope(f, d), convert_to_slice(samples))
         if (compliance := float(compute(trace)[0])) <= 0.0:
             raise UnavailableError.of("results.not_positive", slope=compliance)
-        return Reading(compute, len(samples), ends_at_samples=True)
+        return Extractor(compute, len(samples), ends_at_samples=True)

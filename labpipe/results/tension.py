@@ -29,7 +29,7 @@ from labpipe.results.curves import make_trace, require_samples
 from labpipe.results.kinds import Kind, Part, ReducedTest
 from labpipe.results.stiffness import compute_area
 from labpipe.uncertainty.autocorrelation import LinearFit, estimate_fast_noise, fit_linear
-from labpipe.uncertainty.intervals import Measured
+from labpipe.uncertainty.intervals import MeasuredNumber
 from labpipe.uncertainty.noise_model import compute_drift_modes
 from labpipe.uncertainty.replicates import Trace
 
@@ -153,7 +153,7 @@ def fit_pull(test: ReducedTest, choice: ElasticWindow) -> Pull:
     force, displacement = trace.force[samples], trace.displacement[samples]
     stress = kinds.compute_loading_sign(force) * force / compute_area(sizes)
     # After a subtraction of slack, the displacement is counted from its end.
-    has_slack = isinstance(test.slack, Measured)
+    has_slack = isinstance(test.slack, MeasuredNumber)
     start = 0.0 if has_slack else drop_missing(displacement)[:1].sum()
     sense = kinds.compute_loading_sign(displacement)
     strain = sense * (displacement - start) / get_gauge_length(sizes)
@@ -367,9 +367,8 @@ class TensionResult(Kind):
             if quantity.has_line:
                 doubts = (*_list_line_doubts(test, pull, quantity.compute), *doubts)
             start, stop = pull.time[np.minimum(quantity.period, len(pull.time) - 1)].tolist()
-            period = start, stop
             yield self.make_result(
-                test, outcome, errors, output=output, period=period, doubts=doubts
+                test, outcome, errors, output=output, period=(start, stop), doubts=doubts
             )
 
 

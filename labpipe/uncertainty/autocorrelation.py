@@ -79,8 +79,7 @@ def estimate_fast_noise(values: Floats) -> Floats:
     rows = values[..., : count * size].reshape(*values.shape[:-1], count, size)
     basis = build_polynomial_basis(size, 3)
     residuals = rows - rows @ basis @ basis.T
-    deviation: Floats = np.median(np.sqrt(np.sum(residuals**2, axis=-1) / (size - 3)), axis=-1)
-    return deviation
+    return np.asarray(np.median(np.sqrt(np.sum(residuals**2, axis=-1) / (size - 3)), axis=-1))
 
 
 def scale_limit_by_noise(limit: float, rows: Floats) -> Floats:

@@ -393,8 +393,7 @@ def _compute_whitened_squares(spectrum: Floats, waves: Floats, columns: Floats) 
     score = (waves / spectrum) @ columns
     information = columns.T @ (columns / spectrum[:, None])
     explained = np.sum(score * np.linalg.solve(information, score.T).T, axis=1)
-    squares: Floats = np.sum(waves**2 / spectrum, axis=1) - explained
-    return squares
+    return np.asarray(np.sum(waves**2 / spectrum, axis=1) - explained)
 
 
 def _measure_fast_wave_power(
@@ -405,11 +404,8 @@ def _measure_fast_wave_power(
     If corners dominate it, the power is that of pieces without corners, whose residuals about a
     polynomial are `level_residuals` of shape (pieces, width).
     """
-    branch_residuals = [
-        branch - curve
-        for branch, curve in zip(branches, smooth_curves, strict=True)
-        if len(branch) > 2 * _MIN_RECORD_WAVES
-    ]
+    pairs = zip(branches, smooth_curves, strict=True)
+    branch_residuals = [x - curve for x, curve in pairs if len(x) > 2 * _MIN_RECORD_WAVES]
     if not branch_residuals:
         return np.zeros(0), np.zeros(0)
     longest = max(map(len, branch_residuals))
