@@ -266,7 +266,7 @@ def _find_failure(
     slow_loss = find_slow_loss(compute_loading_sign(displacement) * displacement, force, criteria)
     if slow_loss is None:
         return loss_start
-    return FailurePoint(start + slow_loss, slow_below=criteria.force_below)
+    return FailurePoint(start + slow_loss, slow_loss_limit=criteria.force_below)
 
 
 def _filter_branches(test: ReducedTest, loss_start: int | Failure | None) -> ReducedTest:

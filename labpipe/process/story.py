@@ -172,7 +172,7 @@ def add_curve(
     protocol : protocol with the stroke of the rig and the limits
     settings : block ``curve`` of the protocol
     """
-    test = replace(test, cut_at=find_cut_ends(test.signals, motion, protocol, test.findings))
+    test = replace(test, cut_times=find_cut_ends(test.signals, motion, protocol, test.findings))
     if test.findings.blocked:
         return test
     unfiltered, new_findings = bridge_outliers(test.signals)
@@ -220,7 +220,7 @@ def _build_reduced_test(
         centre_offset=0.0 if markers is None else markers.centre_offset,
         offset_uncertainty=0.0 if markers is None else markers.offset_uncertainty,
         centre_uncertainty=0.0 if markers is None else markers.centre_uncertainty,
-        compliance_stated=protocol.curve is not None and protocol.curve.compliance is not None,
+        is_compliance_stated=protocol.curve is not None and protocol.curve.compliance is not None,
         limits=protocol.limits,
         labels=labels,
         free_tip=any(isinstance(step, FitShape) and step.tip == "free" for step in protocol.steps),

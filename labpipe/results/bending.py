@@ -188,10 +188,8 @@ def compute_stiffness_ratio(rollers: Rollers, *, start: float, stop: float) -> f
     loads = np.interp(deflections, deflection[: last + 1], load[: last + 1])
     ratio = float(compute_slope(deflections, loads)) * rollers.span**3 / 48.0
     if ratio < min_ratio:
-        low, high = 1e3 * start, 1e3 * stop
-        raise UnavailableError.of(
-            "results.beyond_elastica", low=low, high=high, ratio=ratio, needed=min_ratio
-        )
+        facts = {"low": 1e3 * start, "high": 1e3 * stop, "ratio": ratio}
+        raise UnavailableError.of("results.beyond_elastica", **facts, needed=min_ratio)
     return ratio
 
 
@@ -391,9 +389,8 @@ class MomentCurvature(Kind):
     def _read_stiffness(self, law: MeasuredLaw) -> Estimate:
         """Read the stiffness of a law at the stated curvature."""
         if self.at > (largest := float(law.curvature[-1])):
-            raise UnavailableError.of(
-                "results.curvature_not_reached", largest=largest, needed=self.at
-            )
+            facts = {"largest": largest, "needed": self.at}
+            raise UnavailableError.of("results.curvature_not_reached", **facts)
         if self.at <= law.floor:
             raise UnavailableError.of("results.below_noise", floor=law.floor, needed=self.at)
         from labpipe.results.measured_law import evaluate_law  # only these tests load it
@@ -487,10 +484,8 @@ class MidSpan(RangeKind):
         is_in_branch = (time >= branch.start_time) & (time < branch.stop_time)
         travel = np.interp(time, curve.time, curve.displacement)
         if not (travel[is_in_branch] > self.stop).any():
-            reached = 1e3 * float(np.max(travel[is_in_branch], initial=0.0))
-            raise UnavailableError.of(
-                "results.loading_not_reached", reached=reached, needed=1e3 * self.stop
-            )
+            reached, needed = 1e3 * np.max(travel[is_in_branch], initial=0.0), 1e3 * self.stop
+            raise UnavailableError.of("results.loading_not_reached", reached=reached, needed=needed)
         is_in_range = is_in_branch & (travel >= self.start) & (travel <= self.stop)
         axis = frames.span.shape.axis
         force = np.interp(time, curve.time, curve.force, left=np.nan, right=np.nan)
@@ -563,7 +558,7 @@ def _measure_at_turn(
     that of `similar` signals.
     """
     is_finite = np.isfinite(values)
-    is_at_rest = frames.span.rest & is_finite
+    is_at_rest = frames.span.is_at_rest & is_finite
     if is_at_rest.sum() < _MIN_REST_FRAMES:
         raise UnavailableError.of("results.no_rest", count=int(is_at_rest.sum()))
     branch = frames.loading
@@ -605,7 +600,7 @@ class Twist(Kind):
         sections = np.flatnonzero(shape.lever_arm > 0.0)  # sections whose markers show a twist
         if not len(sections):
             raise UnavailableError.of("results.too_few_markers", sections=len(shape.lever_arm))
-        x = np.nanmean(shape.centres[frames.span.rest][..., 0], axis=0)
+        x = np.nanmean(shape.centres[frames.span.is_at_rest][..., 0], axis=0)
         section = int(sections[np.argmin(np.abs(x[sections]))])
         yield Finding.of("results.twist_section", "markers", at=1e3 * x[section])
         twists = [shape.twist[:, other] for other in sections if other != section]

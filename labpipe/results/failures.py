@@ -84,20 +84,16 @@ def find_loss_start(
     peak = float(f.max())
     last_above = int(np.flatnonzero(f >= criteria.force_below * peak)[-1])
     if last_above == len(f) - 1:
-        end, share = f[-1], f[-1] / peak
-        return Failure.of(
-            "results.no_break", end=end, share=share, peak=peak, force_below=criteria.force_below
-        )
+        facts = {"end": f[-1], "share": f[-1] / peak, "force_below": criteria.force_below}
+        return Failure.of("results.no_break", peak=peak, **facts)
     if is_unloading is not None and is_unloading[finite[last_above]]:
         return Failure.of("results.goes_back")
     end_of_loss = int(np.searchsorted(t, t[last_above] + criteria.within, side="right"))
     drop = f[last_above] - float(f[last_above + 1 : max(end_of_loss, last_above + 2)].min())
     first = _find_first_of_loss(t, f, last_above, criteria, peak)
     if first == last_above and drop < criteria.loss * peak:
-        below, loss, within = criteria.force_below, criteria.loss, 1e3 * criteria.within
-        return Failure.of(
-            "results.lost_slowly", force_below=below, peak=peak, loss=loss, within=within
-        )
+        facts = {"force_below": criteria.force_below, "peak": peak, "loss": criteria.loss}
+        return Failure.of("results.lost_slowly", **facts, within=1e3 * criteria.within)
     return int(finite[first])
 
 
@@ -182,9 +178,9 @@ class FailureResult(Kind):
     def list_methods(self, test: ReducedTest) -> tuple[str, str]:
         """Return the methods of both numbers, which differ for a slow loss."""
         failure = test.failure
-        if isinstance(failure, FailurePoint) and failure.slow_below is not None:
-            sample = f"last sample with {failure.slow_below:.0%} of the peak, which is lost slowly"
-            return sample, f"force at the {sample}"
+        if isinstance(failure, FailurePoint) and failure.slow_loss_limit is not None:
+            fraction = f"{failure.slow_loss_limit:.0%} of the peak, which is lost slowly"
+            return f"last sample with {fraction}", f"force at the last sample with {fraction}"
         return (
             "first sample of the final loss of force; the interval reaches to the next one",
             "force at the first sample of the final loss",
@@ -208,8 +204,8 @@ def _choose_failure_samples(test: ReducedTest, trace: Trace) -> Extractor:
     """
     sample = test.require(trace.failed_at)
     failure = test.require(test.failure)
-    if failure.slow_below is not None:
-        select = partial(find_last_above, fraction=failure.slow_below)
+    if failure.slow_loss_limit is not None:
+        select = partial(find_last_above, fraction=failure.slow_loss_limit)
         finite = np.flatnonzero(~np.isnan(trace.force))
         return _choose_by_force(test, trace, sample, finite, select, is_break=True)
     draw_noise = _make_noise_function(test, trace, sample)
@@ -275,7 +271,7 @@ def _make_noise_function(
 ) -> Callable[[Quantity, tuple[int, ...]], Floats]:
     """Make a function that draws the noise of a quantity in the loading up to a sample."""
     loading = slice(find_loading_before(trace, sample).start, sample + 1)
-    select_noise = cache(partial(SampleNoise.around, test, trace, stretch=loading, centre=sample))
+    select_noise = cache(partial(SampleNoise.select, test, trace, stretch=loading, centre=sample))
 
     def draw(quantity: Quantity, shape: tuple[int, ...]) -> Floats:
         noise = select_noise(quantity)
@@ -322,7 +318,7 @@ def _describe_failure(test: ReducedTest) -> tuple[Stretch, tuple[Reason, ...]]:
     """
     failure, curve = test.require(test.failure), test.required_curve
     start = find_loading_before(curve, failure.sample).start
-    doubts = (Reason.of("results.lost_in_steps"),) if failure.lost_before else ()
+    doubts = (Reason.of("results.lost_in_steps"),) if failure.earlier_loss else ()
     return (float(curve.time[start]), float(curve.time[failure.sample])), doubts
 
 
@@ -347,7 +343,7 @@ class PeakForceDisplacement(CycleKind):
         " the first and the last of several equal ones"
     )
 
-    def choose(self, test: ReducedTest, trace: Trace, cycle: int) -> Extractor:
+    def choose_samples(self, test: ReducedTest, trace: Trace, cycle: int) -> Extractor:
         """Choose the displacement at the largest force.
 
         With noise, a neighbouring sample may have the largest force. If the specimen breaks there,
@@ -495,18 +491,15 @@ class ForceLimit(Kind):
         """Return the limit for a conductor, N, and the section to which it applies."""
         if self.at_least is not None:
             if self.conductor and _parse_section(self.conductor) != _parse_section(conductor):
-                raise UnavailableError.of(
-                    "results.other_section", stated=self.conductor, found=conductor or "none"
-                )
+                sections = {"stated": self.conductor, "found": conductor or "none"}
+                raise UnavailableError.of("results.other_section", **sections)
             return self.at_least, self.conductor
         if self.card is None:
             raise UnavailableError.of("results.no_limit_stated")
         row = _find_row(self.card, conductor)
         if self.column not in row.limits:
-            names = ", ".join(row.limits)
-            raise UnavailableError.of(
-                "results.limit_not_given", row=row, column=self.column, names=names
-            )
+            facts = {"row": row, "column": self.column, "names": ", ".join(row.limits)}
+            raise UnavailableError.of("results.limit_not_given", **facts)
         return row.limits[self.column], str(row)
 
 

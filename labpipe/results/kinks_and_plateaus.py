@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Annotated, ClassVar, NamedTuple
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -16,17 +16,9 @@ from labpipe.records.declarations import CURVE_QUANTITIES, Fraction, Length, Out
 from labpipe.records.estimates import Failure, UnavailableError, return_failure
 from labpipe.records.quality import Finding, Reason
 from labpipe.records.result import Result
-from labpipe.results import curves
-from labpipe.results.cycles import find_truncation
-from labpipe.results.kinds import (
-    Kind,
-    Outcome,
-    Part,
-    ReducedTest,
-    Stiffness,
-    find_marked_slips,
-    find_pause,
-)
+from labpipe.results import curves, kinds
+from labpipe.results.cycles import find_truncation_doubts
+from labpipe.results.kinds import Kind, Outcome, Part, ReducedTest, Stiffness
 from labpipe.results.stiffness import RangeKind
 from labpipe.uncertainty.intervals import MeasuredNumber, measure_numbers
 from labpipe.uncertainty.replicates import Choice, Extractor, Input, Replicates, Trace
@@ -413,8 +405,9 @@ class TwoSegments(_TwoLineKind):
         segments, hinges = self.fit(test, require_bend)
         break_point, (start, stop) = segments[0], hinges.ends
         period = test.find_loading_interval(start, stop)
-        sample_doubts = find_contact_doubts(segments, hinges) + find_pause(test, hinges.ends)
-        doubts = find_marked_slips(test, hinges.ends) + sample_doubts
+        sample_doubts = find_contact_doubts(segments, hinges)
+        sample_doubts += kinds.find_pause_doubts(test, hinges.ends)
+        doubts = kinds.find_slip_doubts(test, hinges.ends) + sample_doubts
         yield from self.make_results(test, segments[1:3], period=period, doubts=doubts)
         doubts += find_break_doubts(break_point.interval, hinges)
         yield self.make_result(test, break_point, output=2, period=period, doubts=doubts)
@@ -441,8 +434,9 @@ class Kink(_TwoLineKind):
         """Measure the point at which the slope of the first loading decreases."""
         segments, hinges = self.fit(test, require_kink)
         displacement, _, _, force = segments
-        slips = find_marked_slips(test, hinges.ends) + find_pause(test, hinges.ends)
-        doubts = slips + find_break_doubts(displacement.interval, hinges)
+        doubts = kinds.find_slip_doubts(test, hinges.ends)
+        doubts += kinds.find_pause_doubts(test, hinges.ends)
+        doubts += find_break_doubts(displacement.interval, hinges)
         period = test.find_loading_interval(*hinges.ends)
         yield from self.make_results(test, (displacement, force), period=period, doubts=doubts)
         yield from _make_lines(segments, hinges, ("before_kink", "behind_kink"))
@@ -793,26 +787,22 @@ class Plateau(Kind):
         choose_samples = partial(self._choose_end_samples, choose_initial=stiffness.choose_samples)
         outcome = test.measure_one(choose_samples)
         loading, period = test.cycles[0][:1], test.find_loading_interval()
-        slip_doubts = find_marked_slips(test, stiffness.slip_range)
-        gap_doubts = _find_gap_at_end(test, loading[0])
-        doubts = slip_doubts or find_truncation(test, loading, CURVE_QUANTITIES) or gap_doubts
+        slip_doubts = kinds.find_slip_doubts(test, stiffness.slip_range)
+        gap_doubts = _find_gap_doubts(test, loading[0])
+        doubts = (
+            slip_doubts or find_truncation_doubts(test, loading, CURVE_QUANTITIES) or gap_doubts
+        )
         end_slope = self.make_result(test, outcome, period=period, doubts=doubts)
         yield end_slope
         onset, trace = self._measure_onset(test, stiffness, end_slope), curves.make_trace(test)
         tangents, _ = self._choose_tangents(trace, stiffness.choose_samples)
         d, f = _read_loading(trace)
         if not onset and (interval := end_slope.interval) is not None:
-            yield Finding.of(
-                "results.no_plateau",
-                test.signals.force,
-                over=1e3 * self.over,
-                slope=1e2 * outcome.value,
-                of=self.of,
-                low=1e2 * interval.lower,
-                high=1e2 * interval.upper,
-                slope_below=1e2 * self.slope_below,
-                reached=1e3 * float(np.nanmax(d)),
-            )
+            slopes = {"slope": outcome.value, "low": interval.lower, "high": interval.upper}
+            slopes["slope_below"] = self.slope_below
+            facts: dict[str, Any] = {name: 1e2 * slope for name, slope in slopes.items()}
+            facts |= {"over": 1e3 * self.over, "reached": 1e3 * float(np.nanmax(d))}
+            yield Finding.of("results.no_plateau", test.signals.force, of=self.of, **facts)
         method = (
             f"tangents over {1e3 * self.over:g} mm, below {1e2 * self.slope_below:g} % of "
             f"{self.of} up to the end of first loading"
@@ -950,7 +940,7 @@ def _read_loading(trace: Trace) -> tuple[Floats, Floats]:
     return trace.displacement[..., stretch], trace.force[..., stretch]
 
 
-def _find_gap_at_end(test: ReducedTest, branch: Branch) -> tuple[Reason, ...]:
+def _find_gap_doubts(test: ReducedTest, branch: Branch) -> tuple[Reason, ...]:
     """Find a doubt if the force or the displacement at the end of a loading branch is missing."""
     curve = test.required_curve
     d, f = (values[branch.start : branch.stop] for values in (curve.displacement, curve.force))

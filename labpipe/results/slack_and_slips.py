@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from scipy.special import stdtr, stdtrit
@@ -431,11 +431,10 @@ class SlipResults(Kind):
             errors = {SLACK: slack_error, SCALE_OF_DISPLACEMENT: scale_error}
             method = f"step in a polynomial around a sudden fall of the force; {slip.decision}"
             period = float(time[slip.start]), float(time[slip.stop])
-            make_result = partial(
-                self.make_result, test, method=method, period=period, suffix=f".{index}"
-            )
-            yield make_result(position, errors, doubts=doubts)
-            yield make_result(drop, compute_scale_error(test, drop), output=1)
+            context: dict[str, Any] = {"method": method, "period": period, "suffix": f".{index}"}
+            yield self.make_result(test, position, errors, doubts=doubts, **context)
+            scale_errors = compute_scale_error(test, drop)
+            yield self.make_result(test, drop, scale_errors, output=1, **context)
 
 
 def find_linear_region(
@@ -485,9 +484,8 @@ def find_linear_region(
     if peak == 0:
         raise UnavailableError.of("results.not_rising")
     if first == 0:
-        raise UnavailableError.of(
-            "results.begins_above", begin=f[0], share=start_fraction, largest=f[peak]
-        )
+        facts = {"begin": f[0], "share": start_fraction, "largest": f[peak]}
+        raise UnavailableError.of("results.begins_above", **facts)
     curves.require_samples(max(last - first, 0), min_region_samples, " in the linear region")
     region = slice(first, last)
     if np.isnan(curves.compute_zero_crossing(d[region], f[region])):

@@ -110,7 +110,7 @@ class ForceOnset:
 
 
 def find_force_onset(
-    displacement: Floats, force: Floats, *, limit: float | None = None, parts_per_step: int = 1
+    displacement: Floats, force: Floats, *, limit: float | None = None, parts: int = 1
 ) -> ForceOnset:
     """Find the samples of a loading branch that determine where its force begins.
 
@@ -120,7 +120,7 @@ def find_force_onset(
         are ignored
     limit : N, largest force that counts as zero, for a curve without noise; None for a limit from
         the noise of the force
-    parts_per_step : number of parts into which each sampling step is divided
+    parts : number of parts into which each sampling step is divided
 
     Returns
     -------
@@ -158,8 +158,8 @@ def find_force_onset(
     peak_index = int(np.argmax(f))
     if f[peak_index] <= limit:
         raise UnavailableError.of("results.no_force", largest=f[peak_index], limit=limit)
-    min_samples = parts_per_step * _MIN_FOOT_SAMPLES
-    onset = ForceOnset(convert_to_slice(finite_samples), peak_index, limit, min_samples)
+    samples, min_samples = convert_to_slice(finite_samples), parts * _MIN_FOOT_SAMPLES
+    onset = ForceOnset(samples, peak_index, limit, min_samples)
     zero, index = onset.extrapolate_to_zero(displacement, force)
     if not index and not zero >= d[0] - max_extrapolation_fraction * float(np.ptp(d)):
         raise UnavailableError.of("results.not_unloaded", begin=f[0], limit=limit)
@@ -338,9 +338,7 @@ class LoadingSlope:
     slope: WindowSlope
     window_distance: float
 
-    def compute_stiffness(
-        self, displacement: Floats, force: Floats, *, has_noise: bool = False
-    ) -> Floats:
+    def compute_slope(self, displacement: Floats, force: Floats, has_noise: bool = False) -> Floats:
         """Compute the stiffness of each curve, N/m, shape (...), or NaN.
 
         Parameters
@@ -375,7 +373,7 @@ def choose_loading_window(
     *,
     length: float,
     limit: float | None = None,
-    parts_per_step: int = 1,
+    parts: int = 1,
 ) -> LoadingSlope:
     """Choose the samples for the stiffness of a loading branch.
 
@@ -385,7 +383,7 @@ def choose_loading_window(
     length : m, length of the window after the onset of the force
     limit : N, largest force that counts as zero, for a curve without noise; None for a limit from
         the noise of the force
-    parts_per_step : number of parts into which each sampling step is divided
+    parts : number of parts into which each sampling step is divided
 
     Returns
     -------
@@ -403,7 +401,7 @@ def choose_loading_window(
     an effect of noise. If sampling steps are divided, the branch does not count as taut before the
     machine moves, because samples at rest with a force above the noise would shift the line.
     """
-    onset = find_force_onset(displacement, force, limit=limit, parts_per_step=parts_per_step)
+    onset = find_force_onset(displacement, force, limit=limit, parts=parts)
     zero, first_sample = onset.find_start(displacement, force)
     start, first = float(zero), int(first_sample)
     if limit is not None and not np.isnan(onset.extrapolate_to_zero(displacement, force)[0]):
@@ -411,7 +409,7 @@ def choose_loading_window(
         first = min(int(np.searchsorted(time, zero_time)), first)
     travel = displacement - start
     is_steady = (travel >= _START_FRACTION * length) & (travel <= _STEADY_FRACTION * length)
-    if parts_per_step > 1 and is_steady.sum() > 1:
+    if parts > 1 and is_steady.sum() > 1:
         # A machine of constant speed passes the onset at this time.
         start_time = float(curves.compute_zero_crossing(time[is_steady], travel[is_steady]))
         first = max(first, 0 if np.isnan(start_time) else int(np.searchsorted(time, start_time)))
@@ -511,10 +509,10 @@ class UnloadingStiffness(CycleKind):
         "line over {over_mm:g} mm off the peak without its first tenth, time as instrument"
     )
 
-    def choose(self, test: ReducedTest, trace: Trace, cycle: int) -> Extractor:
+    def choose_samples(self, test: ReducedTest, trace: Trace, cycle: int) -> Extractor:
         """Choose the samples in the length `over` after the turn, without its first tenth."""
         del test
-        branch = cycles.require_unloading(cycles.select_cycle(trace, cycle))
+        branch = cycles.require_unloading(cycles.select_branches(trace, cycle))
         sense = cycles.find_loading_sign(trace, trace.displacement)
         compute, n_samples = choose_unloading_window(trace, branch, length=self.over, sense=sense)
         return Extractor(restrict(compute, slice(None)), n_samples)
@@ -532,17 +530,15 @@ class LoadingStiffness(CycleKind):
 
     method: ClassVar = "line over {over_mm:g} mm from the onset of the force, time as instrument"
 
-    def choose(self, test: ReducedTest, trace: Trace, cycle: int) -> Extractor:
+    def choose_samples(self, test: ReducedTest, trace: Trace, cycle: int) -> Extractor:
         """Choose the samples after the onset; a smooth curve has the limit of the measured one."""
-        branch = cycles.select_cycle(trace, cycle)[0]
+        branch = cycles.select_branches(trace, cycle)[0]
         columns, samples = cycles.cut_branch(trace, branch), slice(branch.start, branch.stop)
         limit = self._choose_measured_window(test, cycle).onset.limit if trace.is_smooth else None
         parts = trace.parts_per_step
-        window = choose_loading_window(
-            *columns, length=self.over, limit=limit, parts_per_step=parts
-        )
-        compute = restrict(window.compute_stiffness, samples)
-        compute_noisy = restrict(partial(window.compute_stiffness, has_noise=True), samples)
+        window = choose_loading_window(*columns, length=self.over, limit=limit, parts=parts)
+        compute = restrict(window.compute_slope, samples)
+        compute_noisy = restrict(partial(window.compute_slope, has_noise=True), samples)
         return Extractor(compute, window.slope.n_samples, compute_noisy, ends_at_samples=True)
 
     def list_doubts(self, test: ReducedTest, branches: list[Branch]) -> tuple[Reason, ...]:
@@ -557,7 +553,7 @@ class LoadingStiffness(CycleKind):
     def _choose_measured_window(self, test: ReducedTest, cycle: int) -> LoadingSlope:
         """Choose the samples for the stiffness of a cycle on the measured curve."""
         curve = curves.make_trace(test)
-        columns = cycles.cut_branch(curve, cycles.select_cycle(curve, cycle)[0])
+        columns = cycles.cut_branch(curve, cycles.select_branches(curve, cycle)[0])
         return choose_loading_window(*columns, length=self.over)
 
 
@@ -576,18 +572,20 @@ class Hardening(Kind):
         """Measure the ratio of each later cycle to the first one, in which the scale cancels."""
         first, *later_cycles = test.require(test.cycles or None)
         stiffness = LoadingStiffness(over=self.over)
-        first_outcome = return_failure(test.measure_one)(partial(stiffness.choose, test, cycle=1))
+        first_outcome = return_failure(test.measure_one)(
+            partial(stiffness.choose_samples, test, cycle=1)
+        )
         doubts = stiffness.list_doubts(test, first)
 
         def choose_first(trace: Trace) -> Extractor:
-            extractor = return_failure(stiffness.choose)(test, trace, 1)
+            extractor = return_failure(stiffness.choose_samples)(test, trace, 1)
             if isinstance(extractor, Failure):
                 raise UnavailableError.of("results.no_first_stiffness", why=extractor.message)
             return extractor
 
         @return_failure
         def measure_ratio(cycle: int) -> MeasuredNumber:
-            choose = partial(stiffness.choose, test, cycle=cycle)
+            choose = partial(stiffness.choose_samples, test, cycle=cycle)
             ratio = combine_numbers(lambda _, x, first: divide(x, first), choose, choose_first)
             hardening, first_stiffness = test.measure_one(ratio), test.require(first_outcome)
             value = first_stiffness.value
@@ -664,7 +662,7 @@ class InitialStiffness(RangeKind):
         window = self.start, self.stop
         choose_samples = partial(_choose_secant_window, start=self.start, stop=self.stop)
         outcome, period = test.measure_one(choose_samples), test.find_loading_interval(*window)
-        doubts = kinds.find_pause(test, window)
+        doubts = kinds.find_pause_doubts(test, window)
         result = self.make_result(test, outcome, period=period, doubts=doubts)
         yield result
         yield Stiffness(result.name, choose_samples, outcome.value, period, window, doubts=doubts)
@@ -695,8 +693,8 @@ class LineStiffness(InitialStiffness):
         d, f = curve.displacement[samples], curve.force[samples]
         stretch = start, stop = float(d.min()), float(d.max())
         start_force = float(f.mean()) + slope.value * (start - float(d.mean()))
-        period, pause = test.find_loading_interval(*stretch), kinds.find_pause(test, stretch)
-        doubts = kinds.find_marked_slips(test, stretch) + pause
+        period, pause = test.find_loading_interval(*stretch), kinds.find_pause_doubts(test, stretch)
+        doubts = kinds.find_slip_doubts(test, stretch) + pause
         if slope.value <= 0.0:
             doubts = (Reason.of("results.negative_slope"), *doubts)
         yield self.make_result(test, slope, period=period, doubts=doubts)
@@ -749,7 +747,7 @@ class DerivedKind(Kind):
         stiffness = test.require(test.stiffnesses.get(self.of), missing)
         outcome = return_failure(self.measure_outcome)(test, stiffness)
         context = {"period": stiffness.period, **self.collect_context(test, stiffness)}
-        slips = kinds.find_marked_slips(test, stiffness.slip_range)
+        slips = kinds.find_slip_doubts(test, stiffness.slip_range)
         context["doubts"] = slips + stiffness.doubts + context.get("doubts", ())
         yield self.make_result(test, outcome, **context)
 
@@ -768,7 +766,7 @@ class NormalisedStiffness(DerivedKind):
         """Return the period up to the last peak, and a doubt if the record ends earlier."""
         last_loading, period = test.cycles[-1][:1], stiffness.period
         period = period and (period[0], max(period[1], last_loading[0].stop_time))
-        return {"period": period, "doubts": cycles.find_truncation(test, last_loading)}
+        return {"period": period, "doubts": cycles.find_truncation_doubts(test, last_loading)}
 
     def measure_outcome(self, test: ReducedTest, stiffness: Stiffness) -> kinds.Outcome:
         """Measure a stiffness over the largest force of all cycles; the scale of force cancels."""
@@ -814,7 +812,7 @@ class Modulus(DerivedKind):
 
     def collect_context(self, test: ReducedTest, stiffness: Stiffness) -> dict[str, Any]:
         """Return a doubt if the displacement may be that of frame and grips."""
-        return {"doubts": kinds.find_machine_compliance(test, stiffness.value)}
+        return {"doubts": kinds.find_compliance_doubts(test, stiffness.value)}
 
 
 _AREAS: Mapping[str, tuple[tuple[str, ...], Callable[..., float]]] = {

@@ -432,7 +432,7 @@ def _list_line_doubts(test: ReducedTest, pull: Pull, compute: PullFunction) -> I
     travel, sizes = test.signals.raw.get("displacement"), test.setup.sizes
     length = get_gauge_length(sizes)
     if "gauge_length" not in sizes:
-        yield from kinds.find_machine_compliance(test, pull.slope * compute_area(sizes) / length)
+        yield from kinds.find_compliance_doubts(test, pull.slope * compute_area(sizes) / length)
     elif travel is not None:
         last = int(np.nanargmax(pull.strain))
         extension = 1e3 * length * float(pull.strain[last] - np.nanmin(pull.strain))
@@ -442,7 +442,7 @@ def _list_line_doubts(test: ReducedTest, pull: Pull, compute: PullFunction) -> I
             yield Reason.of("results.extension_exceeds_travel", **facts)
 
 
-def _find_strain_jump(pull: Pull, stop: int) -> tuple[Reason, ...]:
+def _find_jump_doubts(pull: Pull, stop: int) -> tuple[Reason, ...]:
     """Find a doubt about a jump of the strain up to a sample, as of a knife edge that slips."""
     finite = np.flatnonzero(~np.isnan(pull.strain[: stop + 7]))
     counts = np.diff(finite)
@@ -481,7 +481,7 @@ class ElasticModulus(TensionResult):
     def list_quantities(self, test: ReducedTest, pull: Pull) -> Sequence[PullQuantity]:
         """List the slope of the elastic line, whose residuals may be correlated."""
         del test
-        window, doubts = pull.window, _find_strain_jump(pull, pull.window.stop)
+        window, doubts = pull.window, _find_jump_doubts(pull, pull.window.stop)
         # Neighbours are rounded alike, so that rounding moves both ends of the line.
         strain, period = drop_missing(pull.strain[window]), (window.start, window.stop)
         rounding = np.sqrt(2.0) * pull.slope * _estimate_rounding(strain) / np.ptp(strain)
@@ -525,7 +525,7 @@ class ProofStress(TensionResult):
             return float(np.interp(0.0, [below, above], pull.stress[[sample, sample - 1]]))
 
         crossing = _find_meeting_sample(pull, self.offset)
-        doubts = _find_strain_jump(pull, crossing)
+        doubts = _find_jump_doubts(pull, crossing)
         return [PullQuantity(interpolate_stress, (pull.window.start, crossing), doubts=doubts)]
 
 
@@ -622,11 +622,11 @@ class TensileStrength(TensionResult):
     def list_quantities(self, test: ReducedTest, pull: Pull) -> Sequence[PullQuantity]:
         """List the largest stress."""
         strength, period = partial(_read_stress, sample=pull.peak), (0, pull.peak)
-        doubts = _find_end_at_peak(test, pull)
+        doubts = _find_peak_doubts(test, pull)
         return [PullQuantity(strength, period, has_line=False, doubts=doubts)]
 
 
-def _find_end_at_peak(test: ReducedTest, pull: Pull) -> tuple[Reason, ...]:
+def _find_peak_doubts(test: ReducedTest, pull: Pull) -> tuple[Reason, ...]:
     """Find a doubt if the record ends without a break, since the force may rise again."""
     if isinstance(test.failure, kinds.FailurePoint):
         return ()
@@ -634,7 +634,7 @@ def _find_end_at_peak(test: ReducedTest, pull: Pull) -> tuple[Reason, ...]:
     return (Reason.of("results.ends_at_peak", share=float(stress[-1] / stress.max())),)
 
 
-def _find_extensometer_end(test: ReducedTest, pull: Pull) -> tuple[Reason, ...]:
+def _find_extensometer_doubts(test: ReducedTest, pull: Pull) -> tuple[Reason, ...]:
     """Find a doubt if the strain stops before the peak while the machine moves on.
 
     After the peak, a specimen may neck outside of the gauge length.
@@ -687,7 +687,7 @@ class MaximumForceElongation(TensionResult):
         # Every strain between the ends is as likely: root of the second moment about the sample.
         spread = float(np.sqrt((ends @ ends + ends.prod()) / 3.0))
         period = pull.window.start, last + 1
-        doubts = _find_end_at_peak(test, pull) + _find_extensometer_end(test, pull)
+        doubts = _find_peak_doubts(test, pull) + _find_extensometer_doubts(test, pull)
         return _list_elongations(pull.peak, period, {causes.PEAK: spread}, doubts)
 
 
@@ -735,5 +735,5 @@ class BreakElongation(TensionResult):
         # The break is as likely anywhere between this sample and the next one, a step that is taken
         # to be as long as the one before.
         error = abs(float(np.diff(pull.strain[-2:])[0])) / np.sqrt(3.0)
-        period, doubts = (pull.window.start, last), _find_extensometer_end(test, pull)
+        period, doubts = (pull.window.start, last), _find_extensometer_doubts(test, pull)
         return _list_elongations(last, period, {causes.STEP: error}, doubts)

@@ -109,7 +109,7 @@ def measure_numbers(replicates: Replicates, choose: Choice) -> tuple[MeasuredNum
     max_missing_without_doubt, max_missing = 0.05, 0.5
     extractor = choose(replicates.measured_trace)
     values = extractor.values or _compute_numbers(extractor, replicates.measured_trace).tolist()
-    smooth_extractor = _choose_smooth_samples(replicates, choose, extractor)
+    smooth_extractor = _choose_samples(replicates, choose, extractor)
     smooth = SmoothNumbers.of(choose, replicates.smooth_trace, smooth_extractor, replicates.cache)
     noisy_numbers = [*map(smooth_extractor.compute_replicates, replicates.iterate_traces())]
     noise = np.concatenate(noisy_numbers, axis=1) - smooth.numbers[:, None]
@@ -192,9 +192,7 @@ def _draw_sampling_corrections(
     return corrections, np.where(corner_changes == 0.0, spreads, standard_deviations)
 
 
-def _choose_smooth_samples(
-    replicates: Replicates, choose: Choice, extractor: Extractor
-) -> Extractor:
+def _choose_samples(replicates: Replicates, choose: Choice, extractor: Extractor) -> Extractor:
     """Choose the samples on the smooth curve or, if that fails, on the measured or averaged one."""
     smooth_extractor = return_failure(choose)(replicates.smooth_trace)
     if isinstance(smooth_extractor, Extractor):

@@ -110,11 +110,6 @@ class NoiseModel:
         variance = np.where(processes.is_reciprocal > 0.0, 1.0, mixed)
         return float(self.probabilities @ (0.5 / variance)[: len(self.probabilities)])
 
-    @property
-    def is_zero(self) -> bool:
-        """Whether the signal has no noise."""
-        return not self.squares.any()
-
     def draw(self, count: int, replicates: int, rng: np.random.Generator) -> Singles:
         """Draw random noise of a record.
 
@@ -137,7 +132,7 @@ class NoiseModel:
     ) -> Iterator[Singles]:
         """Draw the same random noise as `draw`, but yield a few records at a time."""
         chosen = rng.choice(len(self.probabilities), size=replicates, p=self.probabilities)
-        variance = self.squares[chosen] / rng.chisquare(self.dof, size=replicates)
+        scale = np.sqrt(self.squares[chosen] / rng.chisquare(self.dof, size=replicates))
         processes = _list_processes(self.longest, self.count)
         margin_time = _MARGIN_TIMES * processes.time[chosen].max(initial=0.0)
         if len(self.angles):
@@ -151,7 +146,6 @@ class NoiseModel:
         # sampling rate, have no sine.
         amplitude = np.sqrt(0.5 * length * processes.compute_spectra(angle, processes_drawn))
         amplitude[:, [0, -1] if length % 2 == 0 else [0]] *= np.sqrt(2.0)
-        scale = np.sqrt(variance)
         first_fast = np.searchsorted(angle, self.angles[0]) if len(self.angles) else len(angle)
         # Fast waves have the power of the record.
         band = np.searchsorted(self.angles, angle[first_fast:], side="right") - 1
@@ -349,11 +343,9 @@ def _cut_rest_middles(
     rests: Sequence[Floats], min_samples: int, *, is_after_motion: bool = False
 ) -> Iterator[tuple[Floats, Floats]]:
     """Yield each long rest without its tenth next to the motion, and a basis of its drift."""
-    # The tenth of a rest next to the motion is cut off: the motion may have begun there, or not yet
-    # have ended.
-    edge_divisor = 10
-    # A parabola is removed after the motion, where a specimen relaxes.
-    relaxation_columns = 3
+    # A tenth of a rest next to the motion is cut off: the motion may have begun there, or not yet
+    # have ended. A parabola (3 columns) is removed after the motion, where a specimen relaxes.
+    edge_divisor, relaxation_columns = 10, 3
     for rest in rests:
         if len(rest) < min_samples or not np.ptp(rest) > 0.0:  # constant, or with a NaN
             continue
@@ -377,8 +369,7 @@ def _remove_gaps(values: Floats, curve: Floats) -> tuple[Floats, Floats]:
 
 
 def _make_zero_noise(longest: int) -> NoiseModel:
-    empty = np.zeros(0)
-    return NoiseModel(np.ones(1), np.zeros(1), 1, max(longest, 1), 0, empty, empty)
+    return NoiseModel(np.ones(1), np.zeros(1), 1, max(longest, 1), 0, np.zeros(0), np.zeros(0))
 
 
 def _build_piece_basis(width: int, columns: int = _POLYNOMIAL_COLUMNS) -> Floats:

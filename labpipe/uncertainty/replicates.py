@@ -84,9 +84,8 @@ class Trace:
         -------
         The curve on the finer samples, of which every `parts`-th one is an original sample.
         """
-        count = len(self.time)
-        fine_positions = np.arange((count - 1) * parts + 1) / parts
-        positions = np.arange(count)
+        positions = np.arange(len(self.time))
+        fine_positions = np.arange((len(positions) - 1) * parts + 1) / parts
         time, displacement, force = (
             np.interp(fine_positions, positions, values)
             for values in (self.time, self.displacement, self.force)
@@ -311,15 +310,13 @@ class Replicates:
         offset : m, length that is added to every displacement
         inputs : uncertain inputs on which the offset depends
         """
-        measured, averaged, smooth = (
-            replace(trace, displacement=trace.displacement + offset)
-            for trace in (self.measured_trace, self.averaged_trace, self.smooth_trace)
-        )
+        traces = self.measured_trace, self.averaged_trace, self.smooth_trace
+        shifted_traces = [replace(x, displacement=x.displacement + offset) for x in traces]
         return replace(
             self,
-            measured_trace=measured,
-            averaged_trace=averaged,
-            smooth_trace=smooth,
+            measured_trace=shifted_traces[0],
+            averaged_trace=shifted_traces[1],
+            smooth_trace=shifted_traces[2],
             displacement=self.displacement + offset,
             inputs=(*self.inputs, *inputs),
         )
@@ -522,7 +519,7 @@ def _add_noise_and_filter(
     curve: Floats, noise: NoiseModel, apply_filters: Filter, rng: np.random.Generator
 ) -> Floats:
     """Add random noise to a curve and filter the result, shape (replicates, n)."""
-    if noise.is_zero:
+    if not noise.squares.any():  # no noise
         return np.broadcast_to(apply_filters(curve[None]), (N_REPLICATES, len(curve)))
     filtered, first = np.empty((N_REPLICATES, len(curve))), 0
     for batch in noise.draw_batches(len(curve), N_REPLICATES, rng):

@@ -189,12 +189,11 @@ def test_a_long_record_has_the_noise_of_its_means_and_peaks_that_of_single_sampl
     """Blocks of three samples of 1 N."""
     test = straight(18_000, 1000.0)
     replicates = curves(test)
-    assert len(replicates.smooth_trace.time) == 6000
-    assert len(replicates.measured_trace.time) == 18_000
-    assert np.std(off(replicates)) == pytest.approx(3**-0.5, rel=0.03)
     trace = replicates.smooth_trace
+    assert (len(trace.time), len(replicates.measured_trace.time)) == (6000, 18_000)
+    assert np.std(off(replicates)) == pytest.approx(3**-0.5, rel=0.03)
     assert trace.force == pytest.approx(10.0 * trace.time, abs=0.5)
-    samples = SampleNoise.around(test, trace, "force", slice(0, 6000), 5999)
+    samples = SampleNoise.select(test, trace, "force", slice(0, 6000), 5999)
     assert samples is not None
     assert np.std(samples.deviations) == pytest.approx((2 / 3) ** 0.5, rel=0.03)
 
@@ -579,16 +578,18 @@ def test_the_largest_of_all_samples_in_noise() -> None:
     """Mean and spread as those of 1000 records with such noise; blocks of three samples of 1 N."""
     test = straight(18_000, 1000.0)
     trace = curves(test).smooth_trace
-    samples = SampleNoise.around(test, trace, "force", slice(0, 6000), 5999)
+    samples = SampleNoise.select(test, trace, "force", slice(0, 6000), 5999)
     assert samples is not None
     rows = RNG(2).normal(size=(1000, 3000))
     noise = np.zeros((1000, 6000))
     noise[:, -1000:] = rows.reshape(1000, -1, 3).mean(axis=2)
     for sense in (1.0, -1.0):
-        falling = replace(samples, smooth=sense * samples.smooth)
-        raised = sense * falling.compute_peak_effect(noise, sense)
-        by_hand = (samples.smooth[-3000:] + sense * rows[:, -len(samples.smooth) :]).max(axis=1)
-        by_hand -= samples.smooth.max()
+        falling = replace(samples, smooth_values=sense * samples.smooth_values)
+        raised = sense * falling.draw_peak_effect(noise, sense)
+        by_hand = (
+            samples.smooth_values[-3000:] + sense * rows[:, -len(samples.smooth_values) :]
+        ).max(axis=1)
+        by_hand -= samples.smooth_values.max()
         # Deviations of one record: 5 % of the mean.
         assert np.mean(raised) == pytest.approx(np.mean(by_hand), rel=0.05)
         assert np.std(raised) == pytest.approx(np.std(by_hand), rel=0.08)
@@ -597,10 +598,8 @@ def test_the_largest_of_all_samples_in_noise() -> None:
 def test_without_noise_nothing_is_raised() -> None:
     samples = around_turn(force_at(SINGLE * np.arange(2000.0)))
     assert samples is not None
-    assert samples.compute_peak_effect(np.zeros((3, 501)), 1.0) == pytest.approx(
-        np.zeros(3), abs=1e-9
-    )
-    assert samples.smooth.max() == pytest.approx(100.0, abs=BEFORE * FRAME)
+    assert samples.draw_peak_effect(np.zeros((3, 501)), 1.0) == pytest.approx(np.zeros(3), abs=1e-9)
+    assert samples.smooth_values.max() == pytest.approx(100.0, abs=BEFORE * FRAME)
     assert samples.draw_deviations((2, 3)) == pytest.approx(np.zeros((2, 3)), abs=1e-9)
 
 
@@ -610,7 +609,7 @@ def test_a_filter_as_long_as_half_of_the_samples_sees_all_of_its_reach() -> None
     filters = ((Smoothing(11), 1),)
     samples = SampleNoise(peak, 1e-3 * single, single, filters, (), None, RNG(1))
     means = np.convolve(single, np.full(11, 1 / 11), "valid")
-    raised = samples.compute_peak_effect(np.zeros((50, 1)), 1.0)
+    raised = samples.draw_peak_effect(np.zeros((50, 1)), 1.0)
     assert np.abs(raised[:, None] - means).min(axis=1) == pytest.approx(np.zeros(50), abs=1e-12)
 
 
@@ -620,7 +619,7 @@ def test_samples_of_an_unfiltered_force_have_all_noise_themselves() -> None:
     samples = around_turn(noisy, filters=False)
     assert samples is not None
     assert np.std(samples.deviations) == pytest.approx(NOISE, rel=0.05)
-    raised = samples.compute_peak_effect(1e3 * np.ones((400, 501)), 1.0)
+    raised = samples.draw_peak_effect(1e3 * np.ones((400, 501)), 1.0)
     assert 0.5 * NOISE < raised.mean() < 4.0 * NOISE
 
 
@@ -638,7 +637,7 @@ def test_a_sample_far_off_is_left_out_only_if_the_specimen_broke(failed_at: int 
     noisy[round(TURN / SINGLE) - 100] += 100.0 * NOISE
     trace = replace(curve(), failed_at=failed_at)
     turn = trace.branches[0].stop
-    samples = SampleNoise.around(evidence(noisy), trace, "force", slice(0, 501), turn)
+    samples = SampleNoise.select(evidence(noisy), trace, "force", slice(0, 501), turn)
     assert samples is not None
     is_kept = bool(np.abs(samples.deviations).max() > 50.0 * NOISE)
     assert is_kept is (failed_at is None)
@@ -653,7 +652,7 @@ def test_a_curve_with_all_samples_needs_no_more_of_them() -> None:
 
 def around_turn(force: Floats, **options: Any) -> SampleNoise | None:
     trace = curve()
-    return SampleNoise.around(
+    return SampleNoise.select(
         evidence(force, **options), trace, "force", slice(0, 501), trace.branches[0].stop
     )
 

@@ -167,8 +167,7 @@ def test_slack_is_the_zero_of_the_line() -> None:
     extractor = slack(TRACE)
     assert isinstance(extractor, Extractor)
     shifted = replace(TRACE, force=np.array([PULL, PULL - 5.0, 2.0 * PULL]))
-    number = extractor.compute_numbers(shifted)[0]
-    np.testing.assert_allclose(number, [0.002, 0.003, 0.002], atol=1e-12)
+    assert extractor.compute_numbers(shifted)[0] == pytest.approx([0.002, 0.003, 0.002], abs=1e-12)
     assert extractor.n == 72
 
 
