@@ -53,7 +53,7 @@ def curves() -> list[MeasuredCurve]:
                 force=observed.force,
                 noise=np.hypot(scenario.load_cell.noise, slope * scenario.markers.noise),
                 rig=string,
-                self_weight=rig.self_weight,
+                self_weight=rig.gravity * rig.wire.mass_per_length,
             )
         )
     return measured

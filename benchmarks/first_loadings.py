@@ -137,5 +137,7 @@ def _plain_loadings(test: MechanicalTest) -> Floats:
     for inverse in _INVERSES.tolist():
         path = solve_path(replace(test, gravity=test.gravity * inverse))
         at = _positions(test)
-        curves.append([path.compute_deflection(at), path.compute_tension(at) - path.rest.tension])
+        curves.append(
+            [path.compute_deflection(at), path.compute_tension(at) - path.rest_shape.tension]
+        )
     return np.array(curves)

@@ -172,7 +172,7 @@ def against_mujoco() -> None:
     force = np.interp(np.arange(0.0, 5.01, 0.2), np.arange(6), np.append(0.0, loads))
 
     def ours() -> Floats:
-        line = straight_line(LENGTH, Chain.nodes, section)
+        line = straight_line(LENGTH, Chain.n_nodes, section)
         pull = Load(-1, force[:, None] * np.array([0.0, 1.0, 0.0]))
         clamp = Held(0, np.zeros(3), line.frames[0])
         path = follow(line, [clamp, pull], steps=len(force) - 1)
@@ -180,7 +180,7 @@ def against_mujoco() -> None:
 
     theirs = tips(deck, loads)[:, 1]
     remark = f"{100.0 * np.max(np.abs(ours() / theirs - 1.0)):.2g} % apart"
-    show(f"a wire there and back, {Chain.nodes} elements, s", least(ours), "", remark)
+    show(f"a wire there and back, {Chain.n_nodes} elements, s", least(ours), "", remark)
     show("  the same in MuJoCo, s", least(lambda: tips(deck, loads)), "")
 
 

@@ -1,13 +1,13 @@
-"""labpipe: numbers, intervals and figures from the raw exports of a wire-harness test lab.
+"""Results, intervals and figures from the raw exports of a wire-harness test lab.
 
-In Python and in notebooks:
+Functions for Python and notebooks:
 
 - ``labpipe.open(path)`` opens a processed test;
 - ``labpipe.process(source)`` processes a test in memory;
 - ``labpipe.table(folder)`` and ``labpipe.groups(folder)`` collect many processed tests;
 - ``labpipe.inspect(file)`` describes an export.
 
-Importing labpipe imports nothing else: each of these names is imported at its first use.
+Importing labpipe imports nothing else, because each of these names is imported at its first use.
 """
 
 import sys as _sys
@@ -20,7 +20,7 @@ _API_NAMES = ("Export", "Test", "groups", "inspect", "open", "process", "table")
 
 def __getattr__(name: str) -> object:
     """Import a name of ``labpipe.api`` when it is first used (PEP 562)."""
-    if name == "process":  # the package of that name, which can be called
+    if name == "process":  # the package with this name can be called as a function
         return _import_module("labpipe.process")
     if name in _API_NAMES:
         attribute = getattr(_import_module("labpipe.api"), name)
@@ -44,4 +44,5 @@ class _CallablePackage(_ModuleType):
 
 
 def _make_callable(package: str) -> None:
+    """Make an imported package callable, like the function of `labpipe.api` with its name."""
     _sys.modules[package].__class__ = _CallablePackage

@@ -1,18 +1,15 @@
-"""Define errors about input that cannot be used, their codes, and the form of their messages."""
+"""Define the errors of input that cannot be used, their codes, and the form of their messages."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Literal, Self, TypeAlias
+from typing import Self, TypeAlias
 
 from labpipe.messages import format_error_parts, get_template
 
 KeyPath: TypeAlias = tuple[str | int, ...]
 """Path from the top of a YAML file to one value: keys, and indices of items counted from 0."""
-
-At: TypeAlias = Literal["key", "value"]
-"""Part of an entry of a YAML file that is at fault."""
 
 
 class LabpipeError(Exception):
@@ -40,37 +37,37 @@ class LabpipeError(Exception):
         Parameters
         ----------
         name : name of the template, such as ``readers.no_header``
-        file, place : see `format_error`
-        facts : values of the fields of the template
+        file, place : file of the error, and place in it, see `format_error`
+        facts : values of the fields of the template, keyed by field
         """
         message = format_error(file, place, **format_error_parts(name, **facts))
         return cls(message, code=get_template(name).get("code", ""))
 
 
 class UsageError(LabpipeError):
-    """An argument of a command or a function cannot be used."""
+    """Error of an argument of a command or a function."""
 
     code = "bad_usage"
 
 
 class ReadError(LabpipeError):
-    """An export cannot be read in the format that the protocol states."""
+    """Error of an export that cannot be read in the format that the protocol states."""
 
     code = "unreadable_export"
 
 
 class ProtocolError(LabpipeError):
-    """A protocol or a test sheet has faults, all of which are in one message."""
+    """Error of a YAML file with faults, all of which are in one message."""
 
     code = "bad_sheet"
 
 
 class ProcessingError(LabpipeError):
-    """A recording can be read, but does not contain the data that the protocol requires."""
+    """Error of a recording that does not contain the data that the protocol requires."""
 
 
 class StoreError(LabpipeError):
-    """A result file cannot be written, or this version cannot read it."""
+    """Error of a result file that cannot be written, or that this version cannot read."""
 
     code = "cannot_store"
 
@@ -99,27 +96,27 @@ CODES = MappingProxyType(
         "unknown": "failure.json cannot be read",
     }
 )
-"""Codes of failed tests, stable from version to version, and their meaning."""
+"""Meaning of each code of a failed test. Codes are the same in all versions."""
 
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """A fault in a YAML file, and its place.
+    """Fault in a YAML file, and its place.
 
     Parameters
     ----------
-    path : path of the value
+    path : path of the key or value
     expected, found : expected and actual content, see `format_error`
     remedy : sentence on how to correct the fault; may be empty
-    at : whether the key itself or its value is at fault
-    missing : name of a missing key; empty if no key is missing
+    is_key : whether the key is at fault, not its value
+    missing : name of a missing key in the block at `path`; empty if no key is missing
     """
 
     path: KeyPath
     expected: str
     found: str
     remedy: str = ""
-    at: At = "value"
+    is_key: bool = False
     missing: str = ""
 
     @classmethod
@@ -129,7 +126,7 @@ class Fault:
         path: KeyPath = (),
         /,
         *,
-        at: At = "value",
+        is_key: bool = False,
         missing: str = "",
         **facts: object,
     ) -> Self:
@@ -138,10 +135,10 @@ class Fault:
         Parameters
         ----------
         name : name of the template, such as ``protocol.no_key``
-        path, at, missing : see the class
-        facts : values of the fields of the template
+        path, is_key, missing : see the class
+        facts : values of the fields of the template, keyed by field
         """
-        return cls(path, **format_error_parts(name, **facts), at=at, missing=missing)
+        return cls(path, **format_error_parts(name, **facts), is_key=is_key, missing=missing)
 
 
 def format_error(file: object, place: str, *, expected: str, found: str, remedy: str) -> str:
@@ -152,7 +149,7 @@ def format_error(file: object, place: str, *, expected: str, found: str, remedy:
     file : path or name of the file
     place : line, cell, byte, channel or YAML key; empty for the whole file
     expected, found : expected and actual content, without a full stop
-    remedy : sentence on what the person at the bench can do
+    remedy : sentence that says what the user can do
 
     Returns
     -------
@@ -173,7 +170,7 @@ _MEMORY_ERROR_PHRASES = (
     "cannot allocate memory",
     "can't start new thread",
 )
-"""Phrases in the messages of libraries and threads that run out of memory."""
+"""Phrases in the messages of libraries and threads that have no memory left."""
 
 
 def choose_error_code(error: Exception) -> str:
@@ -232,7 +229,7 @@ def describe_system_error(error: Exception) -> str:
 
 
 def sort_by_likeness(word: str, choices: list[str], *, limit: int = 5) -> list[str]:
-    """Sort valid words by their similarity to a misspelt word.
+    """Sort valid words by their likeness to a misspelt word, and return the first ones.
 
     Parameters
     ----------
@@ -242,7 +239,7 @@ def sort_by_likeness(word: str, choices: list[str], *, limit: int = 5) -> list[s
 
     Returns
     -------
-    The most similar valid words, the most similar one first.
+    At most `limit` of the valid words, the most similar one first.
 
     Examples
     --------
@@ -258,12 +255,12 @@ def sort_by_likeness(word: str, choices: list[str], *, limit: int = 5) -> list[s
 
 
 def format_overrides(key: str, value: str, **other_values: str) -> str:
-    """Format overrides of a test sheet for messages.
+    """Format the overrides that a message suggests for a test sheet.
 
     Parameters
     ----------
     key : dotted key of the protocol
-    value : value of the key; ``...`` if the user fills it in
+    value : value of the key, as text; ``...`` if the user has to fill it in
     other_values : values of further overrides, keyed by dotted key
 
     Examples
@@ -272,5 +269,5 @@ def format_overrides(key: str, value: str, **other_values: str) -> str:
     "'rig.cycles: {value: 1, because: ...}' under 'overrides' in test.yaml"
     """
     values = {key: value, **other_values}
-    lines = (f"'{key}: {{value: {value}, because: ...}}'" for key, value in values.items())
-    return f"{' and '.join(lines)} under 'overrides' in test.yaml"
+    overrides = (f"'{key}: {{value: {value}, because: ...}}'" for key, value in values.items())
+    return f"{' and '.join(overrides)} under 'overrides' in test.yaml"

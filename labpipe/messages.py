@@ -1,13 +1,14 @@
 """Fill in the templates of messages, which are in the ``messages.toml`` of each subpackage.
 
-A template is a table with a name. Its entries depend on its use:
+A template is a table of TOML with a name. The entries of a template depend on its use:
 
-- an error: ``expected``, ``found``, ``remedy``, and ``code`` if its class does not state it;
+- an error: ``expected``, ``found``, ``remedy``, and ``code`` if the class of the error does not
+  state it;
 - a quality note: ``severity``, ``says``, and ``meaning`` and ``doubts`` for the reference page;
 - a reason or any other sentence: ``says``.
 
-The code of a note or reason is the name of its template. A template with another sentence for the
-same code states it as ``code``.
+The code of a note or reason is the name of its template. If several templates have the same code,
+the others state it as ``code``.
 
 Sentences have fields for `str.format`. A test compares the fields with the facts that the code
 passes, so that a sentence can be reworded without a change of the code.
@@ -21,11 +22,12 @@ from importlib.resources import files
 from pathlib import Path
 
 Template = dict[str, str]
+"""Texts of one message, keyed by the name of the entry."""
 
 
 @cache
 def read_templates(subpackage: str) -> dict[str, Template]:
-    """Read the templates of a subpackage.
+    """Read the templates of a subpackage, keyed by name.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
 """Convert quantities in texts and files to coherent SI units.
 
-All quantities in labpipe are in s, m, kg, N, Pa, J, V, K, rad, or products of them.
+All quantities in labpipe are in s, m, kg, N, Pa, J, V, K, rad, or products of their powers.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 GRAVITY = 9.80665
 """Standard acceleration of free fall, m/s^2 (CGPM 1901)."""
 
-# This list has the units of a test lab only. It loads in a millisecond, the full list of pint in
-# several hundred. Without the other units, "ft" is not femtotonne.
+# This list has only the units of a test lab. Pint loads it in a millisecond, and its own list in
+# several hundred. In this list, "ft" is a foot; in that of pint it could be a femtotonne.
 _DEFINITIONS = """
 milli- = 1e-3 = m-
 micro- = 1e-6 = µ- = u-
@@ -55,11 +55,11 @@ frame = [] = frame
 
 
 class DimensionError(ValueError):
-    """The dimension of a unit differs from the expected dimension."""
+    """Error of a unit whose dimension differs from the expected one."""
 
 
 class NotFiniteError(ValueError):
-    """A value is too large for a float."""
+    """Error of a value that is too large for a float."""
 
 
 # These frequent conversions do not need pint, which takes longer to load than a file takes to read.
@@ -102,27 +102,28 @@ _COMMON_FACTORS = {
     ("N/V", "N/V"): 1.0,
     ("N/V", "N/(V)"): 1.0,
 }
-_SI_UNITS = {
+_COHERENT_UNITS = {
     *("1", "m", "s", "kg", "K", "rad", "V", "m^2", "1/m", "m/s", "1/s", "Hz", "kg/m"),
     *("N", "J", "Pa", "N/m", "m/N", "N*m", "N*m^2"),
 }
-"""Coherent units. Except for the pairs in `_COMMON_FACTORS`, no two of them convert."""
+"""Coherent SI units. Only those that are pairs in `_COMMON_FACTORS` convert to each other."""
 
-_SI_EQUIVALENTS = {
-    unit: (factor, coherent)
-    for (unit, coherent), factor in _COMMON_FACTORS.items()
-    if coherent in _SI_UNITS and unit not in _SI_UNITS
+_COHERENT_EQUIVALENTS = {
+    unit: (factor, coherent_unit)
+    for (unit, coherent_unit), factor in _COMMON_FACTORS.items()
+    if coherent_unit in _COHERENT_UNITS and unit not in _COHERENT_UNITS
 }
-"""Factor and coherent unit, keyed by common unit.
+"""Factor to a coherent unit, and that unit, keyed by common unit.
 
-A conversion of these units to a coherent unit of another dimension is refused without pint.
+A conversion of a common unit to a coherent unit of another dimension is refused without pint.
 """
 
 _STACKED_POWER = re.compile(r"(\*\*|\^)[-+\s(]*\d[\d.)\s]*(\*\*|\^)|(\*\*|\^)[-+\s(]*\d{3,}")
 """A power of a power, or an exponent of three digits or more; neither occurs in a unit."""
-_NOT_A_UNIT = re.compile(r"[^\w%°(]|(?!1\s*/)\d|.{100}|.*,", re.DOTALL)
-"""An invalid first character, 100 characters or more, or a comma, which pint ignores."""
+_INVALID_UNIT = re.compile(r"[^\w%°(]|(?!1\s*/)\d|.{100}|.*,", re.DOTALL)
+"""A text with an invalid first character, 100 characters or more, or a comma (ignored by pint)."""
 _QUANTITY = re.compile(r"([-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?)\s*+(.*)")
+"""A number with a decimal point, and the text of its unit, which may be empty."""
 
 
 @cache
@@ -160,17 +161,17 @@ def get_conversion_factor(unit: str, target_unit: str) -> float:
     >>> get_conversion_factor("mm", "m")
     0.001
     """
-    if unit == target_unit and unit in _SI_UNITS:
+    if unit == target_unit and unit in _COHERENT_UNITS:
         return 1.0
     if (unit, target_unit) in _COMMON_FACTORS:
         return _COMMON_FACTORS[unit, target_unit]
-    if target_unit in _SI_UNITS and (unit in _SI_UNITS or unit in _SI_EQUIVALENTS):
-        factor, coherent = _SI_EQUIVALENTS.get(unit, (1.0, unit))
-        if coherent == target_unit or (coherent, target_unit) in _COMMON_FACTORS:
-            return factor * get_conversion_factor(coherent, target_unit)
+    if target_unit in _COHERENT_UNITS and unit in _COHERENT_UNITS | _COHERENT_EQUIVALENTS.keys():
+        factor, coherent_unit = _COHERENT_EQUIVALENTS.get(unit, (1.0, unit))
+        if coherent_unit == target_unit or (coherent_unit, target_unit) in _COMMON_FACTORS:
+            return factor * get_conversion_factor(coherent_unit, target_unit)
         raise DimensionError(_describe_dimension_error(unit, target_unit))
     message = f"expected a unit such as {target_unit}, found {unit!r}"
-    if _NOT_A_UNIT.match(unit) or _STACKED_POWER.search(unit):  # 9**9**9 has 369 693 100 digits
+    if _INVALID_UNIT.match(unit) or _STACKED_POWER.search(unit):  # 9**9**9 has 369 693 100 digits
         raise ValueError(message)
     import pint
 
@@ -185,11 +186,12 @@ def get_conversion_factor(unit: str, target_unit: str) -> float:
 
 
 def _describe_dimension_error(unit: str, expected_unit: str) -> str:
+    """Describe a unit whose dimension differs from that of the expected unit."""
     return f"expected a unit of the dimension of {expected_unit}, found {unit!r}"
 
 
 def _format_for_pint(unit: str) -> str:
-    """Format a unit with the signs of pint for powers, products and micro."""
+    """Format a unit with the characters that pint expects for powers, products and micro."""
     text = unit.replace("²", "^2").replace("³", "^3").replace("μ", "µ")  # Greek mu to micro
     return "" if text in {"", "1"} else text.replace("·", "*").replace("^", "**")
 
@@ -199,7 +201,7 @@ def parse_count(text: str) -> int | None:
 
     Parameters
     ----------
-    text : text of decimal digits
+    text : text that should have decimal digits only
 
     Returns
     -------

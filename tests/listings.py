@@ -29,7 +29,7 @@ from pathlib import Path
 from labpipe.cli import main as labpipe
 from labpipe.cli.demo import CALIBRATION_PLAN, CAMPAIGNS
 from labpipe.records.curve import Interval
-from labpipe.report.wording import write_number
+from labpipe.report.wording import format_number
 from labpipe.units import get_conversion_factor
 from labpipe.virtual_lab import Campaign, simulate_campaigns, simulate_test, write_wire_sheet
 from labpipe.virtual_lab.tensile import build_crimp_pull
@@ -313,7 +313,7 @@ def _check_examples(path: Path, *, update: bool) -> list[str]:
             return example_text
         nearest = min(matches, key=lambda entry: abs(entry["value"] - number))
         ends = Interval(nearest["lower"], nearest["upper"])
-        written = write_number(nearest["value"], ends, 1.0 / factor, digits=5)
+        written = format_number(nearest["value"], ends, 1.0 / factor, digits=5)
         now = f"{written.value}{example[2]}, 95 %: {written.lower} to {written.upper}"
         if now != example_text:
             stale.append(f"{path.name}: {example_text}: now {now}")

@@ -219,7 +219,7 @@ def result_units() -> dict[str, str]:
     kinds = KINDS_BY_NAME.values()
     assert len(kinds) > 15
     named = (
-        (output.name_in(kind, {"of": "<stiffness>"}), output)
+        (output.format_name(kind, {"of": "<stiffness>"}), output)
         for kind in kinds
         for output in kind.outputs
     )

@@ -22,7 +22,7 @@ from PIL import Image
 from labpipe.cli.demo import CAMPAIGNS
 from labpipe.mechanics.decks.mujoco_sliders import write_mujoco_plane_deck
 from labpipe.mechanics.law.loss_card import make_loss_card
-from labpipe.mechanics.law.sliders import SliderLaw, compute_slider_moment, fit_sliders
+from labpipe.mechanics.law.sliders import SliderLaw, compute_first_loading, fit_sliders
 from labpipe.mechanics.law.thinning import make_concave_law
 from labpipe.mechanics.rod.bands import Band, compute_node_curvature
 from labpipe.mechanics.rod.path import RodPath
@@ -101,17 +101,17 @@ def make_sliders() -> Page:
     lines, labels = _stack_sliders(laws[1], x)
     lines.append(make_line("mean c0", x, np.interp(x, table.curvature, table.moment), label="law"))
     slips = laws[1].slip_curvatures[laws[1].slip_curvatures < shown]
-    corners = slips, compute_slider_moment(laws[1], slips)
+    corners = slips, compute_first_loading(laws[1], slips)
     lines.append(make_line("mark_pin", *corners, markersize=3.0, label="a slider begins to slip"))
     axes = Axis("Curvature", CURVATURE, 0.0, shown), Axis("Moment", MOMENT, 0.0)
     panels = [Plot(*axes, lines, "moment of a spring and six sliders", labels)]
     card = make_loss_card(curvature, moment, laws)
-    x, decay = curvature[1:], card.dahl.decay
+    x, decay = curvature[1:], card.dahl_law.decay
     moments = {
         "constant stiffness": card.stiffness * x,
-        "Dahl's law": card.dahl.stiffness * x - card.dahl.moment * np.expm1(-x / decay),
-        "4 sliders": compute_slider_moment(laws[0], x),
-        "12 sliders": compute_slider_moment(laws[2], x),
+        "Dahl's law": card.dahl_law.stiffness * x - card.dahl_law.moment * np.expm1(-x / decay),
+        "4 sliders": compute_first_loading(laws[0], x),
+        "12 sliders": compute_first_loading(laws[2], x),
     }
     errors = [
         make_line("wire", x, np.abs(values / moment[1:] - 1.0), color=f"C{number}", label=label)
@@ -127,8 +127,8 @@ def make_sliders() -> Page:
 
 def _stack_sliders(law: SliderLaw, curvature: Floats) -> tuple[list[Line], list[Label]]:
     """Stack the moments of the spring and of each slider of a law, with labels."""
-    parts = law.stiffnesses * np.minimum(curvature[:, None], law.slip_curvatures)
-    columns = 0.0 * curvature, law.stiffness * curvature, parts[:, ::-1]
+    parts = law.slider_stiffnesses * np.minimum(curvature[:, None], law.slip_curvatures)
+    columns = 0.0 * curvature, law.spring_stiffness * curvature, parts[:, ::-1]
     edges = np.cumsum(np.column_stack(columns), axis=1).T
     shades = map(str, np.linspace(0.6, 0.95, len(edges) - 1).tolist())
     areas = [

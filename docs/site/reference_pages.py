@@ -214,7 +214,7 @@ def format_result_table(kinds: Iterable[type[Kind]]) -> str:
 def _list_numbers(kind: type[Kind]) -> Iterable[str]:
     """List the numbers of a result with their units, each as a link to its section."""
     for output in kind.outputs:
-        stem, _, first = output.name_in(kind, {"of": "<stiffness>"}).partition(".")
+        stem, _, first = output.format_name(kind, {"of": "<stiffness>"}).partition(".")
         index = "n" if stem.startswith("slip_") else "cycle"
         name = f"{stem}.<{index}>" if first else stem
         anchor = re.sub(r"\W", "", name)

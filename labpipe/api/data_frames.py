@@ -128,7 +128,7 @@ def make_budget_frame(result: Result, units: Units) -> pd.DataFrame:
     factor, unit = units.scale_result(result.name, result.unit)
     rows = [
         (contribution.cause, factor * contribution.change, share, contribution.is_common)
-        for contribution, share in zip(result.budget, result.shares, strict=True)
+        for contribution, share in zip(result.budget, result.fractions, strict=True)
     ]
     frame = _make_frame(_BUDGET_TYPES, rows).set_index("cause")
     frame.attrs["units"] = {"change": unit, "share": "1"}
@@ -522,7 +522,7 @@ def groups(
     campaign = make_campaign(tests, "", ReportOptions(by=parse_fields(by)))
     rows = [_make_group_row(group, x) for group in campaign.groups for x in group.numbers]
     frame = _make_frame(_GROUP_TYPES, rows)
-    frame.attrs["left_out"] = dict(campaign.left_out)
+    frame.attrs["left_out"] = dict(campaign.failures)
     return frame
 
 

@@ -27,7 +27,7 @@ from labpipe.errors import Fault, LabpipeError, StoreError, UsageError, describe
 from labpipe.process.output_paths import FIGURES_FOLDER, RESULT_FILE
 from labpipe.process.reading import fingerprint_dialect_cards, list_named_exports
 from labpipe.process.run import PROCESSING_VERSION, make_input_key
-from labpipe.protocol.load import dump_protocol, find_protocol, load_test_sheet, resolve_protocol
+from labpipe.protocol.load import find_protocol, format_protocol, load_test_sheet, resolve_protocol
 from labpipe.protocol.sheet_grammar import SHEET_NAME
 from labpipe.store.replace import TEMPORARY_FOLDERS, finish_moves, is_unfinished, lock, map_errors
 from labpipe.store.summaries import FAILURE_FILE, SUMMARY_FILE
@@ -155,7 +155,7 @@ class OutcomeFiles:
     @property
     def names(self) -> set[str]:
         """Names of the files."""
-        return {part.partition(":")[0] for part in self.signature.split()}
+        return {file_state.partition(":")[0] for file_state in self.signature.split()}
 
 
 NO_OUTCOME = OutcomeFiles(Path(), "")
@@ -204,12 +204,13 @@ def find_outcome(campaign: CampaignFolders, test: str) -> OutcomeFiles:
 
 
 def _compute_signature(folder: str) -> str:
-    parts = []
+    """Compute `OutcomeFiles.signature` of the files in a folder."""
+    file_states = []
     for name in _OUTCOME_FILES:
         with suppress(OSError):
             status = os.stat(f"{folder}/{name}")  # noqa: PTH116  Path is slow for 10 000 files
-            parts.append(f"{name}:{status.st_size}:{status.st_mtime_ns}:{status.st_ino}")
-    return " ".join(parts)
+            file_states.append(f"{name}:{status.st_size}:{status.st_mtime_ns}:{status.st_ino}")
+    return " ".join(file_states)
 
 
 def _walk(
@@ -427,7 +428,7 @@ class InputReader:
             for name in itertools.chain(*sheet.files.values()):
                 stamps[name] = take_stamp(folder / name, previous_stamps.get(name))
             protocol = resolve_protocol(sheet, sheet_path, follow_links=True)
-            protocol_text = dump_protocol(protocol)
+            protocol_text = format_protocol(protocol)
             cards = fingerprint_dialect_cards(protocol)
         except (LabpipeError, OSError, ValueError):  # a faulty sheet or protocol
             dependencies = self._hash_dependencies(folder, protocol_name)

@@ -583,7 +583,7 @@ def open_catalog(folder: Path, notes: list[str]) -> Catalog:
     Parameters
     ----------
     folder : folder of the results. It is made if it does not exist. If it is read-only, the catalog
-        is a copy in memory, or an empty one if there is none that is usable
+        is a copy in memory; without a usable file, that copy is empty
     notes : list to which a message is added if the catalog is empty in memory, or if an unusable
         catalog was replaced; that one is kept as ``catalog.sqlite.damaged``
 

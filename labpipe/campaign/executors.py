@@ -101,19 +101,19 @@ def _record_failure(task: Task, error: LabpipeError) -> RefusedTest:
     return record_refusal(task, error.code, str(error), reads_inputs=False)
 
 
-def process_locally(tasks: Iterable[Task], *, jobs: int, limit: float | None = None) -> Outcomes:
+def process_locally(tasks: Iterable[Task], jobs: int, time_limit: float | None = None) -> Outcomes:
     """Process tests in child processes of this machine.
 
-    With given `jobs` and `limit`, the function is an `Executor`.
+    With given `jobs` and `time_limit`, the function is an `Executor`.
 
     Parameters
     ----------
     tasks : tests to process
     jobs : number of tests processed at the same time
-    limit : time limit of a test, s; None for no limit
+    time_limit : time limit of a test, s; None for no limit
     """
     futures = run_as_completed(
-        attempt, tasks, jobs=jobs, limit=limit, subject=lambda task: task.sheet
+        attempt, tasks, jobs=jobs, time_limit=time_limit, subject=lambda task: task.sheet
     )
     with closing(futures) as completed:
         for task, future in completed:
@@ -124,7 +124,7 @@ _ADDRESS_PREFIXES = {"dask": "", "dask+tls": "tls://"}
 """Prefix of the address of a dask scheduler, keyed by scheme of the URL."""
 
 
-def parse_executor(text: str, *, jobs: int | None = None, limit: float | None = None) -> Executor:
+def parse_executor(text: str, jobs: int | None = None, time_limit: float | None = None) -> Executor:
     """Make the executor that is named on the command line.
 
     Parameters
@@ -132,7 +132,7 @@ def parse_executor(text: str, *, jobs: int | None = None, limit: float | None = 
     text : ``local``, ``dask://HOST:PORT`` or ``dask+tls://HOST:PORT``
     jobs : number of tests processed at the same time on this machine; None for the number from
         `choose_default_jobs`
-    limit : time limit of a test, s; None for no limit
+    time_limit : time limit of a test, s; None for no limit
 
     Raises
     ------
@@ -140,12 +140,13 @@ def parse_executor(text: str, *, jobs: int | None = None, limit: float | None = 
         If the text is none of these.
     """
     if text == "local":
-        return partial(process_locally, jobs=jobs or choose_default_jobs(), limit=limit)
+        return partial(process_locally, jobs=jobs or choose_default_jobs(), time_limit=time_limit)
     scheme, _, address = text.partition("://")
     host, _, port = address.rpartition(":")
     if scheme not in _ADDRESS_PREFIXES or not host or not port.isdecimal():
         raise UsageError.about("campaign.bad_executor", "--executor", text=text)
-    return partial(process_on_cluster, address=f"{_ADDRESS_PREFIXES[scheme]}{address}", limit=limit)
+    address = f"{_ADDRESS_PREFIXES[scheme]}{address}"
+    return partial(process_on_cluster, address=address, time_limit=time_limit)
 
 
 def process_tests(
@@ -156,7 +157,7 @@ def process_tests(
     png: bool = False,
     follow_links: bool = False,
     jobs: int = 1,
-    limit: float | None = None,
+    time_limit: float | None = None,
     on_outcome: Callable[[Path], None] = lambda _: None,
 ) -> list[Outcome]:
     """Process tests; if one fails, the others are still processed.
@@ -167,7 +168,7 @@ def process_tests(
     out : folder in which each test gets a folder of results; None for the folder beside ``raw``
     figures, png, follow_links : options of each `labpipe.process.run.Task`
     jobs : number of child processes; a single test is processed in this process
-    limit : time limit of each of several tests, s; None for no limit
+    time_limit : time limit of each of several tests, s; None for no limit
     on_outcome : function that is called with the file of each test that was processed in a child
         process
 
@@ -194,7 +195,7 @@ def process_tests(
     refuse_duplicates(folders_and_sheets, "folder of results")
     if len(tests) == 1:
         return [*outcomes.values(), *(attempt(task, is_alone=True) for task in tasks)]
-    with closing(process_locally(tasks, jobs=jobs, limit=limit)) as completed:
+    with closing(process_locally(tasks, jobs=jobs, time_limit=time_limit)) as completed:
         for task, outcome in completed:
             on_outcome(task.sheet)
             outcomes[task.sheet] = outcome
@@ -221,16 +222,15 @@ def check_worker(sheet: Path, versions: tuple[str, int]) -> None:
     versions : versions of the client
     """
     if versions != _VERSIONS:
-        version, found = versions[0], __version__
         raise UsageError.about(
-            "campaign.other_versions", "--executor", version=version, found=found
+            "campaign.other_versions", "--executor", version=versions[0], found=__version__
         )
     if not sheet.exists():
         raise UsageError.about("campaign.without_data", sheet)
 
 
 def process_on_worker(
-    task: Task, working_folder: Path, limit: float | None, versions: tuple[str, int]
+    task: Task, working_folder: Path, time_limit: float | None, versions: tuple[str, int]
 ) -> Outcome:
     """Process a test on a worker.
 
@@ -238,7 +238,7 @@ def process_on_worker(
     ----------
     task : task of the test
     working_folder : working folder of the client, to which paths are relative
-    limit : time limit of the test, s; None for no limit
+    time_limit : time limit of the test, s; None for no limit
     versions : versions of the client
 
     Returns
@@ -255,7 +255,7 @@ def process_on_worker(
     check_worker(working_folder / task.sheet, versions)
     process = vars(_THREAD_DATA).setdefault("process", WorkerProcess())
     call = partial(_attempt_in_folder, working_folder, task)
-    return cast("Outcome", process.call(call, subject=task.sheet, limit=limit))
+    return cast("Outcome", process.call(call, subject=task.sheet, time_limit=time_limit))
 
 
 def _attempt_in_folder(working_folder: Path, task: Task) -> Outcome:
@@ -266,7 +266,7 @@ def _attempt_in_folder(working_folder: Path, task: Task) -> Outcome:
 
 
 def process_on_cluster(
-    tasks: Iterable[Task], address: str, *, limit: float | None = None
+    tasks: Iterable[Task], address: str, *, time_limit: float | None = None
 ) -> Outcomes:
     """Process tests on a cluster.
 
@@ -274,7 +274,7 @@ def process_on_cluster(
     ----------
     tasks : tests to process; the next one is taken whenever a worker becomes free
     address : address of the scheduler, ``HOST:PORT`` or ``tls://HOST:PORT``
-    limit : time limit of a test, s; None for no limit
+    time_limit : time limit of a test, s; None for no limit
 
     Raises
     ------
@@ -294,7 +294,7 @@ def process_on_cluster(
                     answers = client.run(check_worker, *arguments, on_error="return")
                     for error in filter(None, answers.values()):
                         raise _convert_worker_error(error)
-                yield from _process_all(client, all_tasks, limit)
+                yield from _process_all(client, all_tasks, time_limit)
             except LabpipeError:
                 raise
             except (OSError, CancelledError) as error:  # as a TimeoutError and a lost connection
@@ -340,7 +340,7 @@ def _connect(address: str) -> Iterator[Client]:
         logging.disable(log_level)
 
 
-def _process_all(client: Client, tasks: Iterator[Task], limit: float | None) -> Outcomes:
+def _process_all(client: Client, tasks: Iterator[Task], time_limit: float | None) -> Outcomes:
     """Submit tests as workers become free, and yield their outcomes.
 
     Raises TimeoutError if there is no worker for two minutes.
@@ -359,7 +359,7 @@ def _process_all(client: Client, tasks: Iterator[Task], limit: float | None) -> 
         # No more tests are submitted than there are threads: when a worker dies, dask counts the
         # tests in its queue as failed.
         for task in islice(tasks, max(not submitted, n_threads - len(submitted))):
-            arguments = (task, Path.cwd(), limit, _VERSIONS)
+            arguments = (task, Path.cwd(), time_limit, _VERSIONS)
             submitted[client.submit(process_on_worker, *arguments, pure=False)] = task
         if not submitted:
             return

@@ -70,7 +70,7 @@ class QueryResult:
 
 
 def query_results(catalog: Catalog, where: str) -> QueryResult:
-    """Query results that fit a condition.
+    """Query the results that match a condition.
 
     Parameters
     ----------

@@ -617,18 +617,18 @@ def make_campaign(tests: ReportTests, title: str, options: ReportOptions) -> Cam
         title=title,
         groups=tuple(groups),
         differences=differences,
-        left_out=tests.left_out,
+        failures=tests.left_out,
         rejected=tests.rejected,
         labpipe_version=__version__,
-        by=grouping_fields,
-        compared=options.alone,
+        grouping_fields=grouping_fields,
+        compared_field=options.alone,
         pairs_not_shown=n_excluded,
         bounded_stiffnesses=tuple(bounded_stiffnesses),
         wire_sheet="" if options.wires is None else options.wires.name,
         rejected_samples=tuple(tests.rejected_samples),
         name=find_campaign_name(tests.folder),
         decisions=tuple(asdict(decision) for decision in tests.decisions),
-        made_on=datetime.now(tz=UTC).date(),
+        date=datetime.now(tz=UTC).date(),
     )
 
 

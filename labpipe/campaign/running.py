@@ -337,12 +337,13 @@ class RunSummary:
     ----------
     overview : state of the campaign after the run
     processed : folders of the tests that this run processed
-    claimed_elsewhere : folders of the tests that another labpipe processes
+    skipped_folders : folders of the tests that another labpipe process has claimed, or whose
+        results it writes
     """
 
     overview: Overview
     processed: list[str]
-    claimed_elsewhere: list[str]
+    skipped_folders: list[str]
 
 
 def run_campaign(
@@ -384,11 +385,11 @@ def run_campaign(
             if folder in overview.raw.sheets and (row.is_due or folder in forced_folders)
         ]
         on_start(len(due_folders))
-        outcomes, claimed_elsewhere = _process_tests(
+        outcomes, skipped_folders = _process_tests(
             sync, executor, due_folders, forced_folders, make_task=make_task, on_outcome=on_outcome
         )
         overview = sync.refresh() if due_folders else overview
-        return RunSummary(overview, [*outcomes], claimed_elsewhere)
+        return RunSummary(overview, [*outcomes], skipped_folders)
 
 
 def run_test(
@@ -415,8 +416,8 @@ def run_test(
     """
     with open_campaign(campaign, for_writing=True) as sync:
         forced_folders = [folder] if is_forced else []
-        outcomes, claimed_elsewhere = _process_tests(sync, executor, [folder], forced_folders)
-        return None if claimed_elsewhere else sync.refresh_test(folder), outcomes.get(folder)
+        outcomes, skipped_folders = _process_tests(sync, executor, [folder], forced_folders)
+        return None if skipped_folders else sync.refresh_test(folder), outcomes.get(folder)
 
 
 def _process_tests(
@@ -433,18 +434,19 @@ def _process_tests(
     Returns
     -------
     outcomes : outcome of each processed test, keyed by folder
-    claimed_elsewhere : folders of the tests that another labpipe processes
+    skipped_folders : folders of the tests that another labpipe process has claimed, or whose
+        results it writes
     """
     claimed_folders: dict[Path, str] = {}
     outcomes: dict[str, Outcome] = {}
-    claimed_elsewhere: list[str] = []
+    skipped_folders: list[str] = []
     n_retries = 0
 
     def claim_tasks() -> Generator[Task, None, None]:
         """Claim tests one by one; skip those that another run has processed in the meantime."""
         for folder in due_folders:
             if not sync.catalog.claim_test(folder):
-                claimed_elsewhere.append(folder)
+                skipped_folders.append(folder)
                 continue
             sheet = sync.get_sheet_path(folder)
             claimed_folders[sheet] = folder
@@ -470,7 +472,7 @@ def _process_tests(
             due_folders, n_retries = postponed_folders, n_retries + 1
     finally:
         sync.catalog.release_tests(*claimed_folders.values())
-    return outcomes, claimed_elsewhere + due_folders
+    return outcomes, skipped_folders + due_folders
 
 
 def read_overview(campaign: CampaignFolders) -> Overview:

@@ -32,7 +32,7 @@ from labpipe.messages import format_sentence
 from labpipe.process.output_paths import RESULT_FILE, list_files_below
 from labpipe.report.lab_report import PAGE_FILE, allow_own_server, render_test
 from labpipe.report.page_tables import name_page_file
-from labpipe.report.wording import write_count
+from labpipe.report.wording import format_count
 from labpipe.store.result_files import read_result
 from labpipe.units import parse_count
 
@@ -301,7 +301,7 @@ def _save_decisions(body: bytes, site: Site) -> dict[str, Any]:
     decisions_by_file = read_decisions_by_file(list_files_below(site.results_folder, RESULT_FILE))
     entries = [asdict(decision) for decision in chain(*decisions_by_file.values())]
     n_saved = len(imported.added) + imported.n_stored_before
-    sentences = [f"{write_count(n_saved, 'decision')} saved."]
+    sentences = [f"{format_count(n_saved, 'decision')} saved."]
     not_saved_messages = [
         f"{decision.test}: not saved: {reason}." for decision, reason in imported.not_imported
     ]

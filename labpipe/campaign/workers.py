@@ -39,7 +39,7 @@ class WorkerProcess:
     def __init__(self) -> None:
         self.process: subprocess.Popen[bytes] | None = None
 
-    def call(self, work: Callable[[], T], *, subject: object, limit: float | None = None) -> T:
+    def call(self, work: Callable[[], T], *, subject: object, time_limit: float | None = None) -> T:
         """Run a function in the process and wait for its result.
 
         Parameters
@@ -47,7 +47,7 @@ class WorkerProcess:
         work : function without arguments, such as a partial of a module-level function; the
             function and its result must be picklable
         subject : file or other object of the call, for messages
-        limit : time limit after which the process is killed, s; None or 0 for no limit
+        time_limit : time limit after which the process is killed, s; None or 0 for no limit
 
         Raises
         ------
@@ -62,7 +62,7 @@ class WorkerProcess:
             self.close()
             self.process = _start_process()
         start_time = time.monotonic()
-        kill_delay = min(limit or threading.TIMEOUT_MAX, threading.TIMEOUT_MAX)
+        kill_delay = min(time_limit or threading.TIMEOUT_MAX, threading.TIMEOUT_MAX)
         timer = threading.Timer(kill_delay, _kill, [self.process])
         timer.daemon = True
         timer.start()
@@ -112,11 +112,11 @@ class Pool:
     Parameters
     ----------
     jobs : maximum number of processes; each is started by its first call
-    limit : time limit of a call after which its process is killed, s; None for no limit
+    time_limit : time limit of a call after which its process is killed, s; None for no limit
     """
 
-    def __init__(self, jobs: int, *, limit: float | None = None) -> None:
-        self._limit, self._threads = limit, ThreadPoolExecutor(jobs)
+    def __init__(self, jobs: int, *, time_limit: float | None = None) -> None:
+        self._time_limit, self._threads = time_limit, ThreadPoolExecutor(jobs)
         self._workers = [WorkerProcess() for _ in range(jobs)]
         self._idle_workers = [*self._workers]
 
@@ -148,7 +148,7 @@ class Pool:
         """Run a call in an idle process; there are as many processes as threads."""
         worker = self._idle_workers.pop()
         try:
-            return worker.call(work, subject=subject, limit=self._limit)
+            return worker.call(work, subject=subject, time_limit=self._time_limit)
         finally:
             self._idle_workers.append(worker)
 
@@ -158,7 +158,7 @@ def run_as_completed(
     arguments: Iterable[A],
     *,
     jobs: int,
-    limit: float | None = None,
+    time_limit: float | None = None,
     subject: Callable[[A], object] = str,
 ) -> Generator[tuple[A, Future[T]], None, None]:
     """Call a function on many arguments in parallel processes.
@@ -168,7 +168,7 @@ def run_as_completed(
     work : picklable function to call, such as a module-level function
     arguments : picklable arguments; the next one is taken whenever a process becomes free
     jobs : maximum number of processes
-    limit : time limit of a call after which its process is killed, s; None for no limit
+    time_limit : time limit of a call after which its process is killed, s; None for no limit
     subject : function that returns the subject of a call from its argument, for messages
 
     Yields
@@ -182,7 +182,7 @@ def run_as_completed(
     """
     remaining_arguments = iter(arguments)
     arguments_by_future: dict[Future[T], A] = {}
-    with Pool(jobs, limit=limit) as pool:
+    with Pool(jobs, time_limit=time_limit) as pool:
 
         def start_calls(count: int) -> None:
             for argument in islice(remaining_arguments, count):

@@ -14,7 +14,7 @@ from labpipe.mechanics.studies.calibration_study import calibrate_tests
 from labpipe.process.output_paths import find_results
 from labpipe.records.wire import IsotropicShare
 from labpipe.report import calibration_report as reports
-from labpipe.report.wording import write_count
+from labpipe.report.wording import format_count
 
 
 def run(options: argparse.Namespace) -> int:
@@ -52,10 +52,8 @@ def format_calibration(study: CalibrationStudy) -> str:
     a line per wire and length and per external curve with its notes, and the folder of the files.
     """
     lines = [study.calibration.wire]
-    parameters = map(reports.write_parameter, study.calibration.parameters)
-    for name, value, interval, unit, verdict in parameters:
-        quantity = f"{value} {unit.removesuffix('1')}".strip()
-        lines.append(f"  {name}: {quantity} (95 %: {interval}), {verdict}")
+    parameters = study.calibration.parameters
+    lines += [f"  {reports.format_parameter(parameter)}" for parameter in parameters]
     if study.calibration.isotropic_share is not None:
         lines.append(_format_share(study.calibration.isotropic_share))
     lines += [f"  {sentence}" for sentence in reports.describe_calibration(study.calibration)]
@@ -72,7 +70,7 @@ def _format_share(share: IsotropicShare) -> str:
     """Format the line of the isotropic share, or the reason why it is not calibrated."""
     if not share.is_creep:
         lower, upper, n_tests = share.interval.lower, share.interval.upper, share.n_tests
-        interval = f"{lower:.2f} to {upper:.2f}, from {write_count(n_tests, 'test')}"
+        interval = f"{lower:.2f} to {upper:.2f}, from {format_count(n_tests, 'test')}"
         return f"  isotropic share {share.value:.2f}, {interval}"
     residual, peaks = (f"{ends.lower:.2f} to {ends.upper:.2f}" for ends in share.intervals.values())
     return (

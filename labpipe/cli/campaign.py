@@ -1,4 +1,4 @@
-"""``labpipe campaign``: process many tests, query their results, decide on tests."""
+"""``labpipe campaign``: process many tests, query their results, and decide on them."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from labpipe.campaign.executors import parse_executor
 from labpipe.campaign.queries import (
     escape_controls,
     format_query_result,
+    join_names,
     query_results,
     write_workbook,
 )
@@ -32,7 +33,7 @@ from labpipe.campaign.running import (
 from labpipe.cli.terminal import shorten_path, show_completed
 from labpipe.errors import UsageError
 from labpipe.process.run import Task
-from labpipe.report.wording import write_count
+from labpipe.report.wording import format_count
 from labpipe.store.replace import replace_file
 
 _MAX_LISTED = 20
@@ -47,8 +48,8 @@ def run(options: argparse.Namespace) -> int:
 def _run(
     options: argparse.Namespace, campaign: CampaignFolders, forced_folders: Sequence[str] = ()
 ) -> int:
-    """Process new and changed tests, and the tests in the folders of `forced_folders`."""
-    executor = parse_executor(options.executor, jobs=options.jobs, limit=60.0 * options.limit)
+    """Process new and changed tests, and the tests in `forced_folders`."""
+    executor = parse_executor(options.executor, options.jobs, 60.0 * options.limit_minutes)
     make_task = partial(
         Task, figures=not options.no_figures, png=options.png, follow_links=options.follow_links
     )
@@ -61,16 +62,15 @@ def _run(
             on_start=begin,
             on_outcome=lambda folder, state: show(f"{escape_controls(folder)}: {state}"),
         )
-    overview, folders = summary.overview, summary.claimed_elsewhere
+    overview, skipped_folders = summary.overview, summary.skipped_folders
     lines = [f"  processed {len(summary.processed)} of {len(overview.rows)}"]
-    if folders:
-        names = ", ".join(folders[:3]) + (" ..." if len(folders) > 3 else "")
-        lines.append(f"  processed by another labpipe: {len(folders)}: {names}")
-    rows = [row for row in overview.rows.values() if row.state == FAILED]
-    lines += [f"  {FAILED}  {row.folder}  {row.code}: {row.reason}" for row in rows[:_MAX_LISTED]]
-    if len(rows) > _MAX_LISTED:
-        lines.append(f"  ... {len(rows) - _MAX_LISTED} more: labpipe campaign status")
-    return _print_overview(campaign, overview, [*lines, *_list_unapplied(overview)])
+    if skipped_folders:
+        names = join_names(skipped_folders)
+        lines.append(f"  {len(skipped_folders)} in use by another labpipe process: {names}")
+    failed_rows = [row for row in overview.rows.values() if row.state == FAILED]
+    failures = [f"{row.folder}  {row.code}: {row.reason}" for row in failed_rows]
+    lines += _list_section(FAILED, failures)
+    return _print_overview(campaign, overview, [*lines, *_list_unapplied_decisions(overview)])
 
 
 def _status(options: argparse.Namespace, campaign: CampaignFolders) -> int:
@@ -79,32 +79,32 @@ def _status(options: argparse.Namespace, campaign: CampaignFolders) -> int:
         overview = sync.refresh()
         unknown_files = find_unknown_files(sync, overview)
     if options.json:
-        _print_errors(overview.notes)
+        _print_to_stderr(overview.notes)
         print(json.dumps(_build_json(campaign, overview, unknown_files), indent=2))
         return _choose_exit_status(overview)
     claims = overview.claims.items()
-    processes = {folder: f"process {claim.pid} on {claim.machine}" for folder, claim in claims}
+    process_texts = {folder: f"process {claim.pid} on {claim.machine}" for folder, claim in claims}
     descriptions: dict[str, Callable[[TestRow], str]] = {
         FAILED: lambda row: f"{row.code}: {row.reason}",
         STALE: lambda row: row.why,
         PENDING: lambda row: row.why,
-        RUNNING: lambda row: processes[row.folder],
+        RUNNING: lambda row: process_texts[row.folder],
         REJECTED: lambda row: f"{row.why} ({row.decided_by}, {row.decided})",
     }
     lines: list[str] = []
     for state, describe in descriptions.items():
-        rows = [row for name, row in overview.rows.items() if overview.get_state(name) == state]
+        rows = [row for row in overview.rows.values() if overview.get_state(row.folder) == state]
         lines += _list_section(state, [f"{row.folder}  {describe(row)}".rstrip() for row in rows])
-    lines += [*_list_unapplied(overview), *_list_section("unknown files", unknown_files)]
+    lines += [*_list_unapplied_decisions(overview), *_list_section("unknown files", unknown_files)]
     return _print_overview(campaign, overview, lines)
 
 
 def _query(options: argparse.Namespace, campaign: CampaignFolders) -> int:
-    """Print or write the results that fulfil conditions."""
+    """Print or write the results that match the condition."""
     if options.out == "xlsx" and options.file is None:
         raise UsageError.about("cli.no_workbook_file", "--out xlsx")
     with open_campaign(campaign) as sync:
-        _print_errors(sync.refresh().notes)
+        _print_to_stderr(sync.refresh().notes)
         query_result = query_results(sync.catalog, options.where)
     if options.out == "xlsx":
         write_workbook(query_result, options.file)
@@ -114,20 +114,20 @@ def _query(options: argparse.Namespace, campaign: CampaignFolders) -> int:
         text = format_query_result(query_result, options.out)
         with replace_file(options.file) as temporary:
             temporary.write_bytes(text.encode("utf-8", "backslashreplace"))
-    print(f"{len(query_result.rows)} rows", file=sys.stderr)
+    print(format_count(len(query_result.rows), "row"), file=sys.stderr)
     return 0
 
 
 def _replay(options: argparse.Namespace, campaign: CampaignFolders) -> int:
     """Process failed tests again."""
-    folders = clear_failures(campaign, options.failed)
-    print(f"{len(folders)} failures cleared", file=sys.stderr)
+    folders = clear_failures(campaign, options.failure_code)
+    print(f"{format_count(len(folders), 'failure')} cleared", file=sys.stderr)
     return _run(options, campaign, folders)
 
 
 def _decide(options: argparse.Namespace, campaign: CampaignFolders) -> int:
     """Record a decision on a test, or import decisions from a file."""
-    if options.saved is not None:
+    if options.decision_file is not None:
         return _import_decisions(options, campaign)
     if not options.test or not options.decision:
         raise UsageError.about("cli.no_decision", "labpipe campaign decide")
@@ -144,15 +144,15 @@ def _import_decisions(options: argparse.Namespace, campaign: CampaignFolders) ->
     """Import the decisions that a report page saved."""
     if options.test:
         raise UsageError.about("cli.test_and_file", "--from", test=options.test)
-    imported = import_decision_file(campaign.processed, campaign.name, options.saved)
-    _print_errors(imported.faults)
+    imported = import_decision_file(campaign.processed, campaign.name, options.decision_file)
+    _print_to_stderr(imported.faults)
     for decision in imported.added:
         print(escape_controls(f"{decision.test}: {decision.decision}: {decision.describe()}"))
     for decision, reason in imported.not_imported:
-        refusal = escape_controls(f"{decision.test}: {decision.decision} not imported: {reason}")
-        print(refusal, file=sys.stderr)
-    count = write_count(len(imported.added), "decision")
-    print(f"{count} imported, {imported.n_stored_before} already known")
+        message = f"{decision.test}: {decision.decision} not imported: {reason}"
+        print(escape_controls(message), file=sys.stderr)
+    count = format_count(len(imported.added), "decision")
+    print(f"{count} imported, {imported.n_stored_before} already recorded")
     return 2 if imported.faults or imported.not_imported else 0
 
 
@@ -176,33 +176,33 @@ _ACTIONS: dict[str, Callable[[argparse.Namespace, CampaignFolders], int]] = {
     "rebuild": lambda _, campaign: _print_overview(campaign, rebuild_catalog(campaign), []),
     "watch": _watch,
 }
-"""Function of each action, keyed by name."""
+"""Functions of the actions, keyed by name of the action."""
 
 
-def _print_errors(messages: Iterable[str]) -> None:
+def _print_to_stderr(messages: Iterable[str]) -> None:
     """Print messages to the standard error stream."""
     for message in messages:
         print(f"labpipe campaign: {escape_controls(message)}", file=sys.stderr)
 
 
 def _print_overview(campaign: CampaignFolders, overview: Overview, lines: list[str]) -> int:
-    """Print notes, the number of tests in each state, and lines; return the exit status."""
-    _print_errors(overview.notes)
+    """Print the notes, the number of tests in each state and `lines`; return the exit status."""
+    _print_to_stderr(overview.notes)
     counts = overview.counts
-    states = ", ".join(f"{counts[state]} {state}" for state in STATES if counts[state])
-    headline = f"{campaign.name}: {states or 'no tests'}  ->  {shorten_path(campaign.processed)}"
+    totals = ", ".join(f"{counts[state]} {state}" for state in STATES if counts[state])
+    headline = f"{campaign.name}: {totals or 'no tests'}  ->  {shorten_path(campaign.processed)}"
     print("\n".join(map(escape_controls, [headline, *lines])))
     return _choose_exit_status(overview)
 
 
 def _choose_exit_status(overview: Overview) -> int:
-    """Choose the exit status: 2 for failed tests or bad files, 1 for failed results, or 0."""
+    """Return the exit status: 2 for failed tests or bad files, 1 for failed results, or 0."""
     if overview.has_bad_input or overview.counts[FAILED]:
         return 2
     return 1 if overview.has_failed_results else 0
 
 
-def _list_unapplied(overview: Overview) -> list[str]:
+def _list_unapplied_decisions(overview: Overview) -> list[str]:
     """List the decisions that are not applied, because the test changed or no longer exists."""
     lines = [
         f"{decision.test}  {decision.decision} ({decision.by}, {decision.when}): {reason}"
@@ -212,7 +212,7 @@ def _list_unapplied(overview: Overview) -> list[str]:
 
 
 def _list_section(heading: str, lines: list[str]) -> list[str]:
-    """List a heading and the first of its lines; empty without lines."""
+    """Return a heading and the first `_MAX_LISTED` lines; an empty list if there are no lines."""
     if not lines:
         return []
     last_lines = [f"  ... {len(lines) - _MAX_LISTED} more"] if len(lines) > _MAX_LISTED else []

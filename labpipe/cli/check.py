@@ -6,7 +6,7 @@ import argparse
 import sys
 
 from labpipe.process.checking import check_paths
-from labpipe.report.wording import write_count
+from labpipe.report.wording import format_count
 
 
 def run(options: argparse.Namespace) -> int:
@@ -14,7 +14,7 @@ def run(options: argparse.Namespace) -> int:
     report = check_paths(options.paths, follow_links=options.follow_links)
     for fault in report.faults:
         print(fault, file=sys.stderr)
-    faults = write_count(len(report.faults), "fault") if report.faults else "no faults found"
-    plans = f", {write_count(len(report.plans), 'plan')}" if report.plans else ""
-    print(f"{len(report.protocols)} protocols, {len(report.tests)} tests{plans}: {faults}")
+    verdict = format_count(len(report.faults), "fault") if report.faults else "no faults found"
+    plans = f", {format_count(len(report.plans), 'plan')}" if report.plans else ""
+    print(f"{len(report.protocols)} protocols, {len(report.tests)} tests{plans}: {verdict}")
     return 2 if report.faults else 0

@@ -12,7 +12,7 @@ from labpipe.cli.terminal import format_result, format_statuses, shorten_path, s
 from labpipe.mechanics.studies.harness_solution import HarnessSolution, Progress
 from labpipe.mechanics.studies.harness_study import build_json, follow_harness
 from labpipe.records.result import Status
-from labpipe.report.wording import write_count
+from labpipe.report.wording import format_count
 
 _DISPLAY = {"displacement": "mm", "moment": "N*mm", "energy": "mJ"}
 
@@ -53,7 +53,7 @@ def show_progress() -> Iterator[Progress]:
 
 
 def _find_faults(solution: HarnessSolution) -> Iterator[str]:
-    """Find the reasons of a failure, or a bend below the allowed radius that the file states."""
+    """Yield the reasons for a failure, or that a bend is sharper than the file allows."""
     if solution.status is Status.FAILED:
         yield from (f"{reason.code}: {reason.message}" for reason in solution.reasons)
     elif not solution.limit.is_assumed and solution.sharpest_bend.radius < solution.limit.radius:
@@ -76,7 +76,7 @@ def format_harness(solution: HarnessSolution) -> str:
     status = solution.status if is_failed else format_statuses(solution.results)
     headline = (
         f"{solution.file.stem}: {status}; {1e3 * line.length:.6g} mm of {solution.material.name}, "
-        f"{write_count(len(line.lengths), 'element')}, {write_count(steps, 'step')}"
+        f"{format_count(len(line.lengths), 'element')}, {format_count(steps, 'step')}"
     )
     if is_failed:
         last_step = len(solution.path.states) - 1

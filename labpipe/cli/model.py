@@ -65,8 +65,8 @@ def format_wire_models(wires: ModelledWires) -> str:
     lines.append("")
     for text in dict.fromkeys([*notes, *wires_by_note]):
         names = wires_by_note[text]
-        is_long, is_each = len(names) > _MAX_NAMES, len(names) == len(wires.tables)
-        label = f"all {len(names)} wires" if is_long and is_each else join_names(names, _MAX_NAMES)
+        has_every_wire = len(names) == len(wires.tables) > _MAX_NAMES
+        label = f"all {len(names)} wires" if has_every_wire else join_names(names, _MAX_NAMES)
         lines.append(f"  {text}  [{label}]")
     if wires.refused:
         lines.append(f"  not modelled: {join_names([*wires.refused], _MAX_NAMES)} (reasons below)")
@@ -77,7 +77,7 @@ def format_wire_models(wires: ModelledWires) -> str:
 
 
 def _format_cells(table: WireTable) -> tuple[str, ...]:
-    """Format the table row of a wire; without a force at the tip deflection, it is a dash."""
+    """Format the table row of a wire; a force that is not available is a dash."""
     onset = table.find_slip_onset(0)
     force = float(interpolate_end_load(table, _RELATIVE_TIP_DEFLECTION * table.spec.length))
     return (

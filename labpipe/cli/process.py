@@ -27,19 +27,19 @@ from labpipe.store.summaries import build_summary
 
 
 def run(options: argparse.Namespace) -> int:
-    """Process tests; if one fails, the others are still processed."""
-    tests, limit_seconds = find_tests(options.tests), 60.0 * options.limit
+    """Process tests; return 2 if a test is refused, 1 if a result failed, otherwise 0."""
+    tests, time_limit = find_tests(options.tests), 60.0 * options.limit_minutes
     processed, n_refused = process_all(
-        tests, options, out=options.out, limit=limit_seconds, follow_links=options.follow_links
+        tests, options, out=options.out, time_limit=time_limit, follow_links=options.follow_links
     )
     if not processed:
         return 2  # `process_all` has printed the reasons
     if options.json:
-        summaries = [build_summary(test.result) for test in processed]
+        summaries = [build_summary(outcome.result) for outcome in processed]
         print(json.dumps(summaries[0] if len(tests) == 1 else summaries, indent=2))
     else:
-        print("\n\n".join(format_test(test) for test in processed))
-    return 2 if n_refused else int(any(test.n_failed for test in processed))
+        print("\n\n".join(format_test(outcome) for outcome in processed))
+    return 2 if n_refused else int(any(outcome.n_failed for outcome in processed))
 
 
 def process_all(
@@ -49,7 +49,7 @@ def process_all(
 
     Parameters
     ----------
-    tests : files of the tests, each a test.yaml or a result.h5
+    tests : path of the test.yaml or result.h5 of each test
     options : options of a command, including those for figures and jobs
     arguments : further arguments of `process_tests`
 
@@ -65,13 +65,13 @@ def process_all(
             figures=not options.no_figures,
             png=options.png,
             jobs=options.jobs or choose_default_jobs(),
-            on_outcome=lambda test: show(test.parent.name),
+            on_outcome=lambda sheet: show(sheet.parent.name),
             **arguments,
         )
     for outcome in outcomes:
         if isinstance(outcome, RefusedTest):
             print(f"labpipe process: {outcome.reason}", file=sys.stderr)
-        elif outcome.has_finished_files:
+        elif outcome.has_completed_replacement:
             completed = format_sentence("cli.replacement_completed")
             print(f"labpipe process: {outcome.folder}: {completed}", file=sys.stderr)
     processed = [outcome for outcome in outcomes if isinstance(outcome, ProcessedTest)]
@@ -91,17 +91,17 @@ def format_test(processed: ProcessedTest) -> str:
     """
     test = processed.result
     width = compute_name_width(result.name for result in test.results)
-    # The results of all cycles of a quantity, such as energy.1 and energy.2, stand together.
+    # Results of one quantity in several cycles, such as energy.1 and energy.2, are grouped.
     results_by_quantity = defaultdict[str, list[Result]](list)
-    names_by_reason = defaultdict[str, list[str]](list)
+    names_by_status_text = defaultdict[str, list[str]](list)
     for result in test.results:
         results_by_quantity[result.name.partition(".")[0]].append(result)
         if result.reasons:
-            names_by_reason[f"{result.status}: {result.reason_text}"].append(result.name)
+            names_by_status_text[f"{result.status}: {result.reason_text}"].append(result.name)
     lines = [format_headline(processed)]
     for results in results_by_quantity.values():
-        lines += _format_quantity(results, dict(test.display), width)
-    lines += [f"  {reason}  [{', '.join(names)}]" for reason, names in names_by_reason.items()]
+        lines += _format_cycles(results, dict(test.display), width)
+    lines += [f"  {reason}  [{', '.join(names)}]" for reason, names in names_by_status_text.items()]
     for note in test.quality:
         if note.severity != "info":
             has_location = note.message.startswith(note.where.partition(",")[0])
@@ -122,8 +122,8 @@ def format_headline(processed: ProcessedTest) -> str:
     return f"{result.test}  ({result.protocol}): {counts}  ->  {shorten_path(processed.folder)}"
 
 
-def _format_quantity(results: list[Result], display: Mapping[str, str], width: int) -> list[str]:
-    """Format a line per cycle; of many cycles, the first ones and the range of the others."""
+def _format_cycles(results: list[Result], display: Mapping[str, str], width: int) -> list[str]:
+    """Format one line per cycle; for more than 8 cycles, four lines and the range of the others."""
     max_lines = 8
     n_listed = len(results) if len(results) <= max_lines else max_lines // 2
     lines = [format_result(result, display, width) for result in results[:n_listed]]

@@ -79,9 +79,9 @@ def print_left_out(report: WrittenReport) -> int:
     -------
     Exit status: 2 if a test is left out, 1 if a result failed, 0 otherwise.
     """
-    for reason in report.campaign.left_out.values():
+    for reason in report.campaign.failures.values():
         print(f"labpipe report: left out: {reason}", file=sys.stderr)
-    if report.campaign.left_out:
+    if report.campaign.failures:
         return 2
     samples = [sample for group in report.campaign.groups for sample in group.samples]
     statuses = {result.status for sample in samples for result in sample.results}
@@ -121,5 +121,5 @@ def _format_mean(number: GroupNumber, display: Mapping[str, str], width: int) ->
     if not number.values:
         reasons = (Reason("no_samples", "no sample has this result"),)
         result = Result(number.name, None, number.unit, status=Status.FAILED, reasons=reasons)
-    remark = f"  ({len(number.left_out)} without)" if number.left_out else ""
+    remark = f"  ({len(number.exclusions)} without)" if number.exclusions else ""
     return f"{format_result(result, display, width)}{remark}"

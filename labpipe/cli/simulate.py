@@ -21,7 +21,7 @@ _TYPES = {
     "taped-bundle": TAPED_TYPES,
     "conduit-bundle": CONDUIT_TYPES,
 }
-"""Specimen types of each kind of test; a kind without types has only one specimen."""
+"""Specimen types, keyed by kind of test; a kind without types has only one specimen."""
 _DEFAULT_TYPES = {"taped-bundle": "TWB-B1-19-PVC", "conduit-bundle": "CWB-1"}
 """Specimen type without the option ``--type``, keyed by kind of test."""
 _WIRE_TYPE = "W1"

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
 from labpipe.records.result import Result, Status
-from labpipe.report.wording import choose_unit, write_number
+from labpipe.report.wording import choose_unit, format_number
 
 if TYPE_CHECKING:
     from tqdm import tqdm
@@ -75,7 +75,7 @@ def shorten_path(path: Path) -> Path:
 
 
 def compute_name_width(names: Iterable[str]) -> int:
-    """Compute the width, in characters, of a column that contains all names."""
+    """Compute the width of a column of names, in characters."""
     min_width = 26  # the columns of most tests are then aligned with each other
     return max(min_width, *(len(name) for name in names), 0)
 
@@ -106,14 +106,14 @@ def format_result(result: Result, display: Mapping[str, str], width: int) -> str
     if result.value is None:
         return f"{mark} {result.name:<{width}}{'-':>12}"
     estimate = result.distinct_estimate
-    texts = write_number(result.value, result.interval, factor, digits=5, estimate=estimate)
+    texts = format_number(result.value, result.interval, factor, digits=5, estimate=estimate)
     line = f"{mark} {result.name:<{width}}{texts.value:>12} {unit:<6}"
     if result.interval is None:
         return line
     interval = f"95 %: {texts.lower} to {texts.upper}"
     if texts.estimate:
         interval = f"estimate {texts.estimate}, {interval}"
-    if result.largest_share is None:
+    if result.largest_cause is None:
         return f"{line} {interval}"
-    cause, share = result.largest_share
+    cause, share = result.largest_cause
     return f"{line} {interval:<{interval_width}} {cause} {100.0 * share:.0f} %"

@@ -28,7 +28,7 @@ from labpipe.records.arrays import Flags, Floats, drop_missing, find_run_times
 from labpipe.records.causes import SHAPE
 from labpipe.records.curve import ClockFit, PointFlag, Shape
 from labpipe.records.estimates import Failure
-from labpipe.records.quality import Finding, QualityNote, Severity, doubt_stretches
+from labpipe.records.quality import Finding, QualityNote, Severity, make_stretch_finding
 from labpipe.records.recording import MarkerTracks, RigidBody
 from labpipe.records.signals import Signal
 from labpipe.results.kinds import SpanBend
@@ -211,14 +211,14 @@ def _make_deflection_signal(fit: ShapeFit, is_at_rest: Flags, take: Take) -> Sig
         change = shape_change - np.nanmean(shape_change[is_at_rest])
         perturbed[SHAPE] = values + change / sqrt(3.0)
     signal = take.make_signal(fit.shape.time, values)
-    return replace(signal, zero_error=zero_error, perturbed=perturbed)
+    return replace(signal, zero_error=zero_error, variants=perturbed)
 
 
 def _make_shape_findings(notes: Iterable[QualityNote], role: str) -> Iterator[Finding]:
     """Convert notes to findings; notes in `_SHAPE_DOUBT_CODES` make the displacement doubtful."""
     for note in notes:
         if note.code in _SHAPE_DOUBT_CODES:
-            yield doubt_stretches("displacement", note, role)
+            yield make_stretch_finding("displacement", note, role)
         else:
             yield Finding(note)
 
@@ -252,7 +252,7 @@ def _repair_clamp_path(
     if is_frozen.any():
         stretches, count = find_run_times(is_frozen, tracks.time), int(is_frozen.sum())
         note = QualityNote.of("process.clamp_frozen", name, *stretches, body=name, count=count)
-        findings.append(doubt_stretches("displacement", note, role))
+        findings.append(make_stretch_finding("displacement", note, role))
     is_missing = np.isnan(path).any(axis=1)
     if not is_missing.any():
         return path, findings

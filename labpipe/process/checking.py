@@ -14,7 +14,7 @@ from labpipe.process.output_paths import list_files_below
 from labpipe.process.reading import join_exports, read_role
 from labpipe.process.steps import PreparedTest, calibrate, run_step
 from labpipe.protocol.load import (
-    find_missing_exports,
+    find_export_error,
     load_calibration_plan,
     load_campaign_plan,
     load_harness,
@@ -165,7 +165,7 @@ def _check_test(path: Path, report: CheckReport, *, follow_links: bool) -> TestS
         facts = {"meaning": meaning, "results": ", ".join(results), "example": example}
         report.add(ProtocolError.about("process.size_missing", path, f"specimen.{size}", **facts))
     n_faults_before = len(report.faults)
-    report.add(*filter(None, [find_missing_exports(sheet, path)]))
+    report.add(*filter(None, [find_export_error(sheet, path)]))
     recordings_by_role: dict[str, list[Recording]] = {role: [] for role in sheet.files}
     for role, file_names in sheet.files.items():
         for file in filter(path_exists, (path.parent / name for name in file_names)):

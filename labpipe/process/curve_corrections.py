@@ -64,7 +64,7 @@ def align_signals(test: ReducedTest) -> Aligned:
         )
         for name, signal in test.signals.raw.items()
     }
-    return Aligned(time, series, test.clocks.force, test.displacement.time_unit)
+    return Aligned(time, series, test.clocks.force_fit, test.displacement.time_unit)
 
 
 def build_curve(
@@ -183,7 +183,7 @@ def _subtract_compliance(test: ReducedTest, settings: MachineCompliance) -> Corr
     if settings.uncertainty:
         higher_compliance = compliance * (1.0 + settings.uncertainty)
         perturbed = {COMPLIANCE: curve.displacement - higher_compliance * force}
-        corrected = replace(corrected, perturbed={**corrected.perturbed, **perturbed})
+        corrected = replace(corrected, variants={**corrected.variants, **perturbed})
     size = 1e6 * settings.value  # um/N
     largest, channel = size * float(np.nanmax(np.abs(force))), test.signals.displacement
     note = Finding.of("process.compliance_removed", channel, size=size, largest=largest)
@@ -285,7 +285,7 @@ def _filter_branches(test: ReducedTest, loss_start: int | Failure | None) -> Red
         filter_branches = partial(filter_pieces, cuts=cuts, filters=signals.filters[name])
         refiltered = unfiltered[name].map_values(filter_branches)
         filtered = replace(
-            signals.filtered[name], values=refiltered.values, perturbed=refiltered.perturbed
+            signals.filtered[name], values=refiltered.values, variants=refiltered.variants
         )
         signals = signals.replace_filtered(name, filtered)
         curve_time = signals.filtered[signals.displacement].time

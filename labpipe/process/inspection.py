@@ -14,9 +14,9 @@ from labpipe.readers import recognise_export
 from labpipe.readers.recording_checks import (
     SAMPLED_ON_EVENT,
     TIME_VARIABLE,
+    count_longest_run,
     find_blank_frames,
     find_holes,
-    find_longest_run,
     find_unchanged_steps,
 )
 from labpipe.records.arrays import Floats, drop_missing, find_runs, median
@@ -182,8 +182,8 @@ def _describe_track(track: Floats) -> dict[str, Any]:
     ranges = [[start, stop - 1] for start, stop in gaps[:max_listed]]
     return {
         "missing": int(is_missing.sum()),
-        "gaps": {"count": len(gaps), "longest": find_longest_run(is_missing), "ranges": ranges},
-        "frozen": {"steps": int(is_unchanged.sum()), "longest": find_longest_run(is_unchanged)},
+        "gaps": {"count": len(gaps), "longest": count_longest_run(is_missing), "ranges": ranges},
+        "frozen": {"steps": int(is_unchanged.sum()), "longest": count_longest_run(is_unchanged)},
     }
 
 

@@ -32,8 +32,8 @@ from labpipe.process.sanity_checks import list_certified_instruments
 from labpipe.process.story import reduce_recordings
 from labpipe.protocol.grammar import is_test_name
 from labpipe.protocol.load import (
-    dump_protocol,
-    find_missing_exports,
+    find_export_error,
+    format_protocol,
     load_test_sheet,
     parse_protocol,
     resolve_protocol,
@@ -76,13 +76,14 @@ class ProcessedTest:
     folder : folder with result.h5, summary.json and figures
     result : result of the test; `attempt` removes recordings, curve and shape from it
     figures : paths of the figures
-    has_finished_files : whether files that a killed process had left unfinished were completed
+    has_completed_replacement : whether a replacement of files was completed that a killed process
+        had left unfinished
     """
 
     folder: Path
     result: TestResult
     figures: tuple[Path, ...]
-    has_finished_files: bool = False
+    has_completed_replacement: bool = False
 
     @property
     def n_failed(self) -> int:
@@ -130,11 +131,11 @@ def process(task: Task, on_stage: StageCallback = lambda _: None) -> ProcessedTe
         If an input is not valid. Earlier results are then unchanged.
     """
     on_stage("read")
-    source, has_finished_files = task.sheet, False
+    source, has_completed_replacement = task.sheet, False
     is_in_place = source.suffix == ".h5" and task.results_folder in (None, source.parent)
     if is_in_place and is_unfinished(source.parent):  # an earlier process was killed
         with lock(source.parent), map_errors(source.parent):
-            has_finished_files = finish_moves(source.parent)
+            has_completed_replacement = finish_moves(source.parent)
     raw, protocol = read_source(source, follow_links=task.follow_links)
     on_stage("process")
     result = reduce_test(raw, protocol)
@@ -157,7 +158,7 @@ def process(task: Task, on_stage: StageCallback = lambda _: None) -> ProcessedTe
                 paths = save_figures(result, new_folder / FIGURES_FOLDER, png=task.png)
             write_future.result()
     figures = tuple(folder / path.relative_to(new_folder) for path in paths)
-    return ProcessedTest(folder, result, figures, has_finished_files)
+    return ProcessedTest(folder, result, figures, has_completed_replacement)
 
 
 def draw_figures(folder: Path) -> tuple[Path, ...]:
@@ -206,14 +207,14 @@ def read_source(source: Path, *, follow_links: bool = False) -> tuple[RawTest, P
         return _read_stored(source)
     sheet = load_test_sheet(source)
     protocol = resolve_protocol(sheet, source, follow_links=follow_links)
-    if error := find_missing_exports(sheet, source):
+    if error := find_export_error(sheet, source):
         raise error
     recordings, inputs = read_inputs(source.parent, sheet, protocol)
     raw = RawTest(
         test=sheet.test,
         specimen=sheet.specimen.record,
         protocol=protocol.name,
-        protocol_yaml=dump_protocol(protocol),
+        protocol_yaml=format_protocol(protocol),
         test_yaml=source.read_text(encoding="utf-8"),
         labpipe_version=__version__,
         inputs=inputs,
@@ -472,7 +473,7 @@ def _add_inputs(failure: FailedTest, task: Task) -> FailedTest:
             return failure
         sheet, text = load_test_sheet(task.sheet), task.sheet.read_text(encoding="utf-8")
         protocol = resolve_protocol(sheet, task.sheet, follow_links=task.follow_links)
-        texts = {"sheet": text, "protocol": dump_protocol(protocol)}
+        texts = {"sheet": text, "protocol": format_protocol(protocol)}
         hashes = {name: sha256(text.encode()).hexdigest() for name, text in texts.items()}
         failure = replace(failure, made_of=hashes)  # they remain if an export cannot be read
         named_exports, folder = list_named_exports(sheet, protocol), task.sheet.parent

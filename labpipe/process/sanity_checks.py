@@ -55,7 +55,7 @@ def check_signals(
     """
     for check in (check_rig, check_lost_samples, check_lowest_force, check_holds, check_zeros):
         findings += check(prepared, motion, protocol)
-    if findings.blocked is not None:
+    if findings.blocking_reason is not None:
         return findings
     reversed_signs = check_signs(prepared, motion, protocol)
     if any(finding.code == "force_reversed" for finding in reversed_signs):
@@ -307,7 +307,7 @@ def check_signs(prepared: PreparedTest, motion: Motion, protocol: Protocol) -> l
     findings = []
     if "force" in doubted:
         # The clocks are aligned at peaks of the force.
-        quantities = (doubted["force"], "clock")[: 1 if motion.clocks.force is None else 2]
+        quantities = (doubted["force"], "clock")[: 1 if motion.clocks.force_fit is None else 2]
         findings.append(Finding.of("process.force_reversed", signals.force, *quantities, **facts))
     if "displacement" in doubted:
         name, quantity = signals.displacement, doubted["displacement"]

@@ -18,7 +18,7 @@ from labpipe.process.sheet_inference import (
     split_file_names,
 )
 from labpipe.protocol.load import find_protocol
-from labpipe.protocol.sheet_grammar import SHEET_NAME, TestSheet, write_test_sheet
+from labpipe.protocol.sheet_grammar import SHEET_NAME, TestSheet, format_test_sheet
 from labpipe.protocol.source import ROLES
 from labpipe.readers.workbooks import Table, read_campaign_sheet
 from labpipe.store.replace import map_errors, replace_file
@@ -300,4 +300,4 @@ def _write_sheet(path: Path, data: Mapping[str, object]) -> None:
     with map_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
     with replace_file(path) as temporary_path:
-        temporary_path.write_text(write_test_sheet(data), encoding="utf-8", newline="\n")
+        temporary_path.write_text(format_test_sheet(data), encoding="utf-8", newline="\n")

@@ -33,7 +33,7 @@ from labpipe.records.arrays import (
 from labpipe.records.causes import SPEED, TURN
 from labpipe.records.curve import NORMAL_95, Shape
 from labpipe.records.estimates import Failure
-from labpipe.records.quality import Finding, QualityNote, doubt_stretches
+from labpipe.records.quality import Finding, QualityNote, make_stretch_finding
 from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording
 from labpipe.records.signals import Filter, Signal, Signals
 from labpipe.results.kinds import SpanBend
@@ -156,7 +156,7 @@ def calibrate(
         for note in recording.notes:
             located_note = replace(note, where=f"{role}: {note.where}" if note.where else role)
             is_of_force = note.code == "columns_disagree" and note.where == force_path
-            doubted = doubt_stretches("force", located_note, "")
+            doubted = make_stretch_finding("force", located_note, "")
             findings.append(doubted if is_of_force else Finding(located_note))
         if recording.markers is not None:
             _check_clock(recording.markers.time, role, min_samples=min_frames)
@@ -248,7 +248,7 @@ def _check_missing(name: str, signal: Signal, quantity: str) -> list[Finding]:
         is_missing[:first] = is_missing[last:] = False
     times = find_run_times(is_missing, signal.time)
     note = QualityNote.of("process.missing_samples", name, *times, count=count, total=total)
-    return [doubt_stretches(quantity, note, signal.clock) if times else Finding(note)]
+    return [make_stretch_finding(quantity, note, signal.clock) if times else Finding(note)]
 
 
 def _check_clock(time: Floats, role: str, *, min_samples: int) -> None:
@@ -281,20 +281,20 @@ def check_channels(signals: Signals, protocol: Protocol) -> Iterator[Finding]:
         saturated_runs = [run for run in runs if run.is_clipped]
         if saturated_runs:
             note = _make_saturation_note(name, signal, saturated_runs)
-            yield doubt_stretches(quantity, note, signal.clock)
+            yield make_stretch_finding(quantity, note, signal.clock)
             if getattr(protocol.align, "channel", "") == name:
                 # The clocks are aligned at peaks whose times are wrong.
-                yield doubt_stretches("clock", replace(note, stretches=()), signal.clock)
+                yield make_stretch_finding("clock", replace(note, stretches=()), signal.clock)
         for run in (run for run in runs if not run.is_clipped):
             times = _get_adjacent_times(signal, run)
             time_unit = "s" if signal.has_time else "of the samples"
             facts = {"value": float(signal.values[run.start]), "signal": signal}
             facts |= {"times": times, "time_unit": time_unit}
             note = QualityNote.of("process.frozen_channel", name, times, **facts)
-            yield doubt_stretches(quantity, note, signal.clock)
+            yield make_stretch_finding(quantity, note, signal.clock)
             if protocol.branches is not None and protocol.branches.channel == name:
                 # The branches begin and end at wrong times.
-                yield doubt_stretches("force", note, signal.clock)
+                yield make_stretch_finding("force", note, signal.clock)
 
 
 def _make_saturation_note(name: str, signal: Signal, runs: list[StuckRun]) -> QualityNote:
@@ -361,7 +361,7 @@ def compute_travel_from_speed(
         TURN: compute_travel(time_error),
         SPEED: (1.0 + step.speed_uncertainty) * values,
     }
-    signal = Signal(time, values, "m", force.clock, perturbed=perturbed)
+    signal = Signal(time, values, "m", force.clock, variants=perturbed)
     facts: dict[str, Any] = {"speed": 1e3 * speed, "duration": duration}
     facts |= {"time": corner.time, "error": 1e3 * time_error}
     findings = [Finding.of("process.displacement_from_speed", step.channel, **facts)]

@@ -144,7 +144,7 @@ def split_motion(
     signals = prepared.signals
     motion, findings = find_motion_strokes(signals.raw[settings.channel], settings)
     fit, motion, new_findings = align_clocks(signals, protocol.align, motion)
-    clocks = Clocks(signals.raw[signals.displacement].clock, force=fit)
+    clocks = Clocks(signals.raw[signals.displacement].clock, force_fit=fit)
     motion = replace(motion, branches=split_at_turns(motion), clocks=clocks)
     findings += new_findings
     if prepared.span is not None:
@@ -155,7 +155,7 @@ def split_motion(
         prepared, camera_clocks, new_findings = align_cameras(
             prepared, motion, min_stroke=min_stroke
         )
-        motion = replace(motion, clocks=replace(clocks, others=camera_clocks))
+        motion = replace(motion, clocks=replace(clocks, other_fits=camera_clocks))
         findings += new_findings
     return prepared, motion, findings
 
@@ -173,7 +173,7 @@ def add_curve(
     settings : block ``curve`` of the protocol
     """
     test = replace(test, cut_times=find_cut_ends(test.signals, motion, protocol, test.findings))
-    if test.findings.blocked:
+    if test.findings.blocking_reason:
         return test
     unfiltered, new_findings = bridge_outliers(test.signals)
     test = replace(test, aligned=align_signals(test), unfiltered=unfiltered)

@@ -1,4 +1,4 @@
-"""Grammar of YAML files: quantities with units, numbers, texts, and the blocks of keys.
+"""Grammar of YAML files: quantities with units, whole numbers, texts, and blocks of keys.
 
 The fields of a `Block`, and of a plain frozen dataclass such as a step, are declared with the
 markers of `labpipe.records.declarations`. This module alone converts these markers into pydantic's
@@ -119,15 +119,15 @@ _DIMENSION_NAMES = {si_unit: quantity for quantity, si_unit in SI_UNITS.items()}
     "rad": "an angle or a ratio",
     "J": "energy or moment",
 }
-"""Names of dimensions in messages, by SI unit."""
+"""Name of each dimension in messages, keyed by SI unit."""
 _NUMBER_AND_UNIT = re.compile(
     r"([-+]?\d+(?:[.,' \u2019\u00a0\u202f]\d{3}(?!\d))*(?:[.,]\d*)?)\s*+(.*)"
 )
-"""A number, perhaps with thousands separators or a decimal comma, and the text behind it."""
+"""A number, which may have thousands separators or a decimal comma, and the text after it."""
 _DECIMAL_COMMA = re.compile(r"[-+]?\d+,(?!\d{3}$)\d+")
 """A number whose comma cannot separate thousands."""
 _RATIO_TEXT = re.compile(rf"\s*{NUMBER_PATTERN}\s*(1|%|percent|ppm)?\s*")
-"""A pure number, perhaps in % or ppm."""
+"""A pure number, which may be in % or ppm."""
 
 
 def suggest_number(number: str, unit: str = "") -> str:
@@ -140,7 +140,7 @@ def suggest_number(number: str, unit: str = "") -> str:
 
     Returns
     -------
-    The remedy. It is empty for a number without separators and comma, and for any other text.
+    The remedy; empty if `number` needs no change, or is no number.
     """
     if re.fullmatch(NUMBER_PATTERN, number) or not _NUMBER_AND_UNIT.fullmatch(number):
         return ""
@@ -159,16 +159,16 @@ def explain_unit(unit: str, si_unit: str) -> str:
 
     Returns
     -------
-    A sentence with the dimension of the unit, or that the unit is unknown. It is empty for a unit
-    that fits, for no unit, and for a dimension without a name in `SI_UNITS`.
+    A sentence that names the dimension of the unit, or says that the unit is unknown. Empty if the
+    unit fits, if there is none, or if no quantity of `SI_UNITS` has its dimension.
     """
     try:
         get_conversion_factor(unit or si_unit, si_unit)
     except DimensionError:
-        base_unit = find_si_unit(unit)
-        if (base_unit, si_unit) == ("kg", "N"):
+        actual_si_unit = find_si_unit(unit)
+        if (actual_si_unit, si_unit) == ("kg", "N"):
             return f"{unit} is a unit of mass: write mass x 9.81 m/s^2 in N, or kgf for kg."
-        return f"{unit} is a unit of {_DIMENSION_NAMES[base_unit]}." if base_unit else ""
+        return f"{unit} is a unit of {_DIMENSION_NAMES[actual_si_unit]}." if actual_si_unit else ""
     except ValueError:
         return f"labpipe knows no unit {unit!r}."
     return ""
@@ -190,7 +190,7 @@ def suggest_quantity(text: object, si_unit: str, example: str) -> str:
 
 
 def find_si_unit(unit: str) -> str | None:
-    """Find the SI unit of a unit such as ``mV``; None if no quantity of `SI_UNITS` has it."""
+    """Find the SI unit for a unit such as ``mV``; None if no quantity of `SI_UNITS` fits."""
     units = SI_UNITS.values()
     return next((si for si in units if try_parse_quantity(f"1 {unit}", si) is not None), None)
 
@@ -205,7 +205,7 @@ def try_parse_quantity(text: object, si_unit: str) -> float | None:
 
 @dataclass(frozen=True, slots=True)
 class QuantityText:
-    """Parser and formatter of a float that YAML writes with its unit.
+    """Parser and formatter of a float that a YAML file states with its unit.
 
     Parameters
     ----------
@@ -224,7 +224,8 @@ class QuantityText:
         Raises
         ------
         FaultsError
-            If the text is no quantity of this unit, or the value is out of range or not finite.
+            If the text is no quantity of this dimension, or the value is out of range or not
+            finite.
         """
         unit, example = self.quantity.unit, self.quantity.example
         try:
@@ -238,15 +239,15 @@ class QuantityText:
             ) from error
         if unit == "1" and _RATIO_TEXT.fullmatch(str(text)) is None:  # pint converts deg to a ratio
             raise build_refusal("protocol.no_ratio", found=text, kind=self._kind, example=example)
-        is_above = self.quantity.above is None or value > self.quantity.above
-        in_range = is_above and self.quantity.minimum <= value <= self.quantity.maximum
+        is_above_bound = self.quantity.lower_bound is None or value > self.quantity.lower_bound
+        in_range = is_above_bound and self.quantity.minimum <= value <= self.quantity.maximum
         if not in_range or math.isinf(value):
             kind, range_text = self._kind, self._range_text
             raise build_refusal("protocol.out_of_range", found=text, kind=kind, range=range_text)
         return value
 
     def format(self, value: float) -> str:
-        """Format an SI value in the display unit, to 12 digits; in SI where it would overflow."""
+        """Format an SI value to 12 digits in the display unit, or in SI if that overflows."""
         unit = self.quantity.display_unit
         number = value / get_conversion_factor(unit, self.quantity.unit)
         if not math.isfinite(number):
@@ -263,18 +264,18 @@ class QuantityText:
     @property
     def _range_text(self) -> str:
         """Return a phrase for the valid range, for messages."""
-        quantity, lower_bound, upper_bound = self.quantity, "that is finite", ""
-        if quantity.above is not None:
-            lower_bound = f"above {self.format(quantity.above)}"
+        quantity, lower_text, upper_text = self.quantity, "that is finite", ""
+        if quantity.lower_bound is not None:
+            lower_text = f"above {self.format(quantity.lower_bound)}"
         elif math.isfinite(quantity.minimum):
-            lower_bound = f"from {self.format(quantity.minimum)} up"
+            lower_text = f"from {self.format(quantity.minimum)} up"
         if math.isfinite(quantity.maximum):
-            upper_bound = f", at most {self.format(quantity.maximum)}"
-        return f"{lower_bound}{upper_bound}"
+            upper_text = f", at most {self.format(quantity.maximum)}"
+        return f"{lower_text}{upper_text}"
 
     @property
     def schema(self) -> JsonSchemaValue:
-        """Return the JSON schema of the text."""
+        """Return the JSON schema of the text in YAML."""
         is_ratio = self.quantity.unit == "1"
         unit_pattern = "(%|ppm)?" if is_ratio else r"\S.*"
         return {
@@ -296,7 +297,7 @@ def parse_whole_number(bounds: WholeNumber, text: object) -> int:
     Raises
     ------
     FaultsError
-        If it is no whole number of at most nine digits, or out of range.
+        If the text is no whole number of at most nine digits, or the number is out of range.
     """
     is_whole = not isinstance(text, bool) and re.fullmatch(r"[+-]?[0-9]{1,9}", str(text))
     if not is_whole or not bounds.minimum <= int(str(text)) <= bounds.maximum:
@@ -306,12 +307,12 @@ def parse_whole_number(bounds: WholeNumber, text: object) -> int:
     return int(str(text))
 
 
-_SPAN_FORMS: Final[Mapping[Any, QuantityText]] = {
-    "time": QuantityText(Quantity("s", "s", "0.1 s", above=0.0)),
-    "travel": QuantityText(Quantity("m", "mm", "2 mm", above=0.0)),
+_SPAN_TEXTS: Final[Mapping[Any, QuantityText]] = {
+    "time": QuantityText(Quantity("s", "s", "0.1 s", lower_bound=0.0)),
+    "travel": QuantityText(Quantity("m", "mm", "2 mm", lower_bound=0.0)),
     "branch": QuantityText(Quantity("1", "%", "5 %", minimum=1e-6, maximum=1.0)),
 }
-"""Written form of a filter's window, by the kind of `Span`; ``samples`` has no unit."""
+"""Parser and formatter of a filter's window, keyed by kind of `Span`; ``samples`` has no unit."""
 _SPAN_SCHEMA = {"type": "string", "examples": ["0.1 s", "2 mm", "5 %", "51 samples"]}
 
 
@@ -320,42 +321,42 @@ def _parse_span(text: object) -> Span:
     if isinstance(text, Span):
         return text
     stripped = str(text).strip()
-    if count := re.fullmatch(r"([0-9]{1,9})\s*samples", stripped):
-        if int(count[1]) < 1:
+    if match := re.fullmatch(r"([0-9]{1,9})\s*samples", stripped):
+        if int(match[1]) < 1:
             raise build_refusal("protocol.no_sample", found=text)
-        return Span("samples", float(count[1]))
-    for kind, form in _SPAN_FORMS.items():
+        return Span("samples", float(match[1]))
+    for kind, quantity_text in _SPAN_TEXTS.items():
         is_percentage = kind == "branch" and stripped.endswith("%")
-        has_unit = try_parse_quantity(stripped, form.quantity.unit) is not None
+        has_unit = try_parse_quantity(stripped, quantity_text.quantity.unit) is not None
         if is_percentage or (kind != "branch" and has_unit):
-            return Span(kind, form.parse(text))
+            return Span(kind, quantity_text.parse(text))
     raise build_refusal("protocol.no_span", found=text, remedy=suggest_quantity(text, "s", "0.1 s"))
 
 
 def format_span(span: Span) -> str:
     """Format the length of a filter's window for YAML."""
-    form = _SPAN_FORMS.get(span.kind)
-    return f"{span.value:.0f} samples" if form is None else form.format(span.value)
+    quantity_text = _SPAN_TEXTS.get(span.kind)
+    return quantity_text.format(span.value) if quantity_text else f"{span.value:.0f} samples"
 
 
 _CONTROL_CHARACTER = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff\ufffe\uffff]")
-"""Control characters with line ends and tabs, surrogates, U+FFFE and U+FFFF."""
+"""A control character (such as a line end or a tab), a surrogate, U+FFFE or U+FFFF."""
 _TEST_NAME = re.compile(r"\w[\w.+-]*")
 WINDOWS_DEVICE_NAME: Final = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)
-"""File names that Windows reserves for devices, with any suffix."""
+"""Pattern of the file names that Windows reserves for devices, with any suffix."""
 MAX_NAME_BYTES = 120
-"""Longest name of a test, byte: file systems allow 255, and suffixes are appended to the name."""
+"""Largest length of a test's name, byte: file systems allow 255, and labpipe appends suffixes."""
 
 
 def _parse_text(value: object) -> str:
-    """Accept text, and the numbers that other YAML readers make of an unquoted 1."""
+    """Parse text; other YAML readers convert an unquoted 1 to a number, which is accepted, too."""
     if isinstance(value, bool) or not isinstance(value, str | int | float) or not str(value):
         raise build_refusal("protocol.no_text", found=value)
     return str(value)
 
 
 def has_control_characters(text: str) -> bool:
-    """Return whether a text has control characters, such as line ends, or invalid characters."""
+    """Return whether a text has control characters, such as line ends, or invalid code points."""
     return _CONTROL_CHARACTER.search(text) is not None
 
 
@@ -369,10 +370,10 @@ def _parse_line(value: object) -> str:
 def is_test_name(text: str) -> bool:
     """Return whether a text can name a test and its folder.
 
-    Paths, such as ``../x``, and names that some file system refuses are no names of tests.
+    Paths such as ``../x``, and names that a file system could refuse, are not valid.
     """
-    fits = _TEST_NAME.fullmatch(text) is not None and len(text.encode()) <= MAX_NAME_BYTES
-    return fits and WINDOWS_DEVICE_NAME.fullmatch(text) is None and not text.endswith(".")
+    is_plain = _TEST_NAME.fullmatch(text) is not None and len(text.encode()) <= MAX_NAME_BYTES
+    return is_plain and WINDOWS_DEVICE_NAME.fullmatch(text) is None and not text.endswith(".")
 
 
 def _parse_day(value: object) -> date:
@@ -393,7 +394,7 @@ def _parse_file_stem(value: object) -> str:
 
 
 def _parse_pattern_text(pattern_text: PatternText, value: object) -> str:
-    """Accept a text that matches a pattern."""
+    """Parse a text that must match a pattern."""
     if re.fullmatch(pattern_text.pattern, _parse_text(value)) is None:
         raise build_refusal("protocol.no_such_word", found=value, meaning=pattern_text.meaning)
     return str(value)
@@ -427,12 +428,12 @@ def build_path_validator(folder: str, remedy: str) -> BeforeValidator:
 
 
 def wrap_in_list(value: object) -> object:
-    """Wrap a single value in a list."""
+    """Wrap a single value in a list; a list or tuple is returned unchanged."""
     return value if isinstance(value, list | tuple) else [value]
 
 
-def build_row_validator(count: int, example: str) -> BeforeValidator:
-    """Build the validator of the length of a list of quantities.
+def build_count_validator(count: int, example: str) -> BeforeValidator:
+    """Build the validator of the number of quantities in a list.
 
     Parameters
     ----------
@@ -440,17 +441,18 @@ def build_row_validator(count: int, example: str) -> BeforeValidator:
     example : a correct list, for messages
     """
 
-    def check_length(value: object) -> object:
+    def check_count(value: object) -> object:
         if not isinstance(value, list | tuple) or len(value) != count:
             raise build_refusal("protocol.no_row", found=value, count=count, example=example)
         return value
 
-    return BeforeValidator(check_length)
+    return BeforeValidator(check_count)
 
 
 Text = Annotated[str, BeforeValidator(_parse_text), Field(min_length=1)]
+"""Text that is not empty."""
 SingleLine = Annotated[str, BeforeValidator(_parse_line), Field(min_length=1)]
-"""Text of one line, for headings, tables and figures."""
+"""Text of one line that is not empty, for headings, tables and figures."""
 Remark = Annotated[
     str,
     BeforeValidator(lambda value: "" if value is None else value),
@@ -458,14 +460,16 @@ Remark = Annotated[
 ]
 """Text that may be empty or null."""
 Day = Annotated[date, BeforeValidator(_parse_day)]
+"""Date in ISO 8601."""
 FileStem = Annotated[str, BeforeValidator(_parse_file_stem)]
+"""Name of a file without its suffix, see `is_test_name`."""
 
 
 class Block(BaseModel):
     """Frozen model of a YAML block, which refuses unknown keys and reports faults in sentences."""
 
-    # Pydantic builds a model when it is first used, as most commands use few of them. A default
-    # must not build its model: it is constructed without validation.
+    # Pydantic builds the validator of a model when it is first used, because most commands use few
+    # models. Default blocks are made by `model_construct`, which does not build a validator.
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
 
     def __init_subclass__(cls, **options: Any) -> None:
@@ -481,7 +485,7 @@ class Block(BaseModel):
 
     @classmethod
     def read(cls, data: object) -> tuple[Self | None, list[Fault]]:
-        """Validate plain values, and check the valid ones even if others are at fault.
+        """Validate plain values, and check the valid ones even if others have faults.
 
         Parameters
         ----------
@@ -489,9 +493,9 @@ class Block(BaseModel):
 
         Returns
         -------
-        The block and all faults. If there are faults, the block is a draft: a value at fault is the
-        default of its key if that is a block, a list or a mapping, and None otherwise. The block is
-        None if the content is no block.
+        The block and all faults. With faults, the block is a draft: an invalid value is replaced by
+        the default of its key if the default is a block, a list or a mapping, and by None
+        otherwise. The block is None if the content is no block.
         """
         faults: list[Fault] = []
         try:
@@ -501,23 +505,23 @@ class Block(BaseModel):
             if not isinstance(data, Mapping):
                 return None, faults
             block = cls.model_validate(data, context=_DRAFT)
-        known_paths = {fault.path + (fault.missing,) * bool(fault.missing) for fault in faults}
+        invalid_paths = {(*x.path, x.missing) if x.missing else x.path for x in faults}
         contradictions: list[Fault] = []
         for path, value in reversed([*list_blocks(block)]):  # inner blocks before outer ones
-            fault_paths = known_paths.union(fault.path for fault in contradictions)
+            fault_paths = invalid_paths.union(fault.path for fault in contradictions)
             if isinstance(value, Block):
                 contradictions += prefix_paths(path, value.find_key_faults())
-            if not any(fault_path[: len(path)] == path for fault_path in fault_paths):
-                find_faults = getattr(value, "find_value_faults", tuple[Fault, ...])
-                contradictions += prefix_paths(path, find_faults())
-        # A fault of the value of a key that must not be there is omitted.
-        refused_keys = {fault.path for fault in contradictions if fault.at == "key"}
+            is_valid = not any(fault_path[: len(path)] == path for fault_path in fault_paths)
+            if is_valid and hasattr(value, "find_value_faults"):
+                contradictions += prefix_paths(path, value.find_value_faults())
+        # If a key must not be there, a fault of its value is omitted.
+        refused_keys = {fault.path for fault in contradictions if fault.is_key}
         faults = [fault for fault in faults if fault.path not in refused_keys]
-        known_paths -= refused_keys
-        return block, faults + [x for x in contradictions if x.path not in known_paths]
+        invalid_paths -= refused_keys
+        return block, faults + [x for x in contradictions if x.path not in invalid_paths]
 
     def find_key_faults(self) -> Iterable[Fault]:
-        """Find contradictions between keys, even if values are at fault (see `read`).
+        """Find contradictions between keys, even if values have faults (see `read`).
 
         Returns
         -------
@@ -526,7 +530,7 @@ class Block(BaseModel):
         return ()
 
     def find_value_faults(self) -> Iterable[Fault]:
-        """Find contradictions between values; called only if each of them is valid.
+        """Find contradictions between values; `read` calls it only if all values are valid.
 
         Returns
         -------
@@ -551,11 +555,11 @@ class Block(BaseModel):
     def _omit_unset_keys(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
         """Omit keys with the value None, if None is their default."""
         fields = type(self).model_fields
-        unset = {field.alias or name for name, field in fields.items() if field.default is None}
+        optional = {field.alias or name for name, field in fields.items() if field.default is None}
         return {
             key: value
             for key, value in handler(self).items()
-            if value is not None or key not in unset
+            if value is not None or key not in optional
         }
 
 
@@ -565,18 +569,19 @@ _DRAFT = "draft"
 
 
 def _build_draft(block: type[_B], data: Values) -> _B:
-    """Build a block from its valid values; keys that it does not know keep theirs."""
-    keys = {field.alias or name: name for name, field in block.model_fields.items()}
-    values = {key: value for key, value in data.items() if key not in keys}
-    for key, name in keys.items():
-        default = block.model_fields[name].get_default()
-        is_emptied = key in data and not isinstance(default, Block | tuple | dict)
-        values[name] = None if is_emptied or block.model_fields[name].is_required() else default
+    """Build a draft of a block, see `Block.read`; values of unknown keys are kept as written."""
+    names_by_key = {field.alias or name: name for name, field in block.model_fields.items()}
+    values = {key: value for key, value in data.items() if key not in names_by_key}
+    for key, name in names_by_key.items():
+        field = block.model_fields[name]
+        default = None if field.is_required() else field.get_default()
+        has_default = key not in data or isinstance(default, Block | tuple | dict)
+        values[name] = default if has_default else None
         if key in data:
-            with suppress(ValidationError):  # its fault is already reported
+            with suppress(ValidationError):  # the fault is already reported
                 adapter = _build_adapter(block, name)
                 values[name] = adapter.validate_python(data[key], context=_DRAFT)
-    stated_names = {name for key, name in keys.items() if key in data}
+    stated_names = {name for key, name in names_by_key.items() if key in data}
     return cast("_B", block.model_construct(stated_names, **values))
 
 
@@ -590,15 +595,16 @@ def _build_adapter(block: type[Block], name: str) -> TypeAdapter[Any]:
 
 
 _PLAIN_TYPES = frozenset((str, float, int, bool, date, type(None)))
+"""Types of values that contain no other values."""
 
 
 def list_blocks(node: object, path: KeyPath = ()) -> Iterator[tuple[KeyPath, Any]]:
-    """List a block, list or mapping, and all that are in it, with their paths.
+    """Yield the path and value of a block, list or mapping, and of all blocks and lists in it.
 
     Parameters
     ----------
     node : validated block, list or mapping
-    path : path of `node`, which the paths of its values begin with
+    path : path of `node`; the paths of its values begin with it
     """
     yield path, node
     for key, value in list_items(node):
@@ -609,7 +615,8 @@ def list_blocks(node: object, path: KeyPath = ()) -> Iterator[tuple[KeyPath, Any
 def list_items(node: object) -> Iterable[tuple[Any, Any]]:
     """List keys and values of a block or mapping, or indices and items of a list.
 
-    Keys are the names of fields: only keys of texts and numbers differ from them.
+    The keys of a block are the names of its fields. These differ from the keys in YAML only for
+    fields of texts and numbers.
     """
     if isinstance(node, Block):
         return (vars(node) | (node.__pydantic_extra__ or {})).items()
@@ -619,15 +626,15 @@ def list_items(node: object) -> Iterable[tuple[Any, Any]]:
 
 
 def build_pydantic_type(hint: Any) -> Any:
-    """Convert the type of a field into one that pydantic validates.
+    """Convert the type of a field to one that pydantic validates.
 
     Parameters
     ----------
-    hint : type with markers; a plain dataclass in it is read from a block of its settings
+    hint : type with markers; a block of settings is read as a plain dataclass that the type names
 
     Returns
     -------
-    The type with validators in place of the markers; a validated value is of the type `hint`.
+    The type with validators in place of the markers; a validated value has the type `hint`.
     """
     origin, arguments = get_origin(hint), get_args(hint)
     if origin is Annotated:
@@ -646,7 +653,7 @@ def build_pydantic_type(hint: Any) -> Any:
 
 
 def _replace_markers(inner: Any, markers: tuple[Any, ...]) -> Any:
-    """Convert an annotated type into one with validators in place of its markers."""
+    """Convert an annotated type to one with validators in place of its markers."""
     for marker in markers:
         if isinstance(marker, TaggedChoice):
             choice = _ChoiceAnnotation(get_args(inner), marker.key)
@@ -659,7 +666,7 @@ def _replace_markers(inner: Any, markers: tuple[Any, ...]) -> Any:
 
 
 def _convert_marker(marker: object, inner: Any, markers: tuple[Any, ...]) -> list[Any]:
-    """Convert one of the markers of a type for pydantic; a marker of text is a description."""
+    """Convert a marker to annotations for pydantic; a text becomes the description of the field."""
     match marker:
         case Quantity():
             text = QuantityText(marker)
@@ -669,42 +676,42 @@ def _convert_marker(marker: object, inner: Any, markers: tuple[Any, ...]) -> lis
             schema = {"type": "integer", "minimum": marker.minimum, "maximum": marker.maximum}
             return [PlainValidator(partial(parse_whole_number, marker)), WithJsonSchema(schema)]
         case PatternText():
-            converted: Any = BeforeValidator(partial(_parse_pattern_text, marker))
+            annotation: Any = BeforeValidator(partial(_parse_pattern_text, marker))
         case FromCard():
-            converted = BeforeValidator(read_limit_card, json_schema_input_type=inner | str)
+            annotation = BeforeValidator(read_limit_card, json_schema_input_type=inner | str)
         case LargerThan():
-            quantity = next(other for other in markers if isinstance(other, Quantity))
-            converted = AfterValidator(partial(_check_larger, marker, QuantityText(quantity)))
+            quantity = next(item for item in markers if isinstance(item, Quantity))
+            annotation = AfterValidator(partial(_check_larger, marker, QuantityText(quantity)))
         case Key():
-            converted = Field(alias=marker.name)
+            annotation = Field(alias=marker.name)
         case str():
-            converted = Field(description=marker)
+            annotation = Field(description=marker)
         case _:
-            converted = marker
-    return [converted]
+            annotation = marker
+    return [annotation]
 
 
 def _check_larger(
-    marker: LargerThan, form: QuantityText, value: float, info: ValidationInfo
+    marker: LargerThan, quantity_text: QuantityText, value: float, info: ValidationInfo
 ) -> float:
-    """Refuse a value that is not above that of an earlier field."""
+    """Return a value; refuse it if it is not larger than that of an earlier field."""
     bound = (info.data or {}).get(marker.field)
     if bound is not None and value <= bound:
-        found, bound_text = form.format(value), form.format(bound)
+        found, bound_text = map(quantity_text.format, (value, bound))
         raise build_refusal("protocol.not_larger", found=found, key=marker.key, bound=bound_text)
     return value
 
 
 def read_limit_card(name: object) -> object:
-    """Read a shipped card of smallest forces.
+    """Read a shipped card with the smallest allowed forces.
 
     Parameters
     ----------
-    name : name of the card, such as ``crimp-pull``; a value that is no text is returned unchanged
+    name : name of the card, such as ``crimp-pull``; any value but a text is returned unchanged
 
     Returns
     -------
-    Content of the card as plain values.
+    The content of the card as plain values.
 
     Raises
     ------
@@ -726,10 +733,10 @@ def build_block(kind: Any, tag: str = "") -> type[Block]:
 
     Parameters
     ----------
-    kind : frozen dataclass of settings. A field with ``compare=False`` is no setting and has no
-        key. The dataclass may have a method ``find_value_faults``, as `Block` has.
-    tag : key that distinguishes the kinds of a list; `kind` has its value in a class variable of
-        this name. Empty for a block that is no item of such a list.
+    kind : frozen dataclass of settings. A field with ``compare=False`` has no key. The dataclass
+        may have a method ``find_value_faults``, as `Block` has
+    tag : key that distinguishes the kinds of items in a list; a class variable of this name in
+        `kind` has the value of the key. Empty if the block is no item of such a list
 
     Returns
     -------
@@ -746,13 +753,13 @@ def build_block(kind: Any, tag: str = "") -> type[Block]:
 
 @dataclass(frozen=True, slots=True)
 class _BlockAnnotation:
-    """Annotation of a plain dataclass that is read from a block, and written as one.
+    """Annotation of a plain dataclass that is read from a block, and written as a block.
 
-    The block is built when it is first read or written, as a file has few kinds of blocks.
+    The class of the block is built at its first use, because a file has few kinds of blocks.
 
     Parameters
     ----------
-    kind, tag : dataclass and key, see `build_block`
+    kind, tag : dataclass, and key that distinguishes it from others, see `build_block`
     """
 
     kind: Any
@@ -771,7 +778,7 @@ class _BlockAnnotation:
     ) -> JsonSchemaValue:
         block = build_block(self.kind, self.tag)
         block.model_rebuild()
-        # A definition of its own lets the schema of the file refer to this block many times.
+        # The schema of the file can refer to a definition many times.
         return handler(core_schema.definitions_schema(block.__pydantic_core_schema__, []))
 
     def _read(self, data: object, info: ValidationInfo) -> object:
@@ -791,12 +798,12 @@ class _BlockAnnotation:
 
 @dataclass(frozen=True, slots=True)
 class _ChoiceAnnotation:
-    """Annotation of a union of plain dataclasses that a key of their blocks distinguishes.
+    """Annotation of a union of plain dataclasses, which a key of their blocks distinguishes.
 
     Parameters
     ----------
     kinds : dataclasses of the union
-    tag : the key
+    tag : key whose value distinguishes the dataclasses
     """
 
     kinds: tuple[Any, ...]

@@ -115,7 +115,7 @@ def find_protocol(name: str, *, sheet_folder: Path, protocols: Path | None = Non
 
     Returns
     -------
-    The file, or the fault of the key ``protocol`` of the sheet.
+    The file, or the fault at the key ``protocol`` of the sheet.
     """
     if name.endswith(_SUFFIXES) or "/" in name or "\\" in name:
         paths = [sheet_folder / name, Path(name)]
@@ -190,7 +190,9 @@ def _parse_valid_protocol(text: str) -> Protocol | None:
 
 
 def load_test_sheet(path: Path) -> TestSheet:
-    """Load a test sheet; `resolve_protocol` checks whether its exports are links out of its folder.
+    """Load a test sheet.
+
+    Links out of the folder of the test are not checked here, but in `resolve_protocol`.
 
     Parameters
     ----------
@@ -306,25 +308,26 @@ def resolve_protocol(
     if isinstance(protocol_file, Fault):
         raise build_error([sheet_document.place(protocol_file)])
     text, name = read_text(protocol_file), str(protocol_file)
-    merged = parse_yaml(text, name)
-    merged.faults += map(sheet_document.place, apply_overrides(merged, sheet_document))
-    protocol, protocol_faults = Protocol.read(merged.data)
+    document = parse_yaml(text, name)
+    document.faults += map(sheet_document.place, apply_overrides(document, sheet_document))
+    protocol, protocol_faults = Protocol.read(document.data)
     placed_faults: list[PlacedFault] = []
     if protocol_faults:
-        file_protocol = Protocol.read(parse_yaml(text, name).data)
-        placed_faults += _place_merged_faults(protocol_faults, merged, sheet_path, *file_protocol)
+        unmerged, unmerged_faults = Protocol.read(parse_yaml(text, name).data)
+        file_protocol = None if unmerged_faults else unmerged
+        placed_faults += _place_merged_faults(protocol_faults, document, sheet_path, file_protocol)
     faults: list[Fault] = []
     if protocol is not None:
         # A test sheet cannot override whether links are followed.
-        follow_links |= protocol.follow_links is True  # it is None if its value is at fault
+        follow_links |= protocol.follow_links is True  # None in a draft if its value is invalid
         faults += _find_role_faults(sheet, protocol)
         faults += _find_link_faults(sheet, sheet_path.parent, follow_links=follow_links)
         faults += _find_wrong_answers(sheet, protocol)
     if protocol is None or placed_faults:
-        raise build_error([*merged.faults, *placed_faults, *map(sheet_document.place, faults)])
-    # Overrides may have removed steps: the others keep the numbers that they have in the file.
+        raise build_error([*document.faults, *placed_faults, *map(sheet_document.place, faults)])
+    # Overrides may have removed steps; the other steps keep their numbers from the file.
     steps = tuple(
-        step.with_number(int(merged.find_location(("steps", index))[0].name))
+        step.with_number(int(document.find_location(("steps", index))[0].name))
         for index, step in enumerate(protocol.steps)
     )
     protocol = protocol.model_copy(update={"steps": steps})
@@ -334,13 +337,13 @@ def resolve_protocol(
         sheet.specimen, ("specimen",), ranges, other_lengths=dimensions
     )
     faults += find_missing_curve_sources(reduced_protocol, protocol)
-    if placed_faults := [*merged.faults, *map(sheet_document.place, faults)]:
+    if placed_faults := [*document.faults, *map(sheet_document.place, faults)]:
         raise build_error(placed_faults)
     return reduced_protocol
 
 
-def find_missing_exports(sheet: TestSheet, sheet_path: Path) -> ProtocolError | None:
-    """Find exports that a test sheet names and that do not exist.
+def find_export_error(sheet: TestSheet, sheet_path: Path) -> ProtocolError | None:
+    """Find exports that a test sheet names but that do not exist, and build their error.
 
     Parameters
     ----------
@@ -349,7 +352,7 @@ def find_missing_exports(sheet: TestSheet, sheet_path: Path) -> ProtocolError | 
 
     Returns
     -------
-    The error with a line per missing export; None if all exist.
+    The error, with one line per missing export; None if all exports exist.
     """
     folder = sheet_path.parent
     exports = [(role, name) for role, names in sheet.files.items() for name in names]
@@ -366,7 +369,7 @@ def find_missing_exports(sheet: TestSheet, sheet_path: Path) -> ProtocolError | 
     return build_error(placed_faults, code="missing_export")
 
 
-def dump_protocol(protocol: Protocol) -> str:
+def format_protocol(protocol: Protocol) -> str:
     """Format a protocol as YAML with units and defaults.
 
     Parameters
@@ -405,20 +408,23 @@ def validate_document(model: type[_B], document: Document) -> _B:
 
 
 def _place_merged_faults(
-    faults: list[Fault],
-    merged: Document,
-    sheet_path: Path,
-    file_protocol: Protocol | None,
-    file_faults: list[Fault],
+    faults: list[Fault], merged: Document, sheet_path: Path, file_protocol: Protocol | None
 ) -> Iterator[PlacedFault]:
-    """Place the faults of a protocol with overrides; the file without them may have faults, too."""
-    is_file_valid = file_protocol is not None and not file_faults
+    """Place the faults of a protocol with overrides.
+
+    Parameters
+    ----------
+    faults : faults of the protocol with overrides
+    merged : protocol with overrides
+    sheet_path : file of the test sheet that has the overrides
+    file_protocol : protocol without overrides; None if it has faults, too
+    """
     removed_names = set[str]()
-    if file_protocol is not None and is_file_valid:
+    if file_protocol is not None:
         removed_names = _find_removed_main_results(merged, file_protocol, str(sheet_path))
     for fault in faults:
         is_in_sheet = merged.find_location(fault.path)[0].file == str(sheet_path)
-        is_due_to_sheet = is_file_valid and not is_in_sheet
+        is_due_to_sheet = file_protocol is not None and not is_in_sheet
         remark = f"(With the overrides of {sheet_path}.)" if is_due_to_sheet else ""
         # A main result that an override removes is removed from the groups, too.
         is_main = fault.path[:2] == ("groups", "main") and is_due_to_sheet
@@ -427,14 +433,15 @@ def _place_merged_faults(
 
 
 def _find_removed_main_results(merged: Document, protocol: Protocol, sheet: str) -> set[str]:
-    """Find the main results of a protocol file whose results the overrides of a sheet remove."""
+    """Find the main results of a protocol that the overrides of a sheet remove from the results."""
     if merged.find_location(("results",))[0].file == sheet:
         return set()  # the sheet has replaced the list
-    results = get_block(merged.data).get("results")
-    indices = range(len(results) if isinstance(results, list) else 0)
-    kept = {merged.find_location(("results", index))[0].name for index in indices}
-    removed = tuple(x for index, x in enumerate(protocol.results) if index not in kept)
-    faults = find_unknown_main_results(protocol.model_copy(update={"results": removed}))
+    merged_results = get_block(merged.data).get("results")
+    indices = range(len(merged_results) if isinstance(merged_results, list) else 0)
+    kept_indices = {merged.find_location(("results", index))[0].name for index in indices}
+    results = enumerate(protocol.results)
+    removed_results = tuple(result for index, result in results if index not in kept_indices)
+    faults = find_unknown_main_results(protocol.model_copy(update={"results": removed_results}))
     other_indices = {fault.path[-1] for fault in faults}
     return {x for index, x in enumerate(protocol.groups.main) if index not in other_indices}
 
@@ -447,7 +454,7 @@ def _find_wrong_answers(sheet: TestSheet, protocol: Protocol) -> Iterator[Fault]
         if name not in questions:
             remedy = "The protocol asks no questions; use specimen.labels."
             expected = "a question of the protocol:"
-            yield build_choice_fault(path, name, questions, expected, remedy=remedy, at="key")
+            yield build_choice_fault(path, name, questions, expected, remedy=remedy, is_key=True)
         elif answer not in questions[name]:
             answers = ", ".join(map(repr, questions[name]))
             yield Fault.of("protocol.no_answer", path, answers=answers, found=answer)
@@ -458,7 +465,7 @@ def _find_role_faults(sheet: TestSheet, protocol: Protocol) -> Iterator[Fault]:
     sources = protocol.sources or sheet.files.keys()
     for role in sheet.files.keys() - sources:
         expected = "a role of the protocol:"
-        yield build_choice_fault(("files", role), role, sources, expected, at="key")
+        yield build_choice_fault(("files", role), role, sources, expected, is_key=True)
     for role, source in (protocol.sources or {}).items():
         if role in ROLES and role not in sheet.files and not source.optional:
             yield Fault.of("protocol.no_file_of_role", ("files",), role=role)
@@ -477,20 +484,20 @@ def _find_link_faults(sheet: TestSheet, folder: Path, *, follow_links: bool) -> 
             yield Fault.of("protocol.link_out", ("files", role), name=name, copy=COPY_REMEDY)
 
 
-_SHEET_DIMENSIONS = ("length", "gauge_length", "span", "mass_per_length", "section")
-"""Keys of the sheet's specimen that override those of the protocol."""
+_DIMENSION_KEYS = ("length", "gauge_length", "span", "mass_per_length", "section")
+"""Keys of the specimen in a test sheet that override those in the protocol."""
 
 
 def apply_overrides(protocol: Document, sheet: Document) -> Iterator[Fault]:
     """Apply the overrides of a test sheet to a protocol.
 
     Changed values get their locations in the sheet. An override with null removes an item of a
-    list.
+    list. The overrides are applied as the faults are yielded.
 
     Parameters
     ----------
-    protocol : protocol as written; it is modified
-    sheet : valid test sheet as written
+    protocol : document of the protocol, which is modified
+    sheet : document of a valid test sheet
 
     Yields
     ------
@@ -499,7 +506,7 @@ def apply_overrides(protocol: Document, sheet: Document) -> Iterator[Fault]:
     """
     specimen, overrides = get_block(sheet.data, "specimen"), get_block(sheet.data, "overrides")
     sheet_paths: dict[str, KeyPath] = {
-        f"specimen.{key}": ("specimen", key) for key in _SHEET_DIMENSIONS if specimen.get(key)
+        f"specimen.{key}": ("specimen", key) for key in _DIMENSION_KEYS if specimen.get(key)
     }
     for key in get_block(specimen, "uncertainty"):
         sheet_paths[f"specimen.uncertainty.{key}"] = ("specimen", "uncertainty", key)
@@ -510,7 +517,7 @@ def apply_overrides(protocol: Document, sheet: Document) -> Iterator[Fault]:
             override, value = sheet.get_value(path), sheet.get_value(sheet_paths[key])
             yield Fault.of("protocol.override_twice", path, key=key, override=override, value=value)
         elif key == "follow_links":  # a test folder from elsewhere must not allow links
-            yield Fault.of("protocol.not_overridable", path[:2], at="key", key=key)
+            yield Fault.of("protocol.not_overridable", path[:2], is_key=True, key=key)
         else:
             value_paths[key] = path
     for key, path in value_paths.items():
@@ -525,11 +532,11 @@ def _set_value(
 ) -> Iterator[Fault]:
     """Set the value at a dotted key of the protocol to the value at a path of the sheet.
 
-    An item of a list whose new value is null is removed. An unknown key, or a key below a missing
-    list of steps or results, is a fault.
+    An item of a list is removed if its new value is null. An unknown key is a fault, and so is a
+    key below a missing list of steps or results.
     """
     value, (location, _) = sheet.get_value(value_path), sheet.find_location(value_path)
-    location = location._replace(key=sheet.find_location(value_path[:2])[0].key)
+    location = location._replace(key_mark=sheet.find_location(value_path[:2])[0].key_mark)
     node: Any = protocol.data
     words = dotted_key.split(".")
     for depth, word in enumerate(words, start=1):
@@ -543,7 +550,7 @@ def _set_value(
             if depth == 1 and word in ("steps", "results"):
                 path = value_path[:2]
                 yield Fault.of(
-                    "protocol.override_of_no_list", path, at="key", key=dotted_key, block=word
+                    "protocol.override_of_no_list", path, is_key=True, key=dotted_key, block=word
                 )
                 return
             node[word], node.locations[word] = LocatedBlock(), location._replace(name=word)
@@ -556,14 +563,14 @@ def _set_value(
 
 
 def _find_key(node: object, word: str) -> Any:
-    """Find what a word of a dotted key means: a key, or an item by number, name or kind."""
+    """Find the key or index of a word of a dotted key, which is a key, number, name or kind."""
     if isinstance(node, dict):
         return word
     if not isinstance(node, LocatedList):
         return None
     index = parse_count(word)
     if index is not None:
-        # Earlier overrides may have removed items; the others keep their numbers.
+        # Earlier overrides may have removed items; the other items keep their numbers.
         numbers = [location.name for location in node.locations]
         return numbers.index(index) if index in numbers else None
     # Names precede kinds: of several stiffnesses, one may have the name `stiffness`.
@@ -589,11 +596,11 @@ def _list_names(item: object) -> list[str]:
 def _build_key_fault(node: object, word: str, path: KeyPath) -> Fault:
     """Build the fault of an unknown word of a dotted key."""
     if not isinstance(node, list):
-        return Fault.of("protocol.below_a_value", path, at="key", key=word)
+        return Fault.of("protocol.below_a_value", path, is_key=True, key=word)
     labels = [label for item in node for label in {*_list_kinds(item), *_list_names(item)}]
     remedy = "Use its number." if labels.count(word) > 1 else suggest_word(word, labels)
     last = len(node) - 1
-    return Fault.of("protocol.no_item", path, at="key", key=word, last=last, remedy=remedy)
+    return Fault.of("protocol.no_item", path, is_key=True, key=word, last=last, remedy=remedy)
 
 
 def remove_absent_sources(protocol: Protocol, roles: Collection[str]) -> Protocol:
@@ -617,22 +624,22 @@ def remove_absent_sources(protocol: Protocol, roles: Collection[str]) -> Protoco
     }
     reduced = protocol.model_copy(update={"sources": sources})
     steps = tuple(_list_possible_steps(reduced, {*protocol.channels} - {*reduced.channels}))
-    update: dict[str, object] = {"steps": steps}
+    changes: dict[str, object] = {"steps": steps}
     if "markers" not in sources:
-        update["markers"] = None
+        changes["markers"] = None
     computed_channels = {step.channel for step in steps if isinstance(step, TravelFromSpeed)}
     if protocol.curve is not None and protocol.curve.displacement in computed_channels:
-        update["align"] = AlignNone()
-    reduced = reduced.model_copy(update=update)
-    unmet = {path for path, *_ in list_unmet_needs(reduced)}
+        changes["align"] = AlignNone()
+    reduced = reduced.model_copy(update=changes)
+    unmet_paths = {path for path, *_ in list_unmet_needs(reduced)}
     results = enumerate(reduced.results)
-    kept_results = tuple(x for index, x in results if ("results", index, "result") not in unmet)
+    kept_results = tuple(x for i, x in results if ("results", i, "result") not in unmet_paths)
     reduced = reduced.model_copy(update={"results": kept_results})
-    unmet = {path for path, *_ in list_unmet_needs(reduced)}
-    unmet |= {fault.path for fault in find_unknown_main_results(reduced)}
+    unmet_paths = {path for path, *_ in list_unmet_needs(reduced)}
+    unmet_paths |= {fault.path for fault in find_unknown_main_results(reduced)}
     figures, main = enumerate(reduced.report.figures), enumerate(reduced.groups.main)
-    kept_figures = tuple(x for index, x in figures if ("report", "figures", index) not in unmet)
-    kept_main = tuple(name for index, name in main if ("groups", "main", index) not in unmet)
+    kept_figures = tuple(x for i, x in figures if ("report", "figures", i) not in unmet_paths)
+    kept_main = tuple(name for i, name in main if ("groups", "main", i) not in unmet_paths)
     report = reduced.report.model_copy(update={"figures": kept_figures})
     groups = reduced.groups.model_copy(update={"main": kept_main})
     return reduced.model_copy(update={"report": report, "groups": groups})

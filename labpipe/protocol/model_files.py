@@ -1,9 +1,9 @@
-"""Files for models of wires: harnesses, and plans of calibrations.
+"""Define the files for models of wires: harnesses, and plans of calibrations.
 
 A harness is one line (a wire, a bundle or a chain) with its boundaries and its motion. A line has a
-length, a section and a shape without load. Clips, pins, grips, rings and strings hold it, loads
-pull it, and planes support it. Time is counted in steps. Each step is an equilibrium, and step 0 is
-the start.
+length, a section and a shape without load. A place on the line is a length from its start. Clips,
+pins, grips, rings and strings hold the line, loads pull it, and planes support it. Time is counted
+in steps. Each step is an equilibrium, and step 0 is the start.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from labpipe.protocol.grammar import (
     Remark,
     SingleLine,
     Text,
+    build_count_validator,
     build_path_validator,
-    build_row_validator,
     suggest_quantity,
     try_parse_quantity,
 )
@@ -48,8 +48,8 @@ from labpipe.units import GRAVITY
 
 START, END = 0.0, math.inf
 """Lengths from the start of a line, m, that YAML writes as ``start`` and ``end``."""
-LENGTH_ROUNDING = 1.0 + 1e-9
-"""Factor by which a length may exceed its limit through rounding."""
+ROUNDING_FACTOR = 1.0 + 1e-9
+"""Factor by which rounding may increase a length or distance above its limit."""
 
 Vector3: TypeAlias = tuple[float, float, float]
 Component: TypeAlias = Annotated[float, Quantity("1", "1", "0.5")]
@@ -58,6 +58,7 @@ AccelerationComponent: TypeAlias = Annotated[float, Quantity("m/s^2", "m/s^2", "
 
 
 def _normalise(vector: Vector3) -> Vector3:
+    """Scale a direction to the length 1."""
     size = math.hypot(*vector)
     if size == 0.0:
         raise build_refusal("protocol.no_direction", found=list(vector))
@@ -66,26 +67,27 @@ def _normalise(vector: Vector3) -> Vector3:
 
 
 Position: TypeAlias = Annotated[
-    tuple[Offset, Offset, Offset], build_row_validator(3, "[120 mm, 0 mm, 0 mm]")
+    tuple[Offset, Offset, Offset], build_count_validator(3, "[120 mm, 0 mm, 0 mm]")
 ]
 Direction: TypeAlias = Annotated[
     tuple[Component, Component, Component],
-    build_row_validator(3, "[1, 0, 0]"),
+    build_count_validator(3, "[1, 0, 0]"),
     AfterValidator(_normalise),
 ]
 ForceVector: TypeAlias = Annotated[
-    tuple[LoadComponent, LoadComponent, LoadComponent], build_row_validator(3, "[0 N, 0 N, -2 N]")
+    tuple[LoadComponent, LoadComponent, LoadComponent], build_count_validator(3, "[0 N, 0 N, -2 N]")
 ]
 Acceleration: TypeAlias = Annotated[
     tuple[AccelerationComponent, AccelerationComponent, AccelerationComponent],
-    build_row_validator(3, "[0 m/s^2, 0 m/s^2, -9.81 m/s^2]"),
+    build_count_validator(3, "[0 m/s^2, 0 m/s^2, -9.81 m/s^2]"),
 ]
 
-_LENGTH_FROM_START = QuantityText(Quantity("m", "mm", "120 mm", above=0.0))
+_LENGTH_FROM_START = QuantityText(Quantity("m", "mm", "120 mm", lower_bound=0.0))
 _NAMED_PLACES = {"start": START, "end": END}
 
 
 def _parse_place(value: object) -> float:
+    """Parse a place on the line, m from its start."""
     if str(value) in _NAMED_PLACES:
         return _NAMED_PLACES[str(value)]
     try:
@@ -97,8 +99,8 @@ def _parse_place(value: object) -> float:
 
 def _format_place(place: float) -> str:
     """Format a place on the line, m from its start, for YAML."""
-    names = {at: name for name, at in _NAMED_PLACES.items()}
-    return names.get(place) or _LENGTH_FROM_START.format(place)
+    names_by_place = {named_place: name for name, named_place in _NAMED_PLACES.items()}
+    return names_by_place.get(place) or _LENGTH_FROM_START.format(place)
 
 
 Place: TypeAlias = Annotated[float, PlainValidator(_parse_place), PlainSerializer(_format_place)]
@@ -108,8 +110,10 @@ Arrival: TypeAlias = Annotated[
 ]
 Release: TypeAlias = Annotated[Step | None, "Step from which the boundary is released"]
 Angle: TypeAlias = Annotated[float, Quantity("rad", "deg", "90 deg")]
-SectionStiffness: TypeAlias = Annotated[float, Quantity("N*m^2", "N*mm^2", "150 N*mm^2", above=0.0)]
-AxialStiffness: TypeAlias = Annotated[float, Quantity("N", "N", "40000 N", above=0.0)]
+SectionStiffness: TypeAlias = Annotated[
+    float, Quantity("N*m^2", "N*mm^2", "150 N*mm^2", lower_bound=0.0)
+]
+AxialStiffness: TypeAlias = Annotated[float, Quantity("N", "N", "40000 N", lower_bound=0.0)]
 Scatter: TypeAlias = Annotated[float, Quantity("1/m", "1/m", "0.5 1/m", minimum=0.0)]
 
 _SECTION_KEYS = {
@@ -120,7 +124,7 @@ _SECTION_KEYS = {
         *("mass_per_length", "diameter"),
     ),
 }
-"""Keys that belong to each source of the bending law."""
+"""Keys that belong to each key for the source of the bending law."""
 _REQUIRED_KEYS = {
     "diameter": "Add it: the allowed bend radius depends on it.",
     "largest_curvature": "Add the largest tested curvature: the law is valid up to it.",
@@ -161,7 +165,7 @@ class SectionBlock(Block):
         return next(name for name in _SECTION_KEYS if getattr(self, name) is not None)
 
     def find_value_faults(self) -> Iterator[Fault]:
-        """Find several sources or none, missing keys, and keys of other sources."""
+        """Find no source or several, missing keys, and keys of other sources."""
         stated_keys = {key for key, value in self if value is not None}
         kinds = [name for name in _SECTION_KEYS if name in stated_keys]
         if len(kinds) != 1:
@@ -178,7 +182,7 @@ class SectionBlock(Block):
         for key in sorted(all_keys & stated_keys - {*own_keys}):
             keys = ", ".join(map(repr, own_keys))
             yield Fault.of(
-                "protocol.other_section", (key,), at="key", key=key, kind=kind, keys=keys
+                "protocol.other_section", (key,), is_key=True, key=key, kind=kind, keys=keys
             )
 
 
@@ -204,12 +208,14 @@ class LineBlock(Block):
     spool: Spool | None = None
     """Curl of the line; straight without load if left out."""
     start: Position | None = None
-    """Initial position of its start; else that of the clip or pin there."""
+    """Initial position of the start; by default that of the clip or pin there."""
     direction: Direction | None = None
-    """Initial direction; else that of the clip at the start, or x."""
+    """Initial direction; by default that of the clip at the start, or x."""
 
 
 class _Boundary(Block):
+    """Boundary of the line, with its kind and a unique name."""
+
     kind: str
     name: SingleLine
 
@@ -222,7 +228,7 @@ class Holder(_Boundary):
 
 
 class Pin(Holder):
-    """Holds the position of a place of the line, after moving the line there."""
+    """A pin moves a place of the line to a position and holds it there."""
 
     kind: Literal["pin"]
     position: Position
@@ -230,7 +236,7 @@ class Pin(Holder):
 
 
 class Clip(Holder):
-    """Holds the position and direction of a place of the line, after moving the line there."""
+    """A clip moves a place of the line to a position and a direction, and holds both."""
 
     kind: Literal["clip"]
     position: Position
@@ -254,7 +260,7 @@ class Waypoint(Block):
 
 
 class Grip(Holder):
-    """Holds a place of the line and moves it along a path."""
+    """A grip holds a place of the line and moves it along a path."""
 
     kind: Literal["grip"]
     path: tuple[Waypoint, ...] = ()
@@ -268,9 +274,9 @@ class Grip(Holder):
             if point.step <= previous.step:
                 path = ("path", index, "step")
                 yield Fault.of("protocol.step_not_after", path, previous=previous, point=point)
-        for index, point in enumerate(self.path if self.holds == "position" else ()):
+        for i, point in enumerate(self.path if self.holds == "position" else ()):
             for key in sorted({"direction", "turn"} & point.model_fields_set):
-                yield Fault.of("protocol.turn_of_no_pose", ("path", index, key), at="key", key=key)
+                yield Fault.of("protocol.turn_of_no_pose", ("path", i, key), is_key=True, key=key)
 
 
 class Ring(_Boundary):
@@ -299,7 +305,7 @@ class Load(_Boundary):
     kind: Literal["load"]
     at: Place
     force: ForceVector
-    by: Annotated[Step | None, "Step of the full force; else the last"] = None
+    by: Annotated[Step | None, "Step of the full force; by default the last"] = None
 
 
 class Plane(_Boundary):
@@ -334,7 +340,7 @@ class HarnessFile(Block):
     steps: Step = 40
     """Number of equilibria after the start; more if the solver does not converge."""
     gravity: Acceleration = (0.0, 0.0, -GRAVITY)
-    """Three zeros for none."""
+    """Three zeros for no gravity."""
     allowed_bend_radius: Length | None = None
     """By default 5 times the outer diameter, which the results report as assumed."""
     show: tuple[Step, ...] = ()
@@ -368,7 +374,7 @@ class HarnessFile(Block):
 
 def _find_general_faults(harness: HarnessFile) -> Iterator[Fault]:
     """Find implausible sizes, repeated names, and a line that nothing holds."""
-    yield from find_implausible_sizes(harness, (), harness.plausible, in_file=True)
+    yield from find_implausible_sizes(harness, (), harness.plausible, has_ranges=True)
     yield from _find_repeated_names("boundaries", "boundary", harness.boundaries)
     if not any(isinstance(boundary, Holder | String) for boundary in harness.boundaries):
         yield Fault.of("protocol.nothing_holds", ("boundaries",))
@@ -387,21 +393,21 @@ def _find_repeated_names(
 
 def _find_places_off_the_line(harness: HarnessFile) -> Iterator[Fault]:
     """Find places beyond the end of the line, also with the lengths of a sweep."""
-    for number, boundary in enumerate(harness.boundaries):
+    for index, boundary in enumerate(harness.boundaries):
         place = getattr(boundary, "at", START)
         for i, length in enumerate(harness.lengths):
-            if place != END and place > length * LENGTH_ROUNDING:
-                path = ("sweep", "length", i - 1) if i else ("boundaries", number, "at")
+            if place != END and place > length * ROUNDING_FACTOR:
+                path = ("sweep", "length", i - 1) if i else ("boundaries", index, "at")
                 yield Fault.of(
                     "protocol.off_the_line", path, length=1e3 * length, found=1e3 * place
                 )
 
 
 def _find_late_steps(harness: HarnessFile) -> Iterator[Fault]:
-    """Find steps after the last one."""
+    """Find stated steps after the last step of the harness."""
     steps: dict[KeyPath, int | None] = {("show", i): step for i, step in enumerate(harness.show)}
-    for number, boundary in enumerate(harness.boundaries):
-        path: KeyPath = ("boundaries", number)
+    for index, boundary in enumerate(harness.boundaries):
+        path: KeyPath = ("boundaries", index)
         steps |= {(*path, key): getattr(boundary, key, None) for key in ("by", "release")}
         for i, point in enumerate(getattr(boundary, "path", ())):
             steps[*path, "path", i, "step"] = point.step
@@ -413,37 +419,37 @@ def _find_late_steps(harness: HarnessFile) -> Iterator[Fault]:
 def _find_release_faults(harness: HarnessFile) -> Iterator[Fault]:
     """Find holders released before they arrive, and a heavy line that nothing supports."""
     boundaries, section = enumerate(harness.boundaries), harness.line.section
-    holders = {number: holder for number, holder in boundaries if isinstance(holder, Holder)}
-    for number, holder in holders.items():
-        arrival = _find_arrival(harness, holder)
-        if arrival and holder.release and holder.release <= arrival:
-            path = ("boundaries", number, "release")
-            yield Fault.of("protocol.early_release", path, arrival=arrival, holder=holder)
-    releases = {number: holder.release or 0 for number, holder in holders.items()}
+    holders = {index: holder for index, holder in boundaries if isinstance(holder, Holder)}
+    for index, holder in holders.items():
+        arrival_step = _compute_arrival_step(harness, holder)
+        if arrival_step and holder.release and holder.release <= arrival_step:
+            path = ("boundaries", index, "release")
+            yield Fault.of("protocol.early_release", path, arrival=arrival_step, holder=holder)
+    release_steps = {index: holder.release or 0 for index, holder in holders.items()}
     has_weight = section.bending_stiffness is None or section.mass_per_length
-    has_support = any(not isinstance(part, (Holder, Load)) for part in harness.boundaries)
-    if has_weight and any(harness.gravity) and not has_support and all(releases.values()):
-        last_holder = max(releases, key=lambda number: releases[number])
-        path = ("boundaries", last_holder, "release")
-        yield Fault.of("protocol.falls", path, step=releases[last_holder])
+    has_support = any(not isinstance(x, (Holder, Load)) for x in harness.boundaries)
+    if has_weight and any(harness.gravity) and not has_support and all(release_steps.values()):
+        last_index = max(release_steps, key=lambda index: release_steps[index])
+        path = ("boundaries", last_index, "release")
+        yield Fault.of("protocol.falls", path, step=release_steps[last_index])
 
 
-def _find_arrival(harness: HarnessFile, holder: Holder) -> int:
-    """Find the step at which a holder reaches its first position; 0 if it is there already."""
+def _compute_arrival_step(harness: HarnessFile, holder: Holder) -> int:
+    """Compute the step at which a holder reaches its first pose; 0 if it starts there."""
     if not isinstance(holder, (Pin, Clip)):
         return holder.path[0].step if isinstance(holder, Grip) and holder.path else 0
-    start, direction = map(np.array, find_line_start(harness))
-    place = start + min(holder.at, harness.line.length) * direction
+    start, direction = map(np.array, get_line_start(harness))
+    initial_position = start + min(holder.at, harness.line.length) * direction
     is_turned = isinstance(holder, Clip) and (
         holder.turn != 0.0 or not np.allclose(holder.direction or direction, direction)
     )
-    is_at_rest = np.allclose(holder.position, place) and not is_turned
-    return holder.by or (0 if is_at_rest else harness.steps)
+    starts_there = np.allclose(holder.position, initial_position) and not is_turned
+    return holder.by or (0 if starts_there else harness.steps)
 
 
 def _find_large_turns(harness: HarnessFile) -> Iterator[Fault]:
     """Find turns of 180 deg or more per step, which are ambiguous."""
-    for number, boundary in enumerate(harness.boundaries):
+    for index, boundary in enumerate(harness.boundaries):
         turns: list[tuple[KeyPath, int, float | None]] = []
         if isinstance(boundary, Clip):
             turns = [(("turn",), boundary.by or harness.steps, boundary.turn)]
@@ -451,28 +457,26 @@ def _find_large_turns(harness: HarnessFile) -> Iterator[Fault]:
             points = enumerate(boundary.path)
             turns = [(("path", i, "turn"), point.step, point.turn) for i, point in points]
         start_step, start_angle = 0, 0.0
-        for key, end_step, stated_angle in turns:
+        for turn_path, end_step, stated_angle in turns:
             angle = start_angle if stated_angle is None else stated_angle
-            per_step = math.degrees(abs(angle - start_angle)) / (end_step - start_step)
-            if per_step >= 180.0:
-                path = ("boundaries", number, *key)
-                yield Fault.of(
-                    "protocol.turn", path, found=per_step, start=start_step, end=end_step
-                )
+            degrees = math.degrees(abs(angle - start_angle)) / (end_step - start_step)
+            if degrees >= 180.0:
+                path = ("boundaries", index, *turn_path)
+                yield Fault.of("protocol.turn", path, found=degrees, start=start_step, end=end_step)
             start_step, start_angle = end_step, angle
 
 
 def _find_large_curl(harness: HarnessFile) -> Iterator[Fault]:
-    """Find a curl of more than 90 deg per element: elements are straight."""
-    spool, path, max_curl = harness.line.spool, ("line", "spool", "curvature"), 90.0
-    element = 1e3 * max(harness.lengths) / harness.line.elements
-    curl = 0.0 if spool is None else math.degrees(1e-3 * spool.curvature * element)
-    if curl > max_curl:
-        yield Fault.of("protocol.curl", path, limit=max_curl, element=element, found=curl)
+    """Find a curl of more than 90 deg per element, because elements are straight."""
+    spool, path, max_angle = harness.line.spool, ("line", "spool", "curvature"), 90.0
+    length_mm = 1e3 * max(harness.lengths) / harness.line.elements
+    angle = 0.0 if spool is None else math.degrees(1e-3 * spool.curvature * length_mm)
+    if angle > max_angle:
+        yield Fault.of("protocol.curl", path, limit=max_angle, element=length_mm, found=angle)
 
 
 def _find_distant_places(harness: HarnessFile) -> Iterator[Fault]:
-    """Find held places farther apart than line and strings allow, for the first such length."""
+    """Find held places farther apart than line and strings allow, at the first such length."""
     for i, length in enumerate(harness.lengths):
         path: KeyPath = ("sweep", "length", i - 1) if i else ()
         if faults := [*_find_distances_beyond(harness, length, path)]:
@@ -483,47 +487,47 @@ def _find_distant_places(harness: HarnessFile) -> Iterator[Fault]:
 def _find_distances_beyond(
     harness: HarnessFile, length: float, length_path: KeyPath
 ) -> Iterator[Fault]:
-    """Find held places too far apart for a length; its path is empty for that of the line."""
-    start, direction = map(np.array, find_line_start(harness))
+    """Find held places that are too far apart for a length; its path is empty if not in a sweep."""
+    start, direction = map(np.array, get_line_start(harness))
     places = []
-    for number, holder in enumerate(harness.boundaries):
+    for index, holder in enumerate(harness.boundaries):
         if isinstance(holder, Holder | String):
-            along = min(holder.at, length)
-            path = compute_path(holder, start + along * direction, harness.steps)
+            place = min(holder.at, length)
+            path = compute_path(holder, start + place * direction, harness.steps)
             last_step = getattr(holder, "release", None) or harness.steps + 1
             string_length = holder.length if isinstance(holder, String) else 0.0
-            places.append((number, along, path[:last_step], string_length))
-    for held, other_held in combinations(places, 2):
-        first, place, path, string = held
-        second, other_place, other_path, other_string = other_held
-        reach = abs(other_place - place) + string + other_string
-        steps = min(len(path), len(other_path))
-        distances = np.linalg.norm(path[:steps] - other_path[:steps], axis=1)
-        if distances.max() > reach * LENGTH_ROUNDING:
+            places.append((index, place, path[:last_step], string_length))
+    for first, second in combinations(places, 2):
+        first_index, first_place, first_path, first_string_length = first
+        second_index, second_place, second_path, second_string_length = second
+        reach = abs(second_place - first_place) + first_string_length + second_string_length
+        steps = min(len(first_path), len(second_path))
+        distances = np.linalg.norm(first_path[:steps] - second_path[:steps], axis=1)
+        if distances.max() > reach * ROUNDING_FACTOR:
             yield Fault.of(
                 "protocol.too_far",
-                length_path or ("boundaries", second),
+                length_path or ("boundaries", second_index),
                 reach=1e3 * reach,
-                first=harness.boundaries[first],
-                second=harness.boundaries[second],
+                first=harness.boundaries[first_index],
+                second=harness.boundaries[second_index],
                 found=1e3 * distances.max(),
                 step=distances.argmax(),
             )
 
 
-def find_line_start(harness: HarnessFile) -> tuple[Vector3, Vector3]:
-    """Find the initial position (m) of the start of the line, and its initial direction.
+def get_line_start(harness: HarnessFile) -> tuple[Vector3, Vector3]:
+    """Return the initial position (m) and the initial direction of the start of the line.
 
     Parameters
     ----------
-    harness : where its line does not state them, they are those of the clip or pin at its start, or
-        else the origin and x
+    harness : harness; position and direction that it does not state are those of the clip or pin
+        at the start of the line, or else the origin and the x axis
     """
     line = harness.line
     holders = (boundary for boundary in harness.boundaries if isinstance(boundary, Holder))
-    first = next((boundary for boundary in holders if boundary.at == START), None)
-    position = line.start or getattr(first, "position", None)
-    direction = line.direction or (first.direction if isinstance(first, Clip) else None)
+    holder = next((boundary for boundary in holders if boundary.at == START), None)
+    position = line.start or getattr(holder, "position", None)
+    direction = line.direction or (holder.direction if isinstance(holder, Clip) else None)
     return position or (0.0, 0.0, 0.0), direction or (1.0, 0.0, 0.0)
 
 
@@ -534,8 +538,8 @@ def compute_path(
 
     Parameters
     ----------
-    boundary : the boundary, of a string its anchor, which starts at most the length of the string
-        away from the line
+    boundary : boundary; for a string, the path is that of its anchor. The path of an anchor starts
+        within the length of the string from the line
     start : initial position of the place on the line, m
     steps : number of steps of the harness
 
@@ -549,23 +553,23 @@ def compute_path(
             corner_steps.append(point.step)
             corners.append(corners[-1] if point.position is None else np.array(point.position))
     else:
-        end = np.array(boundary.anchor if isinstance(boundary, String) else boundary.position)
+        end_point = np.array(boundary.anchor if isinstance(boundary, String) else boundary.position)
         if isinstance(boundary, String):
-            distance = float(np.linalg.norm(end - corners[0]))
-            share = min(1.0, boundary.length / distance) if distance else 1.0
-            corners = [corners[0] + share * (end - corners[0])]
+            distance = float(np.linalg.norm(end_point - corners[0]))
+            fraction = min(1.0, boundary.length / distance) if distance else 1.0
+            corners = [corners[0] + fraction * (end_point - corners[0])]
         corner_steps.append(boundary.by or steps)
-        corners.append(end)
+        corners.append(end_point)
     all_steps = np.arange(steps + 1)
     return np.column_stack([np.interp(all_steps, corner_steps, x) for x in np.array(corners).T])
 
 
-def find_named_file(name: str, path: Path) -> Path:
+def resolve_file_name(name: str, path: Path) -> Path:
     """Resolve a file name of a harness: beside its YAML, or else in the working folder.
 
     Parameters
     ----------
-    name : name as written
+    name : name of the file as written in the harness
     path : path of the harness file
     """
     file_beside = path.parent / name
@@ -577,12 +581,12 @@ def find_missing_files(harness: HarnessFile, path: Path) -> Iterator[Fault]:
 
     Parameters
     ----------
-    harness : validated
-    path : path of its file
+    harness : validated harness
+    path : path of the harness file
     """
     for key in ("sheet", "calibration", "sliders"):
         name = getattr(harness.line.section, key)
-        if name is not None and not find_named_file(name, path).is_file():
+        if name is not None and not resolve_file_name(name, path).is_file():
             yield Fault.of(
                 "protocol.no_harness_file",
                 ("line", "section", key),
@@ -591,16 +595,18 @@ def find_missing_files(harness: HarnessFile, path: Path) -> Iterator[Fault]:
             )
 
 
-_COPY_CURVE = "Copy the curve into the folder of the plan and name it from there."
+_COPY_REMEDY = "Copy the curve into the folder of the plan and name it from there."
 
 
 def _parse_unit(si_unit: str, value: object) -> str:
+    """Parse a unit that must have the dimension of an SI unit."""
     if try_parse_quantity(f"1 {value}", si_unit) is None:
         raise build_refusal("protocol.no_unit_like", found=value, si_unit=si_unit)
     return str(value)
 
 
 def _parse_sign(value: object) -> int:
+    """Parse the factor 1 or -1."""
     if str(value) not in ("1", "+1", "-1"):
         raise build_refusal("protocol.no_sign", found=value)
     return int(str(value))
@@ -612,7 +618,7 @@ Sign = Annotated[Literal[1, -1], BeforeValidator(_parse_sign)]
 
 
 class _Column(Block):
-    """One of the two columns of a curve."""
+    """Column of an external curve."""
 
     column: Text | None = None
     """Name of the column, or its number, counted from 1; by default 'deflection' or 'force'."""
@@ -638,7 +644,7 @@ class Comparison(Block):
     """External curve: from finite elements, a digitised figure or another lab."""
 
     name: Text
-    file: Annotated[str, build_path_validator("the folder of the plan", _COPY_CURVE)]
+    file: Annotated[str, build_path_validator("the folder of the plan", _COPY_REMEDY)]
     """File (csv or xlsx) in the folder of the plan, or below it."""
     wire: Text
     """Name of the wire in the wire sheet."""
@@ -653,11 +659,11 @@ class Comparison(Block):
     """Origin of the curve."""
 
 
-Friction = Annotated[float, Quantity("N", "N", "0.05 N", above=0.0)]
-Modulus = Annotated[float, Quantity("Pa", "MPa", "1000 MPa", above=0.0)]
-Scale = Annotated[float, Quantity("1", "1", "1", above=0.0)]
+Friction = Annotated[float, Quantity("N", "N", "0.05 N", lower_bound=0.0)]
+Modulus = Annotated[float, Quantity("Pa", "MPa", "1000 MPa", lower_bound=0.0)]
+Scale = Annotated[float, Quantity("1", "1", "1", lower_bound=0.0)]
 RelativeScatter = Annotated[float, Quantity("1", "%", "3 %", minimum=0.0, maximum=0.5)]
-Factor = Annotated[float, Quantity("1", "1", "1.5", above=1.0)]
+Factor = Annotated[float, Quantity("1", "1", "1.5", lower_bound=1.0)]
 
 
 class _Parameter(Block):
@@ -677,7 +683,7 @@ class _Parameter(Block):
             if not getattr(self, key):
                 yield Fault.of("protocol.no_key_of_parameter", key=key, enters=self.enters)
         if self.enters != "prior" and self.factor is not None:
-            yield Fault.of("protocol.factor_of_no_prior", ("factor",), at="key")
+            yield Fault.of("protocol.factor_of_no_prior", ("factor",), is_key=True)
 
 
 class RadialFriction(_Parameter):

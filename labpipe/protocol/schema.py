@@ -1,4 +1,4 @@
-"""Protocols: the blocks of a protocol file, and their checks against each other.
+"""Define the blocks of a protocol file, and the checks between them.
 
 The checks between blocks also run on a protocol with faults, see `Block.read`: a misspelt key
 in one block does not hide a fault of another.
@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Collection, Iterable, Iterator, Mapping
-from dataclasses import fields
+from dataclasses import asdict
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeAlias, Union
 
@@ -76,6 +76,7 @@ from labpipe.results.kinds import Kind
 
 _CURVE, _MARKER_SOURCE = "a block 'curve'", "a source of marker tracks"
 _SHAPE_STEP = "a step that computes shapes"
+"""Needs of steps, results and figures, as messages name them."""
 FIGURES: Final = MappingProxyType(
     {
         "force-displacement": (_CURVE,),
@@ -88,17 +89,17 @@ FIGURES: Final = MappingProxyType(
         "uncertainty-budget": (),
     }
 )
-"""Figures that a protocol can name, and what they need."""
+"""Needs of each figure that a protocol can name."""
 
 if TYPE_CHECKING:
     ResultEntry: TypeAlias = Kind
     _FigureName = str
 else:
-    ResultEntry = Annotated[Union[KINDS], TaggedChoice("result")]  # noqa: UP007 - of a list
+    ResultEntry = Annotated[Union[KINDS], TaggedChoice("result")]  # noqa: UP007 - the members are computed
     _FigureName = Literal[tuple(FIGURES)]
 
 KINDS_BY_NAME: Final[Mapping[str, Any]] = {kind.result: kind for kind in KINDS}
-"""Kinds of results by their name in YAML."""
+"""Kind of result, keyed by its name in YAML."""
 Faults: TypeAlias = Iterator[Fault]
 
 
@@ -119,7 +120,7 @@ class SpecimenBlock(Block):
     """Standard uncertainties of these dimensions; a test sheet overrides them."""
 
     def find_value_faults(self) -> Faults:
-        """Find standard uncertainties that are not below the dimension itself."""
+        """Find standard uncertainties that are not smaller than their dimension."""
         dimensions = {**vars(self.section or Section()), **vars(self)}
         for key, uncertainty in (self.uncertainty or SizeUncertainties()).by_key.items():
             if uncertainty >= (dimensions.get(key) or math.inf):
@@ -249,7 +250,7 @@ Align: TypeAlias = Annotated[
 
 
 class MachineCompliance(Block):
-    """Compliance of frame and grips; times the force, it is subtracted from the displacement."""
+    """Compliance of frame and grips, whose product with the force reduces the displacement."""
 
     value: Compliance
     """Compliance from a test of a stiff bar with the protocol stiff-bar."""
@@ -299,10 +300,10 @@ class ElasticLine(Block):
     """Smallest r^2 of the line if no window is stated."""
 
     def find_value_faults(self) -> Faults:
-        """Find a window with one end."""
+        """Find a window of which only one end is stated."""
         if (self.start is None) != (self.stop is None):
-            stated, absent = ("from", "to") if self.stop is None else ("to", "from")
-            yield Fault.of("protocol.half_window", (stated,), given=stated, absent=absent)
+            key, absent_key = ("from", "to") if self.stop is None else ("to", "from")
+            yield Fault.of("protocol.half_window", (key,), given=key, absent=absent_key)
 
 
 class CurveBlock(Block):
@@ -374,7 +375,7 @@ class Groups(Block):
 
 
 def _parse_version(value: object) -> int:
-    """Accept the only known version of the file format."""
+    """Parse the version of the file format, of which there is only one."""
     if str(value) != "1":
         raise build_refusal("protocol.unknown_version", found=value)
     return 1
@@ -420,11 +421,9 @@ class Protocol(Block):
 
     @property
     def channels(self) -> dict[str, ChannelSource]:
-        """Return the channels of all sources by name."""
+        """Return the channels of all sources, keyed by name."""
         sources = self.sources.values()
-        return {
-            name: channel for source in sources for name, channel in source.all_channels.items()
-        }
+        return {name: x for source in sources for name, x in source.all_channels.items()}
 
     @property
     def has_clamp(self) -> bool:
@@ -433,7 +432,10 @@ class Protocol(Block):
 
     @property
     def clocks(self) -> dict[str, str | None]:
-        """Return the role of the export whose clock a channel has, keyed by channel."""
+        """Return the role of the export whose clock a channel has, keyed by channel.
+
+        It is None for a channel that is computed from an unknown one.
+        """
         clocks: dict[str, str | None] = {
             name: role
             for role, source in reversed((self.sources or {}).items())
@@ -458,12 +460,12 @@ class Protocol(Block):
         """Find contradictions between the blocks of the protocol."""
         sources = self.sources or {}
         for role in sources.keys() - {*ROLES}:
-            yield build_choice_fault(("sources", role), role, ROLES, at="key")
+            yield build_choice_fault(("sources", role), role, ROLES, is_key=True)
         if sources:
             yield from _find_repeated_channels(self)
             yield from _find_step_faults(self)
             yield from _find_curve_faults(self)
-        yield from _find_unmet_needs(self)
+        yield from _find_need_faults(self)
         yield from _find_result_faults(self)
         yield from find_unknown_main_results(self)
 
@@ -496,35 +498,35 @@ _REMEDIES = {
     _ALIGNMENT: "Set 'align.method' to 'turning-points'.",
     _SHAPE_STEP: "Add the step 'fit-shape'.",
 }
+"""Remedy of each need that a protocol does not meet; by default, the need has to be added."""
 _CYCLE_SUFFIX = re.compile(r"\.\d+$")
 """Number of the cycle or slip at the end of the name of a result."""
 
 
-def list_result_names(name: str, entry: Values) -> tuple[str, ...]:
+def list_result_names(kind_name: str, entry: Values) -> tuple[str, ...]:
     """List the names that an entry of ``results`` has in the summary.
 
     Parameters
     ----------
-    name : name of the kind of result in YAML, such as ``two-segments``
-    entry : the block as written, which may state its own name
+    kind_name : name of the kind of result in YAML, such as ``two-segments``
+    entry : the entry as written, which may state a name
 
     Returns
     -------
-    The name of each number of the kind; for one number per cycle or slip, the name of the first.
+    The name of each output of the kind; for results per cycle or slip, that of the first one.
     Empty for an unknown kind.
     """
-    kind = KINDS_BY_NAME.get(name)
-    return () if kind is None else tuple(output.name_in(kind, entry) for output in kind.outputs)
+    kind = KINDS_BY_NAME.get(kind_name)
+    return tuple(output.format_name(kind, entry) for output in kind.outputs) if kind else ()
 
 
 def list_summary_names(result: Kind) -> tuple[str, ...]:
     """List the names that a result has in the summary, see `list_result_names`."""
-    entry = {field.name: getattr(result, field.name) for field in fields(result)}
-    return list_result_names(result.result, entry)
+    return list_result_names(result.result, asdict(result))
 
 
 def _find_repeated_channels(protocol: Protocol) -> Faults:
-    """Find channels with one name; a step may replace the channel of an optional source."""
+    """Find channels with the same name; a step may replace the channel of an optional source."""
     owners = dict.fromkeys(protocol.list_added_channels(*protocol.steps), "a step")
     from_speed = {step.channel for step in protocol.steps if isinstance(step, TravelFromSpeed)}
     for role, source in protocol.sources.items():
@@ -535,11 +537,11 @@ def _find_repeated_channels(protocol: Protocol) -> Faults:
                 path: KeyPath = ("sources", role)
                 path += () if channel is source else ("channels", name)
                 owner = owners[name]
-                yield Fault.of("protocol.channel_taken", path, at="key", name=name, owner=owner)
+                yield Fault.of("protocol.channel_taken", path, is_key=True, name=name, owner=owner)
             owners[name] = f"the source {role!r}"
 
 
-def _find_unmet_needs(protocol: Protocol) -> Faults:
+def _find_need_faults(protocol: Protocol) -> Faults:
     """Find needs of steps, results and figures that the protocol does not meet."""
     for path, user, need in list_unmet_needs(protocol):
         remedy = _REMEDIES.get(need, f"Add {need}.").replace("Add a ", "Add the ")
@@ -570,7 +572,7 @@ def _list_met_needs(protocol: Protocol) -> Iterator[str]:
 
 
 def list_unmet_needs(protocol: Protocol) -> list[tuple[KeyPath, str, str]]:
-    """List path, name and need of each step, result, figure and block that lacks another one."""
+    """List path, name and unmet need of each step, result, figure and block."""
     curve, align = protocol.curve, protocol.align
     users: list[tuple[KeyPath, str, Iterable[str]]] = []
     for step in protocol.steps:
@@ -639,7 +641,7 @@ def _find_step_faults(protocol: Protocol) -> Faults:
 
 
 def _find_speed_faults(protocol: Protocol, step: TravelFromSpeed, path: KeyPath) -> Faults:
-    """Find several cycles, and a missing speed or stroke if no source measures the travel."""
+    """Find more than one cycle, and a missing speed or stroke if no source has the travel."""
     rig = protocol.rig
     if rig.cycles not in (None, 1):
         yield Fault.of("protocol.many_cycles", ("rig", "cycles"), found=rig.cycles)
@@ -651,7 +653,7 @@ def _find_speed_faults(protocol: Protocol, step: TravelFromSpeed, path: KeyPath)
 def _find_channel_faults(
     name: str | None, path: KeyPath, channels: Collection[str], later_channels: Collection[str] = ()
 ) -> Faults:
-    """Find a channel that does not exist, or not yet."""
+    """Find a channel that does not exist, or that only a later step adds."""
     if name is None or name in channels:
         return
     if name in later_channels:
@@ -663,28 +665,29 @@ def _find_channel_faults(
 
 
 def _find_curve_faults(protocol: Protocol) -> Faults:
-    """Find channels of the curve, its branches and its clocks that do not exist or do not fit."""
-    curve, branches, sources = protocol.curve, protocol.branches, protocol.channels
+    """Find channels of the curve, the branches and the alignment that do not exist or fit."""
+    curve, branches, channels = protocol.curve, protocol.branches, protocol.channels
     added_channels = protocol.list_added_channels(*protocol.steps)
     if not isinstance(protocol.align, AlignNone):
-        yield from _find_channel_faults(protocol.align.channel, ("align", "channel"), sources)
+        yield from _find_channel_faults(protocol.align.channel, ("align", "channel"), channels)
     uses = []
     if curve:
         uses += [(("curve", "force"), curve.force, "N")]
         uses += [(("curve", "displacement"), curve.displacement, "m")]
     if branches:
         uses += [(("branches", "channel"), branches.channel, "m")]
+    units = {name: SI_UNITS.get(x.measured_quantity) for name, x in channels.items()}
+    units |= dict.fromkeys(added_channels, "m")
     for path, name, si_unit in uses:
-        yield from _find_channel_faults(name, path, [*sources, *added_channels])
-        unit = SI_UNITS.get(sources[name].measured_quantity) if name in sources else None
-        unit = "m" if name in added_channels else unit
+        yield from _find_channel_faults(name, path, units)
+        unit = units.get(name)
         if unit not in (None, si_unit):
             yield Fault.of(
                 "protocol.channel_unit", path, unit=si_unit, name=name, channel_unit=unit
             )
     for quantity in (curve and curve.reverse) or ():
         name = getattr(curve, quantity)
-        if name in added_channels and name not in sources:
+        if name in added_channels and name not in channels:
             yield Fault.of("protocol.reverse_of_made", ("curve", "reverse"), name=name)
 
 
@@ -717,14 +720,14 @@ def _find_result_faults(protocol: Protocol) -> Faults:
 
 
 def find_unknown_main_results(protocol: Protocol) -> Faults:
-    """Find main results of groups that no entry of ``results`` gives."""
+    """Find main results of groups that no entry of ``results`` computes."""
     results = (result for _, result in _list_results(protocol))
     names = [name for result in results for name in list_summary_names(result)]
-    names_per_cycle = {_CYCLE_SUFFIX.sub("", name) for name in names if _CYCLE_SUFFIX.search(name)}
+    cycle_names = {_CYCLE_SUFFIX.sub("", name) for name in names if _CYCLE_SUFFIX.search(name)}
     for index, name in enumerate(protocol.groups.main):
         path: KeyPath = ("groups", "main", index)
         base_name = _CYCLE_SUFFIX.sub("", name)
-        if name in names or (base_name != name and base_name in names_per_cycle):
+        if name in names or (base_name != name and base_name in cycle_names):
             continue
         if names:
             yield build_choice_fault(path, name, names, "one of the results")

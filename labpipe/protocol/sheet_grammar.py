@@ -1,10 +1,10 @@
-"""Test sheets (``test.yaml``) with their bundle, and the plans of campaigns.
+"""Define test sheets (``test.yaml``), bundles of wires in them, and plans of campaigns.
 
 A campaign pairs exports by name patterns such as ``{type}-{length mm}-{sample}_force.mat``. In a
 pattern, ``{type}`` matches text, ``{length mm}`` a number in that unit, ``{date}`` a date with the
-year first, and ``*`` anything. Other characters match themselves, in either case. From the left,
-each field matches as much as possible; a repeated field matches the same text. A slash separates
-folders.
+year first, and ``*`` anything. Other characters match themselves in upper or lower case. From the
+left, each field matches as much as possible; a repeated field matches the same text. Slashes
+separate folders.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ from labpipe.protocol.grammar import (
     Remark,
     SingleLine,
     Text,
+    build_count_validator,
     build_path_validator,
-    build_row_validator,
     try_parse_quantity,
 )
 from labpipe.protocol.schema import Version
@@ -65,6 +65,7 @@ class SheetWires(Block):
 
 
 def _expand_number(value: object) -> object:
+    """Expand a number of wires to a block; a block is returned unchanged."""
     return value if isinstance(value, Mapping | SheetWires) else {"number": value}
 
 
@@ -106,7 +107,7 @@ WiresByType = Annotated[
     Field(min_length=1),
     BeforeValidator(parse_wires, json_schema_input_type=str | dict[SingleLine, _Wires]),
 ]
-WirePosition = Annotated[tuple[Offset, Offset], build_row_validator(2, "[0 mm, 1.2 mm]")]
+WirePosition = Annotated[tuple[Offset, Offset], build_count_validator(2, "[0 mm, 1.2 mm]")]
 
 
 class SheetBundle(Block):
@@ -127,9 +128,9 @@ class SheetBundle(Block):
 
     @property
     def record(self) -> Bundle:
-        """Return the bundle as the other subpackages use it; lengths in m."""
-        types = self.wires.items()
-        wires = tuple(BundleWire(name, group.number, group.diameter) for name, group in types)
+        """Return the record of the bundle for other subpackages; lengths in m."""
+        items = self.wires.items()
+        wires = tuple(BundleWire(name, wires.number, wires.diameter) for name, wires in items)
         settings = {key: value for key, value in self if key not in ("wires", "number")}
         return Bundle(wires, **settings | {"positions": self.positions or ()})
 
@@ -144,7 +145,7 @@ class SheetBundle(Block):
             yield Fault.of("protocol.no_conduit", ("conduit_bore",), found=repr(found))
 
     def find_value_faults(self) -> Iterator[Fault]:
-        """Find a stated number, an arrangement and positions that do not fit the wires."""
+        """Find a stated number, an arrangement or positions that do not fit the wires."""
         bundle = self.record
         if self.number not in (None, bundle.number):
             yield Fault.of(
@@ -152,9 +153,9 @@ class SheetBundle(Block):
             )
         if len(bundle.wires) == 1 and bundle.arrangement != PACKED:
             yield Fault.of("protocol.one_type", ("arrangement",), found=bundle.arrangement)
-        found = len(bundle.positions)
-        if found not in (0, bundle.number):
-            yield Fault.of("protocol.number_of_places", ("positions",), bundle=bundle, found=found)
+        count, path = len(bundle.positions), ("positions",)
+        if count not in (0, bundle.number):
+            yield Fault.of("protocol.number_of_places", path, bundle=bundle, found=count)
 
 
 def parse_bundle(text: str, *, arrangement: str = PACKED) -> Bundle:
@@ -181,7 +182,7 @@ def parse_bundle(text: str, *, arrangement: str = PACKED) -> Bundle:
 
 
 def _format_fault(fault: Fault, text: str) -> str:
-    """Format a fault of a bundle that is no file, but a text."""
+    """Format a fault of a bundle that is stated by a text instead of a file."""
     place = "" if fault.path == ("wires",) else ".".join(map(str, fault.path))
     remedy = fault.remedy or 'Write it like "10 B1 + 9 B2 (1.25 mm)", or give a test.yaml.'
     return format_error(text, place, expected=fault.expected, found=fault.found, remedy=remedy)
@@ -194,6 +195,7 @@ _NUMBER_WITHOUT_UNIT = r"\s*[-+]?[0-9.]+([eE][-+]?[0-9]+)?\s*"
 
 
 def _read_null_as_empty(value: object) -> object:
+    """Replace null by an empty block."""
     return {} if value is None else value
 
 
@@ -232,7 +234,7 @@ class SheetSpecimen(Block):
 
     @property
     def record(self) -> Specimen:
-        """Return the specimen as the other subpackages use it; lengths in m."""
+        """Return the record of the specimen for other subpackages; lengths in m."""
         bundle = None if self.bundle is None else self.bundle.record
         names = (self.type, self.spool, self.sample)
         return Specimen(*names, self.dimensions, bundle, self.labels, self.observed)
@@ -247,22 +249,23 @@ class SheetSpecimen(Block):
                 continue
             snake_key, path = re.sub(r"\W+", "_", key.casefold()), (key,)
             is_number = not isinstance(value, str) or re.fullmatch(_NUMBER_WITHOUT_UNIT, value)
-            is_misspelt = difflib.get_close_matches(key, keys, 1, 0.8)
+            is_misspelt = difflib.get_close_matches(key, keys, n=1, cutoff=0.8)
             if is_misspelt or re.fullmatch(_DIMENSION_NAME, key) is None:
                 remedy = f"Write it as {snake_key!r}." if snake_key != key else ""
                 remedy = remedy or suggest_word(key, keys)
-                yield Fault.of("protocol.no_dimension", path, at="key", key=key, remedy=remedy)
+                yield Fault.of("protocol.no_dimension", path, is_key=True, key=key, remedy=remedy)
             elif try_parse_quantity(value, "m") is None and not is_number:
-                yield Fault.of("protocol.label_as_size", path, at="key", key=key, value=value)
+                yield Fault.of("protocol.label_as_size", path, is_key=True, key=key, value=value)
         for key in {*(self.labels or {})} & {*keys}:
-            yield Fault.of("protocol.label_as_key", ("labels", key), at="key", key=key)
+            yield Fault.of("protocol.label_as_key", ("labels", key), is_key=True, key=key)
 
 
 COPY_REMEDY = "Copy the export into the folder of the test and name it from there."
+"""Remedy for an export outside the folder of its test."""
 
 
 def _wrap_file_name(value: object) -> object:
-    """Wrap a single name in a list, and refuse a missing one."""
+    """Wrap a single file name in a list, and refuse null."""
     if value is None:
         raise build_refusal("protocol.no_export", found=value)
     return [value] if isinstance(value, str) else value
@@ -276,13 +279,14 @@ FileNames = Annotated[
 
 
 def _refuse_null_files(value: object) -> object:
+    """Return the files of a test; refuse null."""
     if value is None:
         raise build_refusal("protocol.no_exports", found=value)
     return value
 
 
 class Override(Block):
-    """Value that replaces one of the protocol in a test, and the reason."""
+    """Value that replaces a value of the protocol in a test, and the reason."""
 
     value: Any
     because: Text
@@ -307,14 +311,14 @@ class TestSheet(Block):
     """Override of each dotted key of the protocol."""
 
 
-_HEAD = "# One test: what was tested, and which exports belong to it.\n"
+_HEADER = "# One test: what was tested, and which exports belong to it.\n"
 _COMMENTS = {
     "protocol": "name of a protocol, or a path beside this file",
     "specimen": "samples are cut from a spool, spools belong to a type",
     "files": "role: file in this folder, or a list of the parts of one recording",
     "overrides": "values of the protocol that this test changes, and why",
 }
-"""Comment after each key of a written test sheet."""
+"""Comment after some keys of a formatted test sheet."""
 _NULL_VALUE = re.compile(r"^( *\w+:) null$", re.MULTILINE)
 _OVERRIDES_HINT = (
     "# overrides:                # values of the protocol that this test changes, and why\n"
@@ -323,10 +327,10 @@ _OVERRIDE_EXAMPLES = {
     "force": "sources.force.channel: {value: Model Root/Load Cell/Out1, because: other cabling}",
     "frame": "sources.frame.channels.force.unit: {value: N, because: the export says none}",
 }
-"""Override that a comment shows as an example, by role of an export of the test."""
+"""Override that a comment shows as an example, keyed by role of an export of the test."""
 
 
-def write_test_sheet(data: Mapping[str, object]) -> str:
+def format_test_sheet(data: Mapping[str, object]) -> str:
     """Format a test sheet as commented YAML.
 
     Parameters
@@ -336,9 +340,9 @@ def write_test_sheet(data: Mapping[str, object]) -> str:
 
     Returns
     -------
-    The text. `parse_yaml` reads the same values from it; `labpipe check` reports missing ones.
+    The text, from which `parse_yaml` reads the same values.
     """
-    text = _HEAD + "".join(_format_entry(key, value) for key, value in data.items())
+    text = _HEADER + "".join(_format_entry(key, value) for key, value in data.items())
     if "overrides" in data:
         return text
     roles = get_block(data, "files")
@@ -372,8 +376,8 @@ _TEXT_FIELDS = ("test", "type", "spool", "sample", "operator", "date")
 _PATTERN_PART = re.compile(r"\{(?P<field>[^{}]*)\}|(?P<any>\*)|(?P<literal>[^{}*]+)|[{}]")
 _DIMENSION_FIELD = re.compile(r"([a-z][a-z0-9_]*)\s+(\S+)")
 _LABEL_FIELD = re.compile(r"labels\.[a-z][a-z0-9_]*")
-_TEXT, _NUMBER, _DAY = r"[^/\\]+", r"\d+(?:[.,]\d+)?", r"\d{4}-\d{2}-\d{2}|\d{8}"
-"""Regular expressions of the content of a field."""
+_TEXT_REGEX, _NUMBER_REGEX, _DAY_REGEX = r"[^/\\]+", r"\d+(?:[.,]\d+)?", r"\d{4}-\d{2}-\d{2}|\d{8}"
+"""Regular expressions for the content of a field."""
 MAX_PATTERN_LENGTH = 300
 """Largest number of characters of a pattern, and of a name to match."""
 
@@ -401,8 +405,8 @@ class NamePattern(NamedTuple):
 
         Returns
         -------
-        Text of each field, a number with its unit, a date in ISO 8601. None if the name does not
-        match, or is too long.
+        Text of each field, keyed by field; numbers have their units, and dates are in ISO 8601.
+        None if the name does not match, or is too long.
 
         Examples
         --------
@@ -451,7 +455,7 @@ def parse_name_pattern(text: str) -> NamePattern:
     Raises
     ------
     FaultsError
-        If it is too long, or has an invalid field.
+        If the pattern is too long, or has an invalid field.
     """
     if len(text) > MAX_PATTERN_LENGTH:
         raise build_refusal("protocol.long_pattern", found=text, limit=MAX_PATTERN_LENGTH)
@@ -466,14 +470,15 @@ def parse_name_pattern(text: str) -> NamePattern:
         if name in units:
             return f"(?:\\{[*units].index(name) + 1})"
         units[name] = unit
-        return f"({_NUMBER if unit else _DAY if name == 'date' else _TEXT})"
+        text_regex = _DAY_REGEX if name == "date" else _TEXT_REGEX
+        return f"({_NUMBER_REGEX if unit else text_regex})"
 
     regex = _PATTERN_PART.sub(convert_to_regex, text)
     return NamePattern(text, units, re.compile(regex, re.IGNORECASE))
 
 
 def _parse_field(text: str) -> tuple[str, str]:
-    """Parse name and unit of a field from the text between its braces."""
+    """Parse the name and the unit of a field from the text between its braces."""
     name = text.strip()
     if name in _TEXT_FIELDS or _LABEL_FIELD.fullmatch(name):
         return name, ""
@@ -487,13 +492,14 @@ def _parse_field(text: str) -> tuple[str, str]:
 
 
 PLAN_NAME = "campaign.yaml"
-_EXAMPLE = "{type}-{length mm}-{sample}_force.mat"
+"""File name of the plan of a campaign."""
+_EXAMPLE_PATTERN = "{type}-{length mm}-{sample}_force.mat"
 
 Pattern = Annotated[
     NamePattern,
     PlainValidator(lambda value: parse_name_pattern(str(value))),
     PlainSerializer(lambda pattern: pattern.text),
-    WithJsonSchema({"type": ["string", "number"], "examples": [_EXAMPLE]}),
+    WithJsonSchema({"type": ["string", "number"], "examples": [_EXAMPLE_PATTERN]}),
 ]
 
 
@@ -517,19 +523,19 @@ class NamePair(Block):
     def find_value_faults(self) -> Iterator[Fault]:
         """Find patterns with different fields, because exports are paired by their fields."""
         fields = {role: ", ".join(sorted(pattern.units)) for role, pattern in self.exports.items()}
-        first, expected = next(iter(fields.items()))
+        first_role, expected = next(iter(fields.items()))
         for role, found in fields.items():
             path = ("exports", role)
             if not found:
                 yield Fault.of("protocol.no_fields", path)
             elif found != expected:
                 yield Fault.of(
-                    "protocol.other_fields", path, other=first, expected=expected, found=found
+                    "protocol.other_fields", path, other=first_role, expected=expected, found=found
                 )
 
 
 def _fill_in_pairing(value: object) -> object:
-    """Add the default `by: folder`."""
+    """Add the default ``by: folder`` to a block of pairs."""
     return {"by": "folder"} | dict(value) if isinstance(value, Mapping) else value
 
 
@@ -561,7 +567,7 @@ class CampaignPlan(Block):
     """Shortest interval between checks of a watch."""
 
     def find_key_faults(self) -> Iterable[Fault]:
-        """Find faults of the specimen as in a test sheet; each test has names of its own."""
-        names = {"type": "x", "spool": "x", "sample": "x"}
-        _, faults = SheetSpecimen.read(names | (self.specimen or {}))
+        """Find faults of the shared specimen, with placeholders for the names of a test."""
+        placeholders = dict.fromkeys(("type", "spool", "sample"), "x")
+        _, faults = SheetSpecimen.read(placeholders | (self.specimen or {}))
         return prefix_paths(("specimen",), faults)

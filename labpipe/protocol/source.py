@@ -1,4 +1,4 @@
-"""Sources of a protocol, and the plausible ranges of dimensions.
+"""Define the sources of a protocol, and the plausible ranges of dimensions.
 
 A source is an export with its channels, their units and their calibrations.
 """
@@ -34,7 +34,7 @@ from labpipe.protocol.grammar import (
     try_parse_quantity,
     wrap_in_list,
 )
-from labpipe.protocol.yaml_text import list_nearest, prefix_paths, raise_faults
+from labpipe.protocol.yaml_text import FaultsError, format_nearest_words, prefix_paths
 from labpipe.records.declarations import Area, Distance, Length, Quantity, Snake, Uncertainty
 from labpipe.records.recording import EXPORT_FORMATS
 from labpipe.units import get_conversion_factor, parse_quantity
@@ -67,8 +67,8 @@ PLAUSIBLE_RANGES: Final = MappingProxyType(
 )
 """SI unit, smallest and largest plausible value of each kind of dimension, as shipped."""
 LARGEST_VALUES: Final = MappingProxyType({"m": 30.0, "N": 2e6})
-"""Largest plausible value of a recording by its SI unit: halls with cameras are smaller, and load
-frames of any lab weaker. A wrong prefix multiplies by a thousand or more."""
+"""Largest plausible value of a recording, keyed by SI unit. Halls with cameras are smaller, and
+load frames are weaker; a wrong prefix of a unit multiplies by a thousand or more."""
 DIMENSION_KINDS: Final = MappingProxyType(
     {
         **{kind: kind for kind in ("length", "span", "diameter", "wall", "width", "area")},
@@ -79,7 +79,7 @@ DIMENSION_KINDS: Final = MappingProxyType(
         "counterweight": "mass",
     }
 )
-"""Kind of dimension by its key, or by the last word of its key (``outer_diameter``)."""
+"""Kind of dimension, keyed by its key or by the last word of its key (``outer_diameter``)."""
 
 if TYPE_CHECKING:
     RoleKey = Role
@@ -134,7 +134,7 @@ class SizeUncertainties(Block):
 
     @property
     def by_key(self) -> dict[str, float]:
-        """Return the stated uncertainties by key, m (m^2 for the area)."""
+        """Return the stated uncertainties, m (m^2 for the area), keyed by dimension."""
         return {name: value for name, value in vars(self).items() if value is not None}
 
 
@@ -161,7 +161,7 @@ def _complete_ranges(data: object) -> Any:
 def _find_quantity_faults(
     text: str | None, unit: str, key: str, example_number: str
 ) -> Iterator[Fault]:
-    """Find a text at a key that is no quantity with the dimension of a unit."""
+    """Find a text at a key that is no quantity of the dimension of a unit."""
     if text is not None and try_parse_quantity(text, unit) is None:
         plain_unit = unit.replace("(", "").replace(")", "")
         remedy = suggest_quantity(text, unit, f"{example_number} {plain_unit}")
@@ -170,7 +170,7 @@ def _find_quantity_faults(
 
 
 def _find_range_faults(ends: PlausibleRange, unit: str) -> Iterator[Fault]:
-    """Find ends of a plausible range that are no quantity, negative or reversed."""
+    """Find ends of a plausible range that are no quantities, negative or reversed."""
     yield from _find_quantity_faults(ends.start, unit, "from", "20")
     yield from _find_quantity_faults(ends.stop, unit, "to", "20")
     start, stop = try_parse_quantity(ends.start, unit), try_parse_quantity(ends.stop, unit)
@@ -179,12 +179,14 @@ def _find_range_faults(ends: PlausibleRange, unit: str) -> Iterator[Fault]:
 
 
 def _check_ranges(ranges: dict[str, PlausibleRange]) -> dict[str, PlausibleRange]:
-    raise_faults(
-        fault
-        for kind, ends in ranges.items()
-        if (ends.start, ends.stop) != PLAUSIBLE_RANGES[kind][1:]
-        for fault in prefix_paths((kind,), _find_range_faults(ends, PLAUSIBLE_RANGES[kind][0]))
-    )
+    """Return plausible ranges; refuse them if a range that is not shipped is invalid."""
+    faults: list[Fault] = []
+    for kind, ends in ranges.items():
+        if (ends.start, ends.stop) != PLAUSIBLE_RANGES[kind][1:]:
+            range_faults = _find_range_faults(ends, PLAUSIBLE_RANGES[kind][0])
+            faults += prefix_paths((kind,), range_faults)
+    if faults:
+        raise FaultsError(*faults)
     return ranges
 
 
@@ -209,7 +211,7 @@ def find_implausible_sizes(
     ranges: Mapping[str, PlausibleRange],
     *,
     other_lengths: Collection[str] = (),
-    in_file: bool = False,
+    has_ranges: bool = False,
 ) -> Iterator[Fault]:
     """Find dimensions with absolute values outside their plausible ranges.
 
@@ -219,7 +221,7 @@ def find_implausible_sizes(
     path : path of the data in their file
     ranges : plausible range of each kind of dimension
     other_lengths : keys of further lengths, of the kind ``other``
-    in_file : whether the remedy is a wider range in this file; otherwise it is an override in a
+    has_ranges : whether the file itself states ranges; otherwise the remedy is an override in a
         test sheet
 
     Yields
@@ -245,16 +247,18 @@ def find_implausible_sizes(
             continue
         end_key, limit = ("from", ends.start) if abs(size) < minimum else ("to", ends.stop)
         unit = limit.lstrip("+-.0123456789e ")
-        text = f"{size / get_conversion_factor(unit, si_unit):.12g} {unit}"
-        override = format_overrides(f"plausible.{kind}.{end_key}", text)
+        size_text = f"{size / get_conversion_factor(unit, si_unit):.12g} {unit}"
+        override = format_overrides(f"plausible.{kind}.{end_key}", size_text)
+        if has_ranges:
+            override = f"'plausible: {{{kind}: {{{end_key}: {size_text}}}}}'"
         yield Fault.of(
             "protocol.implausible",
             size_path,
             kind=kind.replace("_", " ") if kind != "other" else "dimension",
             low=ends.start,
             high=ends.stop,
-            found=repr(text),
-            override=f"'plausible: {{{kind}: {{{end_key}: {text}}}}}'" if in_file else override,
+            found=repr(size_text),
+            override=override,
         )
 
 
@@ -346,14 +350,14 @@ class ChannelSource(Block):
     @property
     def gain_uncertainty(self) -> float:
         """Return the standard uncertainty of gain and scale, certified or stated, as a ratio."""
-        certified, stated = self._list_uncertainties()
-        return stated if certified is None else certified
+        certified_error, stated_error = self._get_scale_errors()
+        return stated_error if certified_error is None else certified_error
 
-    def _list_uncertainties(self) -> tuple[float | None, float]:
-        """List the certified uncertainty, if there is one, and that stated for gain and scale."""
+    def _get_scale_errors(self) -> tuple[float | None, float]:
+        """Return the certified standard uncertainty or None, and that stated for gain and scale."""
         gain = 0.0 if self.calibration is None else self.calibration.gain_uncertainty
-        certified = None if self.certificate is None else self.certificate.scale_uncertainty
-        return certified, hypot(gain, self.scale_uncertainty or 0.0)
+        certified_error = self.certificate.scale_uncertainty if self.certificate else None
+        return certified_error, hypot(gain, self.scale_uncertainty or 0.0)
 
     @property
     def measured_quantity(self) -> str:
@@ -401,10 +405,12 @@ class ChannelSource(Block):
 
     def find_value_faults(self) -> Iterator[Fault]:
         """Find uncertainties that contradict the certificate, and faults of the channel."""
-        certified, stated = self._list_uncertainties()
+        certified, stated = self._get_scale_errors()
         if certified is not None and stated and not isclose(stated, certified, rel_tol=1e-9):
-            certified, stated, path = 1e2 * certified, 1e2 * stated, ("certificate",)
-            yield Fault.of("protocol.not_as_certified", path, certified=certified, stated=stated)
+            path = ("certificate",)
+            yield Fault.of(
+                "protocol.not_as_certified", path, certified=1e2 * certified, stated=1e2 * stated
+            )
         if self.channel is not None:
             yield from self._find_channel_faults()
 
@@ -412,15 +418,15 @@ class ChannelSource(Block):
         """Find an unknown quantity, and values that do not fit it."""
         quantity = self.measured_quantity
         if quantity not in SI_UNITS:
-            yield Fault.of("protocol.no_measurand", valid=list_nearest(quantity, SI_UNITS))
+            yield Fault.of("protocol.no_measurand", valid=format_nearest_words(quantity, SI_UNITS))
             return
         if self.plausible_peak is not None:
             faults = _find_range_faults(self.plausible_peak, self.target_unit)
             yield from prefix_paths(("plausible_peak",), faults)
-        # The interval of no other quantity would include the drift.
+        # Only the intervals of forces include the drift of the zero.
         if quantity != "force" and self.zero_drift is not None:
             path = ("zero_drift",)
-            yield Fault.of("protocol.drift_of_no_force", path, at="key", quantity=quantity)
+            yield Fault.of("protocol.drift_of_no_force", path, is_key=True, quantity=quantity)
         if self.unit is not None:
             yield from self._find_unit_faults(quantity, self.unit)
             return
@@ -451,7 +457,7 @@ class _ListedChannel(ChannelSource):
 
 
 class _Export(Block):
-    """Keys of an export."""
+    """Keys that describe the export of a source."""
 
     reader: ReaderNames
     """Format of the export, or a list of possible formats."""
@@ -476,7 +482,7 @@ class Source(ChannelSource, _Export):
         return {**only_channel, **(self.channels or {})}
 
     def _list_channel_keys(self) -> list[str]:
-        """List the stated keys of a single channel; cameras have a scale and a certificate, too."""
+        """List the stated keys of a single channel, without those that cameras have, too."""
         camera_keys = {"scale_uncertainty", "certificate"} if self._name == "markers" else set()
         stated_keys = self.model_fields_set - camera_keys
         return [key for key in ChannelSource.model_fields if key in stated_keys]
@@ -488,11 +494,11 @@ class Source(ChannelSource, _Export):
         channel_keys = self._list_channel_keys()
         if "load-frame" not in self.reader:
             for key in {"dialect", "part"} & stated_keys:
-                yield Fault.of("protocol.load_frame_key", (key,), at="key", key=key)
+                yield Fault.of("protocol.load_frame_key", (key,), is_key=True, key=key)
         readers = MARKER_READERS if has_markers else {*READER_NAMES} - MARKER_READERS
         if not {*self.reader} <= readers:
             content = "marker tracks" if has_markers else "channels"
-            found, valid = ", ".join(map(repr, self.reader)), list_nearest("", readers)
+            found, valid = ", ".join(map(repr, self.reader)), format_nearest_words("", readers)
             yield Fault.of(
                 "protocol.wrong_reader", ("reader",), content=content, found=found, valid=valid
             )
@@ -506,7 +512,7 @@ class Source(ChannelSource, _Export):
 
 
 def assign_roles(sources: dict[Role, Source]) -> dict[Role, Source]:
-    """Give each source its role, and each channel its name in labpipe and its dotted key.
+    """Assign a role to each source, and a name in labpipe and a dotted key to each channel.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Rows of a wire sheet and of its stress tables: columns with ranges, and checks of each row.
+"""Define the rows of wire sheets and stress tables: columns with ranges, and checks of each row.
 
 Each row of a wire sheet describes a wire. The name of a column of numbers ends in its unit.
 """
@@ -36,8 +36,9 @@ _COLUMN_UNITS = {
     "kg/m^3": ("_kg_per_m3", 1.0),
     "": ("", 1.0),
 }
-"""Suffix of the column name and factor to SI, by unit."""
+"""Suffix of the column name and factor to SI, keyed by unit."""
 _FORBIDDEN_IN_NAME = re.compile(r'[\\/:*?"<>|\x00-\x1f]|^[. ]|[. ]$')
+"""Part of a wire's name that is not allowed in names of files."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,19 +74,19 @@ class Column:
         text = f"{noun} from {self.minimum:.10g} to {self.maximum:.10g} {self.unit}".rstrip()
         return f"{text}, separated by ';'" if self.is_list else text
 
-    def parse(self, text: object) -> float | Numbers:
+    def parse(self, content: object) -> float | Numbers:
         """Parse the number or list of a cell; values stay in the unit of the column.
 
         Parameters
         ----------
-        text : content of the cell
+        content : content of the cell
 
         Raises
         ------
         FaultsError
             If the cell is blank, or has anything but valid numbers.
         """
-        cell = str(text)
+        cell = str(content)
         if not cell:
             raise FaultsError(Fault.of("protocol.blank_number", allowed=self.valid_content))
         texts = [text.strip() for text in cell.split(";")] if self.is_list else [cell]
@@ -93,7 +94,7 @@ class Column:
         return numbers if self.is_list else numbers[0]
 
     def _parse_number(self, text: str, cell: str) -> float:
-        """Parse one number of a cell."""
+        """Parse one number of a cell; `cell` is its whole text, for messages."""
         is_valid = (
             re.fullmatch(NUMBER_PATTERN, text) and self.minimum <= float(text) <= self.maximum
         )
@@ -107,7 +108,7 @@ class Column:
         return int(value) if self.is_integer else value
 
     def convert_to_si(self, value: Any) -> Any:
-        """Convert a number or a list to SI, to twelve digits: 1.4 mm is 0.0014 m exactly."""
+        """Convert a number or a list to SI, to 12 digits, so that 1.4 mm is exactly 0.0014 m."""
         if isinstance(value, tuple):
             return tuple(map(self.convert_to_si, value))
         return value if self.is_integer else float(f"{value * self.factor:.12g}")
@@ -170,15 +171,17 @@ class WireRow(Block):
 
     def find_key_faults(self) -> Iterator[Fault]:
         """Find stress tables together with the numbers that they replace."""
-        for table, numbers in _REPLACED_COLUMNS.items():
-            filled = [name for name in numbers if name in self.model_fields_set]
-            if getattr(self, table) and filled:
-                yield Fault.of("protocol.table_and_numbers", (table,), found=", ".join(filled))
+        for table, columns in _REPLACED_COLUMNS.items():
+            filled_columns = ", ".join(x for x in columns if x in self.model_fields_set)
+            if getattr(self, table) and filled_columns:
+                yield Fault.of("protocol.table_and_numbers", (table,), found=filled_columns)
 
     def find_value_faults(self) -> list[Fault]:
-        """Find contradictions between cells; a later check needs valid layers and bore."""
-        checks = (_find_layer_faults, _find_bore_faults, _find_mass_faults)
-        return next((faults for check in checks if (faults := [*check(self)])), [])
+        """Find contradictions between cells; each check requires that the previous ones passed."""
+        for check in (_find_layer_faults, _find_bore_faults, _find_mass_faults):
+            if faults := [*check(self)]:
+                return faults
+        return []
 
     @model_validator(mode="before")
     @classmethod
@@ -194,12 +197,11 @@ class WireRow(Block):
     @property
     def strands_per_layer(self) -> tuple[int, ...]:
         """Return the number of strands of each layer, the core first; 1, 6, 12 ... by default."""
-        rings = range(1, len(self.lay_angles_deg) + 1)
-        return self.layer_counts or (1, *(6 * ring for ring in rings))
+        return self.layer_counts or (1, *range(6, 6 * len(self.lay_angles_deg) + 1, 6))
 
     @property
     def strand_diameters(self) -> Numbers:
-        """Return the strand diameter of each layer, mm; from the area if none is stated."""
+        """Return the strand diameter of each layer, mm; by default it follows from the area."""
         if self.strand_diameters_mm:
             return self.strand_diameters_mm
         strand_area = (self.conductor_area_mm2 or 0.0) / sum(self.strands_per_layer)
@@ -208,7 +210,7 @@ class WireRow(Block):
 
     @property
     def copper_area(self) -> float:
-        """Return the area of all strands, mm^2."""
+        """Return the cross-sectional area of all strands, mm^2."""
         layers = zip(self.strands_per_layer, self.strand_diameters, strict=True)
         return float(sum(count * math.pi * diameter**2 / 4.0 for count, diameter in layers))
 
@@ -219,8 +221,8 @@ WIRE_COLUMNS: Final[Mapping[str, Column]] = {
     for column in field.metadata
     if isinstance(column, Column)
 }
-"""Column of numbers of each name."""
-REQUIRED_CELLS: Final = tuple(n for n, field in WireRow.model_fields.items() if field.is_required())
+"""Annotation of each column of numbers, keyed by the name of the column."""
+REQUIRED_CELLS: Final = tuple(x for x, field in WireRow.model_fields.items() if field.is_required())
 """Names of the columns in which no cell may be blank."""
 STRAND_SIZE_COLUMNS: Final = ("strand_diameter_mm", "strand_diameters_mm", "conductor_area_mm2")
 """Names of the columns for the size of the strands; every sheet has at least one of them."""
@@ -228,8 +230,8 @@ _REPLACED_COLUMNS = {
     "stress_table": ("conductor_modulus_gpa", "copper_k_mpa", "copper_n"),
     "insulation_table": ("insulation_modulus_mpa", "insulation_strain"),
 }
-"""Names of the columns that a stress table replaces, by the column that names the table."""
-_DENSITIES = ("conductor_density_kg_per_m3", "insulation_density_kg_per_m3")
+"""Names of the columns that a stress table replaces, keyed by the column that names the table."""
+_DENSITY_COLUMNS = ("conductor_density_kg_per_m3", "insulation_density_kg_per_m3")
 _REQUIRED_COLUMNS = (*REQUIRED_CELLS, "lay_angles_deg")
 MAX_AREA_DEVIATION = 0.02
 """Largest relative deviation of the conductor area from that of the strand diameters."""
@@ -241,16 +243,16 @@ tin and gaps explain smaller ones."""
 def _find_layer_faults(row: WireRow) -> Iterator[Fault]:
     """Find contradictions between strands, layers, lay angles, radii and sizes."""
     counts, radii = row.strands_per_layer, row.layer_radii_mm
-    total, n_layers, parts = sum(counts), len(counts), " + ".join(map(str, counts))
-    if total != row.strands:
-        by = "layer counts" if row.layer_counts else "lay angles"
-        yield Fault.of("protocol.strands", ("strands",), row=row, total=total, by=by, parts=parts)
+    n_strands, n_layers, terms = sum(counts), len(counts), " + ".join(map(str, counts))
+    if n_strands != row.strands:
+        source, path = "layer counts" if row.layer_counts else "lay angles", ("strands",)
+        yield Fault.of("protocol.strands", path, row=row, total=n_strands, by=source, parts=terms)
         return
     # A core of one strand has no lay angle; all other layers are rings.
     n_rings, n_angles = n_layers - int(counts[0] == 1), len(row.lay_angles_deg)
     if n_angles != n_rings:
         path = ("lay_angles_deg",)
-        yield Fault.of("protocol.lay_angles", path, parts=parts, rings=n_rings, found=n_angles)
+        yield Fault.of("protocol.lay_angles", path, parts=terms, rings=n_rings, found=n_angles)
     are_increasing = all(inner < outer for inner, outer in pairwise(radii))
     if radii and row.layout != "compressed":
         yield Fault.of("protocol.radii_of_layout", ("layer_radii_mm",), row=row)
@@ -277,21 +279,21 @@ def _find_size_faults(row: WireRow) -> Iterator[Fault]:
 
 
 def _find_bore_faults(row: WireRow) -> Iterator[Fault]:
-    """Find insulation without a bore, and a bend radius that is not above that of the wire."""
+    """Find insulation that leaves no bore, and bend radii that do not exceed the wire's radius."""
     if row.bore <= 0.0:
         yield Fault.of("protocol.no_bore", ("insulation_thickness_mm",), row=row)
     # The curvature, 1/m, at which the bend radius equals the radius of the wire.
-    tightest, curvature = 2e3 / row.wire_diameter_mm, row.largest_curvature_per_m
-    if curvature is not None and curvature >= tightest:
+    max_curvature, curvature = 2e3 / row.wire_diameter_mm, row.largest_curvature_per_m
+    if curvature is not None and curvature >= max_curvature:
         path = ("largest_curvature_per_m",)
-        yield Fault.of("protocol.tight_bend", path, tightest=tightest, found=curvature)
+        yield Fault.of("protocol.tight_bend", path, tightest=max_curvature, found=curvature)
 
 
 def _find_mass_faults(row: WireRow) -> Iterator[Fault]:
     """Find a mass per length that differs too much from that of strands and insulation."""
     angles = (0.0,) * int(row.strands_per_layer[0] == 1) + row.lay_angles_deg
     layers = zip(row.strands_per_layer, row.strand_diameters, angles, strict=True)
-    # Squares of diameters, mm^2: 4 / pi times the areas that the cross-section cuts.
+    # Squares of diameters, mm^2: the areas in the cross-section, times 4 / pi.
     squares = {
         "conductor": sum(n * d**2 / math.cos(math.radians(angle)) for n, d, angle in layers),
         "insulation": row.wire_diameter_mm**2 - row.bore**2,
@@ -300,11 +302,11 @@ def _find_mass_faults(row: WireRow) -> Iterator[Fault]:
         name: getattr(row, f"{name}_density_kg_per_m3") or _SPEC_DEFAULTS[f"{name}_density"]
         for name in squares
     }
-    mass = 1e-3 * math.pi / 4.0 * sum(densities[name] * squares[name] for name in squares)
-    stated_mass = row.mass_per_length_g_per_m or mass
-    if not 1.0 / MAX_MASS_RATIO <= stated_mass / mass <= MAX_MASS_RATIO:
+    expected_mass = 1e-3 * math.pi / 4.0 * sum(densities[name] * squares[name] for name in squares)
+    stated_mass = row.mass_per_length_g_per_m or expected_mass
+    if not 1.0 / MAX_MASS_RATIO <= stated_mass / expected_mass <= MAX_MASS_RATIO:
         path = ("mass_per_length_g_per_m",)
-        yield Fault.of("protocol.mass", path, row=row, mass=mass, densities=densities)
+        yield Fault.of("protocol.mass", path, row=row, mass=expected_mass, densities=densities)
 
 
 def build_wire_spec(
@@ -314,19 +316,20 @@ def build_wire_spec(
     conductor_curve: Curve | None,
     insulation_curve: Curve | None = None,
 ) -> WireSpec:
-    """Convert a row to a record in SI.
+    """Convert a row of a wire sheet to a record in SI.
 
     Parameters
     ----------
     row : row of the wire sheet
     blank_columns : names of the columns whose cell in this row is blank
     place : place of the row in messages, such as ``sheet 'wires', row 4``
-    conductor_curve, insulation_curve : stress-strain curves of the tables that the row names
+    conductor_curve, insulation_curve : stress-strain curves of the tables that the row names; None
+        if it names none
 
     Returns
     -------
-    The wire. Its `defaults` describe each default value, and mention blank cells, because these
-    may be an oversight.
+    The specification of the wire. Its `defaults` describe each default value, and mention blank
+    cells, because these may be an oversight.
     """
     cells = {name: getattr(row, name) for name in WIRE_COLUMNS.keys() & row.model_fields_set}
     cells |= {"lay_angles_deg": row.lay_angles_deg}
@@ -346,11 +349,11 @@ def build_wire_spec(
     replaced_columns = {
         *(_REPLACED_COLUMNS["stress_table"] if conductor_curve else ()),
         *(_REPLACED_COLUMNS["insulation_table"] if insulation_curve else ()),
-        *(_DENSITIES if row.mass_per_length_g_per_m is not None else ()),
+        *(_DENSITY_COLUMNS if row.mass_per_length_g_per_m is not None else ()),
     }
     fields_by_column = {name: get_spec_field(name) for name in WireRow.model_fields}
     defaults = {
-        field: describe_default(name) + " (blank in this row)" * (name in blank_columns)
+        field: f"{describe_default(name)}{' (blank in this row)' if name in blank_columns else ''}"
         for name, field in fields_by_column.items()
         if name not in replaced_columns
         and field not in values
@@ -405,7 +408,7 @@ def find_heading_faults(headings: Sequence[str]) -> Iterator[tuple[int, Fault]]:
     Index of the column (0 for a missing one) and the fault.
     """
     names, columns = list(map(normalise_heading, headings)), WireRow.model_fields
-    # The column that each heading means, if one is misspelt; empty if no column is similar.
+    # Name of the column that is most similar to each heading; empty if none is similar.
     meant_names = [next(iter(difflib.get_close_matches(name, columns, n=1)), "") for name in names]
     for index, (name, meant_name) in enumerate(zip(names, meant_names, strict=True)):
         if name not in columns:

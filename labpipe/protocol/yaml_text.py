@@ -1,4 +1,4 @@
-"""YAML text: plain values with line and column, and error messages that name them.
+"""Read YAML text: plain values with their lines and columns, and faults that name these.
 
 Unquoted words other than ``null`` remain text: YAML 1.1 would convert the test name ``0333`` to the
 number 219, and ``no`` to *false*. Validators convert the texts later. Aliases, tags and repeated
@@ -20,7 +20,7 @@ import yaml
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
-from labpipe.errors import At, Fault, KeyPath, ProtocolError, format_error, sort_by_likeness
+from labpipe.errors import Fault, KeyPath, ProtocolError, format_error, sort_by_likeness
 
 _LOADER = yaml.CBaseLoader if yaml.__with_libyaml__ else yaml.BaseLoader
 Mark: TypeAlias = tuple[int, int]
@@ -35,13 +35,13 @@ MAX_DEPTH = 15
 """Largest number of levels of keys and lists."""
 _PLAIN_TAGS = tuple(f"tag:yaml.org,2002:{kind}" for kind in ("str", "seq", "map"))
 _BLOCK = "a block of keys with values"
-_EXPECTED = {
+_EXPECTED_CONTENT = {
     **dict.fromkeys(("model_type", "dict_type", "model_attributes_type"), _BLOCK),
     **dict.fromkeys(("list_type", "tuple_type"), "a list"),
     **dict.fromkeys(("bool_type", "bool_parsing"), "true or false"),
     "string_type": "text",
 }
-"""Expected content in messages, by pydantic's type of error."""
+"""Expected content in messages, keyed by pydantic's type of error."""
 
 
 def get_block(data: object, *path: str) -> Values:
@@ -63,27 +63,27 @@ def describe_value(value: object) -> str:
     return repr(text if len(text) <= max_length else f"{text[:max_length]}...")
 
 
-def list_nearest(word: str, valid: Iterable[str]) -> str:
-    """List at most six valid words for a message, those most similar to a word first."""
-    valid_words = sorted(set(valid))
-    nearest = sort_by_likeness(word, valid_words, limit=6)
-    return ", ".join([*map(repr, nearest), *["..."] * (len(valid_words) > len(nearest))])
+def format_nearest_words(word: str, choices: Iterable[str]) -> str:
+    """Format at most six valid words for a message, the most similar one to a word first."""
+    valid_words = sorted(set(choices))
+    text = ", ".join(map(repr, sort_by_likeness(word, valid_words, limit=6)))
+    return f"{text}, ..." if len(valid_words) > 6 else text
 
 
-def suggest_word(word: str, valid: Iterable[str]) -> str:
-    """Suggest the most similar valid word; empty without valid words."""
-    nearest_words = sort_by_likeness(word, sorted(set(valid)), limit=1)
+def suggest_word(word: str, choices: Iterable[str]) -> str:
+    """Suggest the valid word that is most similar to a word; empty without valid words."""
+    nearest_words = sort_by_likeness(word, sorted(set(choices)), limit=1)
     return f"Did you mean {nearest_words[0]!r}?" if nearest_words else ""
 
 
 def build_choice_fault(
     path: KeyPath,
     word: object,
-    valid: Iterable[str],
+    choices: Iterable[str],
     expected: str = "one of",
     *,
     remedy: str = "",
-    at: At = "value",
+    is_key: bool = False,
 ) -> Fault:
     """Build the fault of a word that is not among the valid ones.
 
@@ -91,15 +91,15 @@ def build_choice_fault(
     ----------
     path : path of the word
     word : the invalid word
-    valid : the valid words
+    choices : the valid words
     expected : phrase before the valid words, such as ``one of the channels``
-    remedy : remedy if there are no valid words; otherwise it is the most similar one
-    at : whether the word is a key or a value
+    remedy : remedy if there are no valid words; otherwise, the most similar word is suggested
+    is_key : whether the word is a key, not a value
     """
-    valid_words = sorted(set(valid))
+    valid_words = sorted(set(choices))
     remedy = suggest_word(str(word), valid_words) or remedy
-    expected = f"{expected} {list_nearest(str(word), valid_words)}"
-    return Fault(path, expected, describe_value(word), remedy, at)
+    expected = f"{expected} {format_nearest_words(str(word), valid_words)}"
+    return Fault(path, expected, describe_value(word), remedy, is_key)
 
 
 class FaultsError(ValueError):
@@ -117,19 +117,13 @@ class FaultsError(ValueError):
         )
 
 
-def raise_faults(faults: Iterable[Fault]) -> None:
-    """Raise the faults of a value, if there are any."""
-    if collected := tuple(faults):
-        raise FaultsError(*collected)
-
-
 def build_refusal(name: str, /, *, found: object, **facts: Any) -> FaultsError:
     """Build the error of a validator that refuses a value.
 
     Parameters
     ----------
-    name, facts : name of a template and values of its fields, see `Fault.of`
-    found : value as written
+    name, facts : name of a message template and values of its fields, see `Fault.of`
+    found : refused value as written
     """
     return FaultsError(Fault.of(name, found=describe_value(found), **facts))
 
@@ -160,40 +154,40 @@ def convert_errors(error: ValidationError, data: object, keys: Iterable[str] = (
 
 
 def prefix_paths(path: KeyPath, faults: Iterable[Fault]) -> list[Fault]:
-    """Prefix the paths of faults with that of the block in which they are."""
+    """Prefix the paths of faults with the path of the block that contains them."""
     return [replace(fault, path=(*path, *fault.path)) for fault in faults]
 
 
 def _convert_error(details: ErrorDetails, path: KeyPath, keys: Iterable[str]) -> Fault:
     """Convert an error of pydantic's own validators to a fault at a path."""
-    context = {
+    quoted_words = {
         key: re.findall(r"'([^']*)'", str(text)) for key, text in details.get("ctx", {}).items()
     }
     value = details["input"]
     match details["type"]:
         case "missing" | "union_tag_not_found":
-            key = context["discriminator"][0] if context else str(details["loc"][-1])
+            key = quoted_words["discriminator"][0] if quoted_words else str(details["loc"][-1])
             return Fault.of("protocol.no_key", path, key=key, missing=key)
         case "extra_forbidden":
-            return build_choice_fault(path, path[-1], keys, "one of the keys", at="key")
+            return build_choice_fault(path, path[-1], keys, "one of the keys", is_key=True)
         case "union_tag_invalid":
-            key = context["discriminator"][0]
-            return build_choice_fault((*path, key), value[key], context["expected_tags"])
+            key = quoted_words["discriminator"][0]
+            return build_choice_fault((*path, key), value[key], quoted_words["expected_tags"])
         case "literal_error":
-            at: At = "key" if details["loc"][-1] == "[key]" else "value"
-            return build_choice_fault(path, value, context["expected"], at=at)
+            is_key = details["loc"][-1] == "[key]"
+            return build_choice_fault(path, value, quoted_words["expected"], is_key=is_key)
         case "too_short":
             min_length = details["ctx"]["min_length"]
             expected = "at least one entry" if min_length == 1 else f"at least {min_length} entries"
             return Fault(path, expected, describe_value(value))
         case error_type:
             remedy = "Fill it in." if value is None else ""
-            expected = _EXPECTED.get(error_type, details["msg"])
+            expected = _EXPECTED_CONTENT.get(error_type, details["msg"])
             return Fault(path, expected, describe_value(value), remedy)
 
 
 def _find_existing_path(data: Any, path: Iterable[int | str]) -> KeyPath:
-    """Find the keys and indices of a path that exist in plain values, without the others."""
+    """Return a path without the keys and indices that do not exist in plain values."""
     existing_path: list[int | str] = []
     for key in path:
         is_item = isinstance(data, list) and isinstance(key, int) and key < len(data)
@@ -210,13 +204,13 @@ class Location(NamedTuple):
     ----------
     file : name of the YAML file
     name : key of the value, or its index in a list, as written
-    key, value : line and column of the key, and of the value
+    key_mark, value_mark : line and column of the key, and of the value
     """
 
     file: str
     name: str | int
-    key: Mark
-    value: Mark
+    key_mark: Mark
+    value_mark: Mark
 
 
 class LocatedBlock(dict[str, Any]):
@@ -241,7 +235,7 @@ class Document:
     ----------
     location : location of the complete content
     data : content, as blocks and lists with locations; any other value is a text or None
-    faults : repeated keys, keys that are no words, and tags
+    faults : faults with which the file can still be read, such as a repeated key
     """
 
     location: Location
@@ -282,7 +276,7 @@ class Document:
         remark : sentence that is appended to the message
         """
         location, path = self.find_location(fault.path)
-        mark = location.key if fault.at == "key" else location.value
+        mark = location.key_mark if fault.is_key else location.value_mark
         return _place_fault(location.file, mark, replace(fault, path=path), remark)
 
 
@@ -295,15 +289,15 @@ def _place_fault(file: str, mark: Mark, fault: Fault, remark: str = "") -> Place
     return file, mark, text.rstrip()
 
 
-def build_error(placed: Iterable[PlacedFault], *, code: str = "") -> ProtocolError:
+def build_error(placed_faults: Iterable[PlacedFault], *, code: str = "") -> ProtocolError:
     """Build one error of all faults, one line each, in the order of the file, without repeats.
 
     Parameters
     ----------
-    placed : formatted faults
+    placed_faults : formatted faults
     code : code of the error; empty for that of its class
     """
-    return ProtocolError("\n".join(text for _, _, text in sorted(set(placed))), code=code)
+    return ProtocolError("\n".join(text for _, _, text in sorted(set(placed_faults))), code=code)
 
 
 def read_text(path: Path) -> str:
@@ -333,7 +327,7 @@ def read_text(path: Path) -> str:
 
 
 _compose = lru_cache(maxsize=64)(partial(yaml.compose, Loader=_LOADER))
-"""Function that composes the nodes of a text; it has a cache, as many tests share a protocol."""
+"""Function that composes the nodes of a text, with a cache because many tests share a protocol."""
 
 
 def parse_yaml(text: str, file: str) -> Document:
@@ -357,7 +351,7 @@ def parse_yaml(text: str, file: str) -> Document:
         node = _compose(text)
     except (yaml.YAMLError, UnicodeError, RecursionError) as error:
         raise _build_syntax_error(error, text, file) from error
-    mark = (1, 1) if node is None else _find_mark(node)
+    mark = (1, 1) if node is None else _get_mark(node)
     document = Document(Location(file, "", mark, mark))
     if node is not None:
         document.data = _convert_node(node, (), document, set())
@@ -378,58 +372,58 @@ def _build_syntax_error(error: Exception, text: str, file: str) -> ProtocolError
     return ProtocolError.about("protocol.no_yaml", file, place, found=reason)
 
 
-def _convert_node(node: yaml.Node, path: KeyPath, document: Document, converted: set[int]) -> Any:
+def _convert_node(node: yaml.Node, path: KeyPath, document: Document, seen_ids: set[int]) -> Any:
     """Convert a node to plain values with locations.
 
     Parameters
     ----------
     node, path : node of the YAML library, and its path in the file
     document : document of the file, to which faults are added
-    converted : identities of the nodes that are already converted; an alias repeats one of them
+    seen_ids : identities of the nodes that are already converted; an alias repeats a node
     """
     file = document.location.file
-    if id(node) in converted or len(path) > MAX_DEPTH:
-        alias = Fault.of("protocol.alias", path)
-        too_deep = Fault.of("protocol.too_deep", limit=MAX_DEPTH)
-        fault = alias if id(node) in converted else too_deep
-        raise build_error([_place_fault(file, _find_mark(node), fault)])
-    converted.add(id(node))
+    if id(node) in seen_ids or len(path) > MAX_DEPTH:
+        fault = Fault.of("protocol.too_deep", limit=MAX_DEPTH)
+        if id(node) in seen_ids:
+            fault = Fault.of("protocol.alias", path)
+        raise build_error([_place_fault(file, _get_mark(node), fault)])
+    seen_ids.add(id(node))
     if node.tag not in _PLAIN_TAGS:
         fault = Fault.of("protocol.tag", path, tag=node.tag)
-        document.faults.append(_place_fault(file, _find_mark(node), fault))
+        document.faults.append(_place_fault(file, _get_mark(node), fault))
     if isinstance(node, yaml.ScalarNode):
         return node.value if node.style or node.value not in ("", "~", "null") else None
     if isinstance(node, yaml.MappingNode):
-        return _convert_mapping(node, path, document, converted)
+        return _convert_mapping(node, path, document, seen_ids)
     items = LocatedList()
     for index, item in enumerate(node.value):
-        mark = _find_mark(item)
+        mark = _get_mark(item)
         items.locations.append(Location(file, index, mark, mark))
-        items.append(_convert_node(item, (*path, index), document, converted))
+        items.append(_convert_node(item, (*path, index), document, seen_ids))
     return items
 
 
 def _convert_mapping(
-    node: yaml.MappingNode, path: KeyPath, document: Document, converted: set[int]
+    node: yaml.MappingNode, path: KeyPath, document: Document, seen_ids: set[int]
 ) -> LocatedBlock:
-    """Convert a node of keys and values to a block; repeated keys and other nodes are faults."""
+    """Convert a node of keys and values to a block; a key that is no unique word is a fault."""
     file, block = document.location.file, LocatedBlock()
     for key, value in node.value:
-        name, mark = key.value, _find_mark(key)
+        name, mark = key.value, _get_mark(key)
         if not isinstance(key, yaml.ScalarNode):
             fault = Fault.of("protocol.no_word_as_key", path, found=describe_value(name))
             document.faults.append(_place_fault(file, mark, fault))
         elif name in block:
-            line = block.locations[name].key[0]
+            line = block.locations[name].key_mark[0]
             fault = Fault.of("protocol.key_again", (*path, name), key=name, line=line)
             document.faults.append(_place_fault(file, mark, fault))
         else:
-            block.locations[name] = Location(file, name, mark, _find_mark(value))
-            block[name] = _convert_node(value, (*path, name), document, converted)
+            block.locations[name] = Location(file, name, mark, _get_mark(value))
+            block[name] = _convert_node(value, (*path, name), document, seen_ids)
     return block
 
 
-def _find_mark(node: yaml.Node) -> Mark:
-    """Return line and column of a node."""
+def _get_mark(node: yaml.Node) -> Mark:
+    """Return the line and the column of a node."""
     start = node.start_mark
     return (start.line + 1, start.column + 1) if start else (1, 1)

@@ -32,19 +32,18 @@ class Reader(ExportFormat):
     """The reader of a format, whose module is imported on first use."""
 
     def recognise(self, path: Path) -> bool:
-        """Return whether the content of a file is of this format."""
+        """Return whether a file has this format, by its content."""
         is_possible = self.is_workbook if is_workbook(path) else self.is_text
         return is_possible and bool(import_module(self.module).recognise(path))
 
     def read(self, path: Path, **choices: object) -> Recording:
-        """Read a file, with a note of severity error for an unusable time axis."""
+        """Read a file; an unusable time axis causes a note of severity error, not an exception."""
         recording: Recording = import_module(self.module).read(path, **choices)
         return recording
 
 
-READERS: dict[str, Reader] = {
-    export_format.name: Reader(*export_format) for export_format in EXPORT_FORMATS
-}
+READERS: dict[str, Reader] = {x.name: Reader(*x) for x in EXPORT_FORMATS}
+"""Reader of each format, keyed by name of the format."""
 
 
 def recognise_export(path: Path) -> Reader:
@@ -86,7 +85,7 @@ def read_export(
     Parameters
     ----------
     path : the export
-    reader : allowed format or formats; None for any
+    reader : name of the allowed format, or names of several; None for any
     channels : names or paths of the wanted channels, None for all; the recording contains only
         these and their time axes
     dialect : names of dialect cards, one of which must fit a load-frame export
@@ -100,19 +99,18 @@ def read_export(
     ------
     ReadError
         If the content is of another format, is damaged, lacks a wanted channel, or has a time axis
-        that runs backwards or is not finite. `Reader.read` gives a note on such a time axis, for
-        `inspect`.
+        that runs backwards or is not finite.
     """
     reader_names = [reader] if isinstance(reader, str) else list(reader or READERS)
-    # Other readers are not loaded if one of these recognises the file.
-    export_reader = next((x for n in reader_names if (x := READERS[n]).recognise(path)), None)
+    allowed_readers = [READERS[name] for name in reader_names]  # tried before others are imported
+    export_reader = next((x for x in allowed_readers if x.recognise(path)), None)
     if export_reader is None:
         try:
             export_reader = recognise_export(path)
         except ReadError:
             if not (dialect and reader_names == ["load-frame"] and path.is_file()):
                 raise
-            export_reader = READERS["load-frame"]  # a card is named, so it may fit
+            export_reader = READERS["load-frame"]  # a named card may fit although none recognises
     if export_reader.name not in reader_names:
         names, name = " or ".join(reader_names), export_reader.name
         raise ReadError.about("readers.other_format", path, allowed=names, name=name)
@@ -138,7 +136,7 @@ class UnknownFile(NamedTuple):
 
 
 def describe_unknown(path: Path) -> UnknownFile:
-    """Describe a file of an unknown format.
+    """Describe the content of a file of an unknown format, with a remedy.
 
     Parameters
     ----------
@@ -149,9 +147,9 @@ def describe_unknown(path: Path) -> UnknownFile:
         return UnknownFile("a workbook with a password", "Save a copy of it without a password.")
     start = head.removeprefix(b"\xef\xbb\xbf").lstrip().decode("latin-1")
     text = (files("labpipe.readers") / "unknown_files.toml").read_text(encoding="utf-8")
-    for kind in tomllib.loads(text)["file"]:
-        if start.startswith(kind["starts"]):
-            return UnknownFile(kind["what"], kind["remedy"])
+    for known_kind in tomllib.loads(text)["file"]:
+        if start.startswith(known_kind["starts"]):
+            return UnknownFile(known_kind["what"], known_kind["remedy"])
     content = normalise_content(head)
     if is_binary(content):
         return UnknownFile("binary data of an unknown kind", _EXPORT_REMEDY)

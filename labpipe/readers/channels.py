@@ -1,4 +1,4 @@
-"""Find channels by name, make their names unique, and make quality notes on channels."""
+"""Find channels by name, make names of channels unique, and make quality notes on channels."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from labpipe.records.recording import Channel, Recording
 from labpipe.units import get_conversion_factor
 
 ChannelChoice: TypeAlias = str | tuple[str, ...]
-"""Name or path of a channel, or alternatives, of which the first one in the export is used."""
+"""Name or path of a channel, or several, of which the first one in the export is used."""
 
 _CHANNEL_PREFIX = re.compile(r"(?:_+|(?:channel|ch|kanal|canale|canal|voie|c)[\s._]*\d+[\s._:-]+)+")
 """Prefix of a channel name: underscores, or the number of the channel."""
@@ -27,11 +27,11 @@ _MAX_LISTED = 3
 
 
 class NoChannelError(ReadError):
-    """A wanted name matches no channel of an export, or several.
+    """Error of a channel choice that matches no channel of an export, or several channels.
 
     Attributes
     ----------
-    names : the wanted name, or its alternatives
+    names : the wanted name, or all names of the choice
     parts : specimens or sheets of a load-frame export that each have such a channel; empty if the
         error has another cause
     """
@@ -42,16 +42,16 @@ class NoChannelError(ReadError):
 
 
 def select_channel(recording: Recording, choice: ChannelChoice, file: object) -> Channel:
-    """Find the channel that a name or path selects.
+    """Select a channel by its name or path.
 
     Parameters
     ----------
     recording : the export
-    choice : full path and name (``Model Root/Load Cell/Out1``), or the name alone if it is unique;
+    choice : full path and name (``Model Root/Load Cell/Out1``), or only the name if it is unique;
         quotes and the two characters backslash-n may be omitted. The first of several names that
-        exists is used. If none exists as written, the search ignores the number of a channel
-        before the name (``Ch 1 Kraft``, ``C_1_Force``, ``_Load``), case, accents, and underscores
-        in place of blanks.
+        exists is used. If none exists as written, the search ignores case, accents, a prefix such
+        as the number of the channel (``Ch 1 Kraft``, ``C_1_Force``, ``_Load``), and the difference
+        between underscores and blanks.
     file : file that error messages name
 
     Returns
@@ -89,7 +89,8 @@ def find_channels(
     Raises
     ------
     NoChannelError
-        As `find_channel`. Its `parts` are the specimens if several have the channel.
+        If a choice matches no channel, or more than one. If several specimens have such a channel,
+        `parts` of the error names them.
     """
     pairs = [(channel.name, channel.path) for channel in channels]
     try:
@@ -108,7 +109,7 @@ def _has_channel(choice: tuple[str, ...], clock: str, channels: Sequence[Channel
 
 
 def find_channel(choice: ChannelChoice, pairs: Sequence[tuple[str, str]], file: object) -> int:
-    """Find the channel, among pairs of name and path, that a name or path matches.
+    """Find the channel that a choice matches, among pairs of name and path.
 
     Parameters
     ----------
@@ -123,7 +124,7 @@ def find_channel(choice: ChannelChoice, pairs: Sequence[tuple[str, str]], file: 
     Raises
     ------
     NoChannelError
-        If the name matches no channel, or more than one.
+        If the choice matches no channel, or more than one.
     """
     names = (choice,) if isinstance(choice, str) else choice
     paths = [path for _, path in pairs]
@@ -136,10 +137,10 @@ def find_channel(choice: ChannelChoice, pairs: Sequence[tuple[str, str]], file: 
             error = NoChannelError.about("readers.ambiguous_channel", file, place, paths=matches)
             break
     else:
-        near_paths = dict.fromkeys(path for name in names for path in sort_by_likeness(name, paths))
-        near, count = _quote_paths([*near_paths][:5]) or "none", len(paths)
+        nearest = dict.fromkeys(path for name in names for path in sort_by_likeness(name, paths))
+        facts = {"count": len(paths), "near": _quote_paths([*nearest][:5]) or "none"}
         place = f"channel {' or '.join(map(repr, names[:6]))}"
-        error = NoChannelError.about("readers.no_channel", file, place, count=count, near=near)
+        error = NoChannelError.about("readers.no_channel", file, place, **facts)
     error.names = names
     raise error
 
@@ -147,12 +148,17 @@ def find_channel(choice: ChannelChoice, pairs: Sequence[tuple[str, str]], file: 
 def find_alternatives(
     choice: ChannelChoice, pairs: Sequence[tuple[str, str]], chosen: int
 ) -> list[int]:
-    """Find the other channels that the names of a channel match.
+    """Find the channels, other than the chosen one, that a choice matches.
 
     Parameters
     ----------
-    choice, pairs : as for `find_channel`
-    chosen : index of the channel that `find_channel` chooses, which is left out
+    choice : names or path, see `select_channel`
+    pairs : name and path of each channel of the export
+    chosen : index of the channel that `find_channel` finds
+
+    Returns
+    -------
+    Indices of the other channels, ascending.
     """
     names = (choice,) if isinstance(choice, str) else choice
     finders = product((_find_exact, _find_similar), names)
@@ -163,18 +169,18 @@ def find_alternatives(
 def compare_alternatives(
     choices: Sequence[ChannelChoice], channels: Sequence[Channel]
 ) -> Iterator[QualityNote]:
-    """Make notes on channels that several names of one choice match, but whose samples differ.
+    """Make notes on channels that match one choice, but whose samples differ.
 
     Parameters
     ----------
-    choices : names of the wanted channels, each of which selects one
+    choices : names or paths of the wanted channels, each of which selects one channel
     channels : all channels of one table
 
     Yields
     ------
-    Notes ``columns_disagree``, if the differences of 95 % of the samples extend over more than 1 %
-    of the range. A channel that is another choice is not compared, nor one in a unit of another
-    quantity.
+    Notes ``columns_disagree``, if the central 95 % of the differences between samples extend over
+    more than 1 % of the range of the chosen channel. Channels that another choice selects, and
+    channels of another quantity, are not compared.
     """
     max_range_fraction = 0.01
     pairs = [(channel.name, channel.path) for channel in channels]
@@ -192,20 +198,18 @@ def compare_alternatives(
             difference = drop_missing(factor * other.values - chosen.values)
             if not len(difference):
                 continue
-            deviation = float(np.subtract(*np.quantile(difference, (0.975, 0.025))))
+            spread = float(np.subtract(*np.quantile(difference, (0.975, 0.025))))
             full_range = np.nanmax(chosen.values) - np.nanmin(chosen.values)
-            if deviation > max_range_fraction * full_range > 0.0:
+            if spread > max_range_fraction * full_range > 0.0:
+                paths = {"chosen": chosen.path, "other": other.path}
+                percent = 100.0 * spread / full_range
                 yield QualityNote.of(
-                    "readers.columns_disagree",
-                    chosen.path,
-                    chosen=chosen.path,
-                    other=other.path,
-                    share=100.0 * deviation / full_range,
+                    "readers.columns_disagree", chosen.path, **paths, share=percent
                 )
 
 
 def is_exact_name(choice: ChannelChoice, channel: Channel) -> bool:
-    """Return whether a channel has one of the names, apart from quotes and line breaks.
+    """Return whether a channel has a name of a choice, except for quotes and line breaks.
 
     Parameters
     ----------
@@ -223,6 +227,10 @@ def normalise_name(name: str) -> str:
     ----------
     name : name of the channel, without its unit
 
+    Returns
+    -------
+    The name in lower case, without accents, prefix and underscores.
+
     Examples
     --------
     >>> normalise_name("Ch 1 Kraft"), normalise_name("C_1_Déplacement"), normalise_name("_Load")
@@ -238,18 +246,21 @@ def normalise_name(name: str) -> str:
 
 
 def _find_exact(wanted_name: str, pairs: Sequence[tuple[str, str]]) -> list[int]:
-    """Find the indices of channels with a path or, if there is none, with a name."""
-    by_path = [i for i, (_, path) in enumerate(pairs) if path == wanted_name]
+    """Find the channels with a path, else with a spelling of this path, else with a name.
+
+    The result has the indices of the channels.
+    """
+    path_matches = [i for i, (_, path) in enumerate(pairs) if path == wanted_name]
     spellings = _list_spellings(wanted_name)
-    by_spelling = [i for i, (_, path) in enumerate(pairs) if _list_spellings(path) & spellings]
-    by_name = [i for i, (name, _) in enumerate(pairs) if name == wanted_name]
-    return by_path or by_spelling or by_name
+    near_matches = [i for i, (_, path) in enumerate(pairs) if _list_spellings(path) & spellings]
+    name_matches = [i for i, (name, _) in enumerate(pairs) if name == wanted_name]
+    return path_matches or near_matches or name_matches
 
 
 def _find_similar(wanted_name: str, pairs: Sequence[tuple[str, str]]) -> list[int]:
-    """Find the indices of channels whose names match apart from prefix and spelling."""
-    normal = normalise_name(wanted_name)
-    return [i for i, (name, _) in enumerate(pairs) if normal and normalise_name(name) == normal]
+    """Find the indices of the channels whose normalised names are equal to that of a name."""
+    key = normalise_name(wanted_name)
+    return [i for i, (name, _) in enumerate(pairs) if key and normalise_name(name) == key]
 
 
 def _list_spellings(path: str) -> set[str]:
@@ -265,7 +276,7 @@ def _quote_paths(paths: list[str]) -> str:
 
 
 def make_names_unique(names: Sequence[str]) -> list[str]:
-    """Number repeated names, and name columns without a name."""
+    """Append a number to repeated names, and replace empty names by the number of the column."""
     labels = [name or f"column {i + 1}" for i, name in enumerate(names)]
     return [
         f"{name} [{labels[: i + 1].count(name)}]" if labels.count(name) > 1 else name
@@ -298,7 +309,7 @@ def make_channel_notes(channels: Sequence[Channel]) -> Iterator[QualityNote]:
 
 
 def _describe_paths(paths: list[str], total: int) -> str:
-    """Describe which of all channels have a property, for a note."""
+    """Describe the channels that have a property, among `total` channels, for a note."""
     if len(paths) == total:
         return "any channel"
     ending = " ..." if len(paths) > _MAX_LISTED else ""

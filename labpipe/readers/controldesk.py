@@ -1,4 +1,4 @@
-"""Make recordings from dSPACE ControlDesk exports, for the readers of csv, mat and mf4 files."""
+"""Load recordings of dSPACE ControlDesk, for the readers of CSV, MAT and MF4 files."""
 
 from __future__ import annotations
 
@@ -53,8 +53,8 @@ class Export:
 
     Parameters
     ----------
-    axes : raster of each time axis, which may be empty and names the axis, with a function that
-        loads the times of its samples
+    axes : name of the raster of each time axis, which may be empty, with a function that loads the
+        times of the samples
     traces : channels in the order of the file
     origin : text in the export that names the model and the program
     metadata : properties of the export
@@ -71,7 +71,7 @@ class Export:
 def load_export(
     export: Export, *, reader: str, path: Path, channels: Sequence[ChannelChoice] | None
 ) -> Recording:
-    """Load the wanted channels on their time axes.
+    """Load the wanted channels and their time axes.
 
     Parameters
     ----------
@@ -82,8 +82,8 @@ def load_export(
 
     Returns
     -------
-    The recording. Its values are those of the file, with NaN instead of infinities; they are not
-    converted to SI, and the channels have no SI units.
+    The recording. The values are those of the file, in the units of the file, with NaN instead of
+    infinities.
 
     Raises
     ------
@@ -101,28 +101,30 @@ def load_export(
     axes = range(len(clock_names)) if channels is None else {t.axis_index for t in traces}
     clocks = {i: Clock(clock_names[i], _convert_samples(export.axes[i][1]())) for i in sorted(axes)}
     notes = [note for clock in clocks.values() for note in make_clock_notes(clock)]
-    loaded = []
+    loaded_channels = []
     for trace in traces:
         values, clock = _convert_samples(trace.load()), clocks[trace.axis_index]
-        if (total := len(values)) != (n_times := len(clock.time)):
-            place, name = f"channel '{trace.path}'", clock.name
+        if (n_samples := len(values)) != (n_times := len(clock.time)):
+            facts = {"wanted": n_times, "axis": clock.name, "total": n_samples}
             raise ReadError.about(
-                "readers.channel_length", path, place, wanted=n_times, axis=name, total=total
+                "readers.channel_length", path, f"channel '{trace.path}'", **facts
             )
-        if count := len(invalid_samples := np.flatnonzero(~np.isfinite(values))):
+        if n_invalid := len(invalid_samples := np.flatnonzero(~np.isfinite(values))):
             values = np.where(np.isinf(values), np.nan, values)
-            facts = {"count": count, "total": total, "first": invalid_samples[0] + 1}
+            facts = {"count": n_invalid, "total": n_samples, "first": invalid_samples[0] + 1}
             notes.append(QualityNote.of("readers.not_finite", trace.path, **facts))
-        loaded.append(Channel(trace.name, trace.path, values, clock.name, None, trace.unit_in_file))
+        unit = trace.unit_in_file
+        channel = Channel(trace.name, trace.path, values, clock.name, unit_in_file=unit)
+        loaded_channels.append(channel)
     version = _PROGRAM_VERSION.search(export.origin)
     return Recording(
         reader=reader,
         program="ControlDesk",
         program_version=version[1].rstrip(".") if version else "",
         clocks=tuple(clocks.values()),
-        channels=tuple(loaded),
+        channels=tuple(loaded_channels),
         metadata={**export.metadata, "channels": {t.path: dict(t.properties) for t in traces}},
-        notes=(*export.notes, *notes, *make_channel_notes(loaded)),
+        notes=(*export.notes, *notes, *make_channel_notes(loaded_channels)),
     )
 
 
@@ -135,12 +137,13 @@ def to_json(value: object) -> object:
     """Convert a property of an export to a value that JSON can represent.
 
     Infinities, NaN and values of types that JSON does not have become text. Arrays become flat
-    lists of at most 16 items, and lists of one item become that item.
+    lists of at most `max_items` items, and lists of one item become that item.
     """
+    max_items = 16
     if isinstance(value, Mapping):
         return {str(key): to_json(item) for key, item in value.items()}
     if isinstance(value, np.ndarray):
-        return to_json(value.item() if value.size == 1 else value.ravel()[:16].tolist())
+        return to_json(value.item() if value.size == 1 else value.ravel()[:max_items].tolist())
     if isinstance(value, list | tuple):
         items = [to_json(item) for item in value]
         return items[0] if len(items) == 1 else items
@@ -161,12 +164,12 @@ def parse_save_date(header: str) -> date | None:
     -------
     The date; None if the text does not contain one.
     """
-    parsed = parsedate(header.partition("Created on: ")[2])
-    return _make_date(*parsed[:3]) if parsed else None
+    date_fields = parsedate(header.partition("Created on: ")[2])
+    return _make_date(*date_fields[:3]) if date_fields else None
 
 
 def resolve_date(text: str, save_date: date | None) -> str:
-    """Resolve the order of day and month in a date by comparison with the date of saving.
+    """Resolve the order of day, month and year in a date by comparison with the date of saving.
 
     Parameters
     ----------

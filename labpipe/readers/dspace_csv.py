@@ -2,17 +2,17 @@
 
 **Writes this file**: ControlDesk, "export as CSV".
 
-**Recording**: one channel per trace after the first, which is the clock of all.
+**Recording**: one channel for each trace after the first, which is the clock of all channels.
 
-**Units**: not set, because no known file states them; the protocol has to.
+**Units**: from ``trace_units``. No known file has this property, so the protocol states the units.
 
-**Missing data**: blank cells become NaN; ``Infinity`` becomes NaN and is noted.
+**Missing data**: blank cells become NaN; ``Infinity`` becomes NaN, with a note.
 
-**Clock and frame**: the first, unnamed trace exactly as written.
+**Clock and frame**: the times of the first trace, which has no name, exactly as written.
 
-**File structure**: rows of properties (section, group, key, value; then one row per property of
-the traces, its name in the first cell), then ``trace_values`` opens the samples on the same line;
-later lines begin with an empty cell.
+**File structure**: rows of properties of the recording (section, group, key, value), then one row
+for each property of the traces, whose first cell is the name of the property. The line of the first
+sample begins with ``trace_values``, and the lines of the other samples begin with an empty cell.
 
 **Known versions**: ControlDesk 25.1.
 """
@@ -36,7 +36,7 @@ from labpipe.records.recording import Recording
 from labpipe.units import parse_count
 
 _SAMPLES_MARK = b"\ntrace_values"
-_NAMES = "trace_names"
+_NAMES_PROPERTY = "trace_names"
 _TRACE_PROPERTIES = (
     *("devices", "raster", "description", "displayidentifier", "path", "flags"),
     *("min", "max", "minWeak", "maxWeak"),
@@ -44,7 +44,7 @@ _TRACE_PROPERTIES = (
 
 
 def recognise(path: Path) -> bool:
-    """Return whether a file is a ControlDesk CSV, by its first cells."""
+    """Return whether a file is a ControlDesk CSV, by the first cell of one of its first lines."""
     lines = read_head(path).removeprefix(BOM_UTF8).splitlines()
     return any(line.startswith((b"descriptions,", b"trace_")) for line in lines)
 
@@ -75,7 +75,7 @@ def read(path: Path, *, channels: Sequence[ChannelChoice] | None = None) -> Reco
         text = header[1:].decode("utf-8", errors="replace")
         rows = list(csv.reader(io.StringIO(text, newline="")))
     properties = {row[0]: row[1:] for row in rows if row and row[0]}
-    names = properties.get(_NAMES, [])
+    names = properties.get(_NAMES_PROPERTY, [])
     if not names:
         raise ReadError.about("readers.no_trace_names", path, f"lines 1 to {len(rows)}")
     body = Body(
@@ -90,28 +90,30 @@ def read(path: Path, *, channels: Sequence[ChannelChoice] | None = None) -> Reco
     )
     with add_file_name(path):
         samples, notes = read_columns(body)
-    traces = [
+    trace_properties = [
         {key: cells[i] if i < len(cells) else "" for key, cells in properties.items()}
         for i in range(len(names))
     ]
     descriptions: dict[str, dict[str, str]] = {}
     for row in rows:
         if len(row) >= 4 and row[1] and row[0] in {"descriptions", ""}:
-            descriptions.setdefault(row[1], {})[row[2]] = row[3]
-    general, measurement = (descriptions.get(group, {}) for group in ("General", "Measurement"))
-    save_date = _parse_reference_date(measurement.get("ReferenceTime", ""))
+            descriptions.setdefault(row[1], {})[row[2]] = row[3]  # group, key and value
+    general_group, measurement_group = (descriptions.get(x, {}) for x in ("General", "Measurement"))
+    reference_date = _parse_reference_date(measurement_group.get("ReferenceTime", ""))
+    recording_date = resolve_date(general_group.get("DateTime", ""), reference_date)
     export = Export(
-        axes=[(traces[0].get("raster", ""), lambda: samples[1])],
-        traces=[_make_trace(trace, samples[i]) for i, trace in enumerate(traces[1:], start=2)],
-        origin=general.get("Origin", ""),
-        metadata={"date": resolve_date(general.get("DateTime", ""), save_date), **descriptions},
+        axes=[(trace_properties[0].get("raster", ""), lambda: samples[1])],
+        traces=[_make_trace(x, samples[i]) for i, x in enumerate(trace_properties[1:], start=2)],
+        origin=general_group.get("Origin", ""),
+        metadata={"date": recording_date, **descriptions},
         notes=notes,
     )
     return load_export(export, reader="dspace-csv", path=path, channels=channels)
 
 
 def _make_trace(properties: Mapping[str, str], values: Floats) -> Trace:
-    name, folder = properties[_NAMES], properties.get("path", "")
+    """Make a trace of its properties, keyed as in the file, and its samples."""
+    name, folder = properties[_NAMES_PROPERTY], properties.get("path", "")
     return Trace(
         name=name,
         path=f"{folder}/{name}" if folder else name,
@@ -123,8 +125,9 @@ def _make_trace(properties: Mapping[str, str], values: Floats) -> Trace:
 
 
 def _parse_reference_date(nanoseconds: str) -> date | None:
-    """Parse the date of ReferenceTime, ns since 1970 UTC; None if it is not such a number."""
+    """Parse the date of ReferenceTime, ns since 1970 UTC; None if the text is not a time."""
+    max_digits = 19  # of times before the year 2287
     seconds = parse_count(nanoseconds[:-9])
-    if seconds is None or len(nanoseconds) > 19:
+    if seconds is None or len(nanoseconds) > max_digits:
         return None
     return datetime.fromtimestamp(seconds, tz=UTC).date()

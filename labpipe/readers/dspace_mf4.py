@@ -2,13 +2,14 @@
 
 **Writes this file**: ControlDesk, "export as MF4".
 
-**Recording**: one channel per measured variable, one clock per channel group with a master.
+**Recording**: one channel for each measured variable, one clock for each channel group with a
+master channel.
 
-**Units**: not set, because no known file states them; the protocol has to.
+**Units**: those of the channels. No known file has units, so the protocol states them.
 
-**Missing data**: none in the format; infinities become NaN and are noted.
+**Missing data**: the format has no missing values. Infinities become NaN, with a note.
 
-**Clock and frame**: the master channel exactly as written, named after the raster.
+**Clock and frame**: the times of the master channel exactly as written, named after the raster.
 
 **File structure**: MDF 4.10, read by asammdf (the optional extra ``mf4``).
 
@@ -68,8 +69,9 @@ def read(path: Path, *, channels: Sequence[ChannelChoice] | None = None) -> Reco
 
 @contextmanager
 def _open_file(path: Path) -> Iterator[Any]:
+    """Open an MDF file without output and warnings of asammdf, and close it at the end."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # they are about optional parts of asammdf
+        warnings.simplefilter("ignore")  # asammdf warns about its optional parts
         try:
             from asammdf import MDF
         except ImportError as error:
@@ -78,18 +80,19 @@ def _open_file(path: Path) -> Iterator[Any]:
         with (
             map_read_errors(path, "a whole MDF 4 file"),
             redirect_stdout(StringIO()),  # asammdf prints the groups of a damaged file
-            closing(_open_or_close(MDF, path.read_bytes())) as file,
+            closing(_construct_mdf(MDF, path.read_bytes())) as file,
         ):
             yield file
 
 
-def _open_or_close(mdf: Any, content: bytes) -> Any:
-    """Open a file, and close the partial object that asammdf (8.8) leaves for a damaged one.
+def _construct_mdf(mdf_class: Any, content: bytes) -> Any:
+    """Construct the MDF object of a file, or close the partial object of a damaged file.
 
-    Only the traceback refers to this object, and its deletion would print to stderr.
+    Only the traceback refers to the partial object that asammdf (8.8) leaves, and the deletion of
+    an open one would print to stderr.
     """
     try:
-        return mdf(BytesIO(content))
+        return mdf_class(BytesIO(content))
     except Exception as error:
         for frame, _ in walk_tb(error.__traceback__):
             partial_file: Any = frame.f_locals.get("self")
@@ -123,31 +126,32 @@ def _parse_groups(file: Any) -> Export:
     )
 
 
-def _make_trace(file: Any, group: int, index: int, axis_index: int) -> Trace:
-    channel = file.groups[group].channels[index]
+def _make_trace(file: Any, group_index: int, index: int, axis_index: int) -> Trace:
+    """Make a trace of a channel, which is given by the indices of its group and in the group."""
+    channel = file.groups[group_index].channels[index]
     return Trace(
         name=channel.name.rsplit("/", 1)[-1],
         path=channel.name,
         unit_in_file=channel.unit or "",
         axis_index=axis_index,
-        load=_build_loader(file, group, index),
+        load=_build_loader(file, group_index, index),
         properties={"comment": channel.comment or ""},
     )
 
 
-def _build_loader(file: Any, group: int, index: int) -> Callable[[], Floats]:
+def _build_loader(file: Any, group_index: int, index: int) -> Callable[[], Floats]:
     """Build a function that loads the samples of a channel."""
     max_record_bytes = 1 << 24
 
     def load() -> Floats:
-        channel = file.groups[group].channels[index]
-        record = file.groups[group].channel_group
+        group = file.groups[group_index]
+        channel, record = group.channels[index], group.channel_group
         size, invalidation_size = record.samples_byte_nr, record.invalidation_bytes_nr
-        bits = 8 * channel.byte_offset + channel.bit_offset + channel.bit_count
+        end_bit = 8 * channel.byte_offset + channel.bit_offset + channel.bit_count
         # asammdf (8.8) would read beyond the record, or allocate gigabytes for one record.
-        if bits > 8 * size or size + invalidation_size > max_record_bytes:
-            message = f"channel {index} needs {bits} bits of a record of {size} bytes"
+        if end_bit > 8 * size or size + invalidation_size > max_record_bytes:
+            message = f"channel {index} needs {end_bit} bits of a record of {size} bytes"
             raise ValueError(message)
-        return np.asarray(file.get(group=group, index=index).samples, dtype=np.float64)
+        return np.asarray(file.get(group=group_index, index=index).samples, dtype=np.float64)
 
     return load

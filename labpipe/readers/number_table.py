@@ -37,15 +37,16 @@ _TIME_STAMP = re.compile(
 )
 _THOUSANDS = re.compile(r"[+-]?\d{1,3}(?:([,.' \u2019\u00a0\u202f])\d{3})(?:\1\d{3})*([.,]\d+)?")
 _WORD = re.compile(r"\W*[^\W\d_]{2}")
-_BRACKETED = {
+_BRACKETED_UNIT = {
     "()": re.compile(r"(.*?)\(([^()]*(?:\([^()]*\)[^()]*)?)\)"),
     "[]": re.compile(r"(.*?)\[([^\[\]]*)\]"),
 }
+"""Pattern of a name and a unit in brackets, keyed by the brackets."""
 _UNIT_AFTER_MARK = re.compile(r"(.*\S)(?:\s*,\s*|\s+/\s+)([^\W\d]\S*|%|°\S*)")
 """Pattern of a unit after a comma, ``Force, N``, or a slash as in ISO 80000, ``Force / N``."""
 _READABLE_DIMENSIONS = ("s", "m", "N", "Pa", "1", "V", "N*m", "rad", "K", "Hz", "m/s", "kg")
-"""Units of the dimensions that the unit of a column may have."""
-_NO_DIMENSION = frozenset({"-", "count", "°C"})
+"""One unit of each dimension that the unit of a column may have."""
+_OTHER_UNITS = frozenset({"-", "count", "°C"})
 _COMMON_UNITS = frozenset(
     (
         *("s", "ms", "sec", "min", "h", "mm", "µm", "cm", "m", "in", "mm/s"),
@@ -88,12 +89,12 @@ def is_missing(cell: str) -> bool:
 def is_sample(row: Sequence[str]) -> bool:
     """Return whether a row is a sample.
 
-    A sample has at least one number. Its other cells are words for missing values, time stamps or
-    numbers with thousands separators, of which `read_columns` reports those that it cannot parse.
+    A sample has at least one number. The other cells are words for missing values, time stamps or
+    numbers with thousands separators. `read_columns` reports those that it cannot parse.
     """
-    filled = [cell.strip() for cell in row if cell.strip()]
-    numbers = [cell for cell in filled if is_number(cell)]
-    other_cells = (cell for cell in filled if cell not in numbers)
+    filled_cells = [cell.strip() for cell in row if cell.strip()]
+    numbers = [cell for cell in filled_cells if is_number(cell)]
+    other_cells = (cell for cell in filled_cells if cell not in numbers)
     return bool(numbers) and all(
         is_missing(cell) or _TIME_STAMP.fullmatch(cell) or _THOUSANDS.fullmatch(cell)
         for cell in other_cells
@@ -102,9 +103,9 @@ def is_sample(row: Sequence[str]) -> bool:
 
 def is_summary_row(row: Sequence[str]) -> bool:
     """Return whether a row begins with a word, like statistics and remarks below the samples."""
-    first = next((cell.strip() for cell in row if cell.strip()), "")
-    is_infinite = first.strip("+-").casefold() in INFINITE_WORDS
-    return bool(_WORD.match(first)) and not is_infinite and not is_missing(first)
+    first_text = next((cell.strip() for cell in row if cell.strip()), "")
+    is_infinite = first_text.strip("+-").casefold() in INFINITE_WORDS
+    return bool(_WORD.match(first_text)) and not is_infinite and not is_missing(first_text)
 
 
 def build_cell_error(cell: str, decimal: str, place: str) -> ContentError:
@@ -156,7 +157,7 @@ def split_head(
     separators: Iterable[str],
     is_last: Callable[[Sequence[str]], bool] = lambda row: len(row) > 1 and is_sample(row),
 ) -> tuple[str, list[list[str]]] | None:
-    """Split the lines of a head into cells, up to the first sample or another row.
+    """Split the lines of a head into cells, up to the row that `is_last` accepts.
 
     Parameters
     ----------
@@ -181,7 +182,7 @@ def split_head(
 
 def is_unit(text: str) -> bool:
     """Return whether a text is a known unit."""
-    is_known = text in _COMMON_UNITS or text in _NO_DIMENSION
+    is_known = text in _COMMON_UNITS or text in _OTHER_UNITS
     return is_known or any(has_dimension_of(text, unit) for unit in _READABLE_DIMENSIONS)
 
 
@@ -191,7 +192,7 @@ def has_unit(cells: Sequence[str]) -> bool:
 
 
 def has_dimension_of(text: str, unit: str) -> bool:
-    """Return whether a text is a unit with the dimension of another."""
+    """Return whether a text is a unit with the dimension of a given unit."""
     try:
         get_conversion_factor(text, unit)
     except ValueError:
@@ -200,14 +201,14 @@ def has_dimension_of(text: str, unit: str) -> bool:
 
 
 def are_units(cells: Sequence[str]) -> bool:
-    """Return whether some cells are filled, and all of these are units, perhaps in brackets."""
+    """Return whether all filled cells are units, with or without brackets, and one is filled."""
     units = [strip_brackets(cell) for cell in cells if cell]
     return bool(units) and all(map(is_unit, units))
 
 
 def strip_brackets(cell: str) -> str:
     """Remove the brackets of a unit, if any."""
-    return cell[1:-1].strip() if len(cell) > 1 and cell[0] + cell[-1] in _BRACKETED else cell
+    return cell[1:-1].strip() if len(cell) > 1 and cell[0] + cell[-1] in _BRACKETED_UNIT else cell
 
 
 def split_name_and_unit(cell: str, brackets: str = "") -> tuple[str, str] | None:
@@ -216,14 +217,16 @@ def split_name_and_unit(cell: str, brackets: str = "") -> tuple[str, str] | None
     Parameters
     ----------
     cell : text such as ``Force (N)``
-    brackets : required brackets around the unit. If empty, any brackets are allowed, and also a
-        comma or slash before a known unit
+    brackets : required brackets around the unit. If empty, any brackets are allowed, and instead of
+        brackets a comma or slash before a known unit
 
     Returns
     -------
     Name and unit; None if there is no unit.
     """
-    patterns = [_BRACKETED[brackets]] if brackets else [*_BRACKETED.values(), _UNIT_AFTER_MARK]
+    patterns = (
+        [_BRACKETED_UNIT[brackets]] if brackets else [*_BRACKETED_UNIT.values(), _UNIT_AFTER_MARK]
+    )
     for pattern in patterns:
         match = pattern.fullmatch(cell)
         if match and (pattern is not _UNIT_AFTER_MARK or is_unit(match[2])):
@@ -255,8 +258,8 @@ class Body:
     others_numeric : whether all columns that are not in `columns` contain numbers as well
     stated_rows : number of rows stated in the header, or None
     as_exported : whether a recording program wrote the rows, and not a spreadsheet. NAN and
-        Infinity are then numbers, columns may contain any code, and trailing zeros are written
-    sheet : name of the sheet in messages, such as ``sheet 'a'``; empty for a text
+        Infinity are then numbers, and the program writes trailing zeros
+    sheet : sheet in messages, such as ``sheet 'a'``; empty for a text
     """
 
     data: bytes
@@ -271,7 +274,7 @@ class Body:
     sheet: str = ""
 
     def describe_place(self, row: int, column: int | None = None) -> str:
-        """Describe the place of a row, counted from 0, or of one of its cells, for a message."""
+        """Describe the place of a row, counted from 0, or of a cell in it, for a message."""
         prefix = f"{self.sheet}, row" if self.sheet else "line"
         cell = "" if column is None else f", column '{self.names[column]}'"
         return f"{prefix} {self.first_line + row}{cell}"
@@ -294,7 +297,7 @@ def read_columns(body: Body) -> tuple[dict[int, Floats], list[QualityNote]]:
 
     Returns
     -------
-    columns : columns of shape (rows,), keyed by their index
+    columns : values of each column, shape (rows,), keyed by index of the column
     notes : ``summary_rows_left_out`` (rows of text at the end), ``truncated`` (an incomplete last
         line was omitted), ``rows_differ`` (the header states another number of rows)
 
@@ -305,30 +308,30 @@ def read_columns(body: Body) -> tuple[dict[int, Floats], list[QualityNote]]:
         line has more cells than there are names.
     """
     body, notes = _drop_summary(body)
-    body, cut_notes = drop_incomplete_line(body)
-    notes += cut_notes
+    body, line_notes = drop_incomplete_line(body)
+    notes += line_notes
     if is_blank(body.data):
-        notes += compare_row_counts(body.stated_rows, 0)
+        notes += make_row_count_notes(body.stated_rows, 0)
         return dict.fromkeys(body.columns, np.empty(0)), notes
     if body.decimal == "auto":
-        body = replace(body, decimal=_find_decimal_sign(body))
+        body = replace(body, decimal=_detect_decimal_sign(body))
     try:
         table = _parse_table(body)
     except (ValueError, OverflowError) as error:
-        raise _find_first_error(body) from error
+        raise _build_first_error(body) from error
     columns = {column: table[column].to_numpy() for column in body.columns}
     if not body.as_exported and any(np.isinf(values).any() for values in columns.values()):
-        raise _find_first_error(body)
-    rows = count_filled_rows(columns)
-    notes += compare_row_counts(body.stated_rows, rows)
-    return {column: values[:rows] for column, values in columns.items()}, notes
+        raise _build_first_error(body)
+    n_rows = count_filled_rows(columns)
+    notes += make_row_count_notes(body.stated_rows, n_rows)
+    return {column: values[:n_rows] for column, values in columns.items()}, notes
 
 
-def compare_row_counts(stated_count: int | None, actual: int) -> list[QualityNote]:
-    """Make a note if the number of rows differs from the stated number."""
-    if stated_count in {None, actual}:
+def make_row_count_notes(stated_rows: int | None, n_rows: int) -> list[QualityNote]:
+    """Make a note if the number of rows differs from the stated number, unless that is None."""
+    if stated_rows in {None, n_rows}:
         return []
-    return [QualityNote.of("readers.rows_differ", "file", stated=stated_count, held=actual)]
+    return [QualityNote.of("readers.rows_differ", "file", stated=stated_rows, held=n_rows)]
 
 
 def _drop_summary(body: Body) -> tuple[Body, list[QualityNote]]:
@@ -348,14 +351,17 @@ def _drop_summary(body: Body) -> tuple[Body, list[QualityNote]]:
         position = row_start
     if not first_words or not position:
         return body, []
-    place, names = body.describe_place(data.count(b"\n", 0, data_end)), ", ".join(first_words[:3])
-    rows = f"{len(first_words)} rows from {place} on"
-    note = QualityNote.of("readers.summary_rows_left_out", "file", rows=rows, names=names)
+    place = body.describe_place(data.count(b"\n", 0, data_end))
+    facts = {
+        "rows": f"{len(first_words)} rows from {place} on",
+        "names": ", ".join(first_words[:3]),
+    }
+    note = QualityNote.of("readers.summary_rows_left_out", "file", **facts)
     return replace(body, data=data[:data_end]), [note]
 
 
 def _pick_cells(row: Sequence[str], columns: Sequence[int]) -> list[str]:
-    """Pick the cells of some columns, without those beyond the end of the row."""
+    """Pick the cells of the given columns, without columns beyond the end of the row."""
     return [row[column].strip() for column in columns if column < len(row)]
 
 
@@ -363,29 +369,29 @@ def drop_incomplete_line(body: Body) -> tuple[Body, list[QualityNote]]:
     """Omit an incomplete last line, with the note ``truncated``.
 
     A last line without line end is complete if it has all cells, and its last number has at least
-    as many decimals and exponent digits as the number above. Spreadsheets omit trailing zeros. For
-    them, as many digits and exponent digits as above are enough, or at least as many decimals,
-    digits and exponent digits as in any line above. The line is incomplete if the header states
-    more rows.
+    as many decimals and exponent digits as the number above. A spreadsheet omits trailing zeros. A
+    line that it wrote is also complete if the last number has at least as many digits and exponent
+    digits as the number above, or at least as many decimals, digits and exponent digits as the
+    number in any line above. A line is incomplete if the header states more rows.
     """
     max_lines = 200  # lines above the last line that are compared with it
     end = body.data.rfind(b"\n") + 1
     last_line = body.data[end:]
     if not last_line.strip(b"\r\0\x1a "):
         return replace(body, data=body.data[:end]), []
-    count = body.data.count(b"\n")
+    n_lines = body.data.count(b"\n")
     preceding_lines = body.data[:end].rsplit(b"\n", max_lines + 1)[-max_lines - 1 : -1]
     rows_above = map(body.split_row, reversed(preceding_lines))
     cells_above = [row[-1].strip() for row in rows_above if row]
-    is_last_row = count + 1 >= (body.stated_rows or 0)
-    if is_last_row and _is_complete(body.split_row(last_line), cells_above, body):
+    has_stated_rows = n_lines + 1 >= (body.stated_rows or 0)
+    if has_stated_rows and _is_complete(body.split_row(last_line), cells_above, body):
         return body, []
-    note = QualityNote.of("readers.truncated", "file", line=body.first_line + count)
+    note = QualityNote.of("readers.truncated", "file", line=body.first_line + n_lines)
     return replace(body, data=body.data[:end]), [note]
 
 
 def _is_complete(row: Sequence[str], cells_above: Sequence[str], body: Body) -> bool:
-    """Return whether the last row is complete, by the last cells of the rows above it."""
+    """Return whether the last row is complete, compared with the last cells of the rows above."""
     # A row that ends with a separator has one more cell.
     if len(row) != len(body.names) or not cells_above:
         return len(row) >= len(body.names) and any(cell.strip() for cell in row)
@@ -412,8 +418,8 @@ def _count_digits(cell: str) -> tuple[int, int, int]:
     return len(decimals[-1]) if decimals else 0, len(digits), len(exponent.lstrip("+-"))
 
 
-def _find_decimal_sign(body: Body) -> str:
-    """Find the decimal sign of the first number with one, or choose a point if none has one."""
+def _detect_decimal_sign(body: Body) -> str:
+    """Detect the decimal sign from the first number that has one; a point if no number has one."""
     max_bytes = 20000  # bytes in which the decimal sign is searched
     lines = body.data[:max_bytes].split(b"\n")
     for line in lines[:-1] or lines:
@@ -466,19 +472,20 @@ def _read_csv(body: Body, missing_words: Sequence[str], dtype: type = float) -> 
 
 def count_filled_rows(columns: Mapping[int, Floats]) -> int:
     """Count the rows up to the last row with a number."""
-    rows = max((len(values) for values in columns.values()), default=0)
-    while rows and all(np.isnan(values[rows - 1]) for values in columns.values()):
-        rows -= 1
-    return rows
+    n_rows = max((len(values) for values in columns.values()), default=0)
+    while n_rows and all(np.isnan(values[n_rows - 1]) for values in columns.values()):
+        n_rows -= 1
+    return n_rows
 
 
-def _find_first_error(body: Body) -> ContentError:
+def _build_first_error(body: Body) -> ContentError:
     """Build the error on the first cell that is not a number, or first row of a wrong length."""
     for i, row in enumerate(body.split_rows()):
         # Between blanks, any cell of a line with fewer cells may be the missing one.
         is_short = body.separator == " " and 0 < len(row) < len(body.names)
         if is_short or any(cell.strip() for cell in row[len(body.names) :]):
             has_commas = body.separator == "," and all(c.strip("+-").isdigit() for c in row if c)
+            facts = {"names": len(body.names), "cells": len(row), "row": ",".join(row)[:40]}
             return ContentError.of(
                 "readers.cells_of_decimal_commas"
                 if has_commas
@@ -486,9 +493,7 @@ def _find_first_error(body: Body) -> ContentError:
                 if len(row) > len(body.names)
                 else "readers.blank_between_blanks",
                 body.describe_place(i),
-                names=len(body.names),
-                cells=len(row),
-                row=",".join(row)[:40],
+                **facts,
             )
         for column in body.columns:
             cell = row[column].strip() if column < len(row) else ""

@@ -25,7 +25,7 @@ _BYTE_ORDER_MARKS = (
 class ContentError(ValueError):
     """Error of the content of a file, which `add_file_name` converts to a `ReadError`.
 
-    Its arguments are those of `ReadError.about` without the file.
+    The arguments of the error are those of `ReadError.about` without the file.
     """
 
     @classmethod
@@ -34,9 +34,9 @@ class ContentError(ValueError):
         return cls(name, place, facts)
 
 
-def require(holds: bool, message: str) -> None:
-    """Raise ValueError if a condition on the content of a file does not hold."""
-    if not holds:
+def require(condition: bool, message: str) -> None:
+    """Raise ValueError if a condition on the content of a file is not fulfilled."""
+    if not condition:
         raise ValueError(message)
 
 
@@ -68,8 +68,8 @@ def map_read_errors(path: Path, content: str, *, remedy: str = _EXPORT_AGAIN) ->
     Raises
     ------
     ReadError
-        Instead of every error but a `LabpipeError`, because libraries raise errors of any class for
-        damaged files.
+        For every error. Libraries raise errors of any class for damaged files. A `LabpipeError`
+        passes unchanged.
     """
     try:
         with add_file_name(path):
@@ -84,9 +84,8 @@ def map_read_errors(path: Path, content: str, *, remedy: str = _EXPORT_AGAIN) ->
         if isinstance(error, OSError) and error.filename is not None:
             raise ReadError.about("readers.cannot_open", path, reason=error.strerror) from error
         reason = (str(error).strip().splitlines() or [type(error).__name__])[0][:160]
-        raise ReadError.about(
-            "readers.damaged", path, content=content, reason=reason, remedy=remedy
-        ) from error
+        facts = {"content": content, "reason": reason, "remedy": remedy}
+        raise ReadError.about("readers.damaged", path, **facts) from error
 
 
 def read_head(path: Path, size: int = HEAD_BYTES) -> bytes:
@@ -130,9 +129,8 @@ class Content:
     Parameters
     ----------
     data : bytes without byte order mark; ``\r`` is replaced by ``\n`` if the head has no ``\n``
-    encoding : encoding of `data`: ``utf-8`` if a byte order mark or NUL bytes show the encoding of
-        the file, else empty
-    file_encoding : encoding of the file if they show it, else empty; for messages
+    encoding : encoding of `data`: ``utf-8`` if `file_encoding` is known, else empty
+    file_encoding : encoding of the file if a byte order mark or NUL bytes show it, else empty
     """
 
     data: bytes
@@ -159,7 +157,7 @@ def read_content(path: Path) -> Content:
 
 
 def normalise_content(data: bytes) -> Content:
-    """Normalise encoding and line ends, so that the bytes can be split into cells.
+    """Normalise encoding, line ends and numbers, so that the bytes can be split into cells.
 
     Parameters
     ----------
@@ -180,8 +178,8 @@ def normalise_content(data: bytes) -> Content:
         text_bytes = text_bytes.replace(b"\r", b"\n")
     text_bytes = text_bytes.replace(_MINUS_SIGN, b"-")
     # The pattern of a number is slow. It is needed only if an exponent occurs up to the last D.
-    end = max(map(text_bytes.rfind, (b"D", b"d"))) + 5
-    exponents = _BARE_D_EXPONENT.finditer(text_bytes, 0, end)
+    search_end = max(map(text_bytes.rfind, (b"D", b"d"))) + 5
+    exponents = _BARE_D_EXPONENT.finditer(text_bytes, 0, search_end)
     if any(_D_EXPONENT.search(text_bytes, max(x.start() - 40, 0), x.end()) for x in exponents):
         text_bytes = _D_EXPONENT.sub(rb"\1E\2", text_bytes)
     return Content(text_bytes, "utf-8" if encoding else "", encoding)
@@ -190,7 +188,8 @@ def normalise_content(data: bytes) -> Content:
 def _detect_utf16(head: bytes) -> str:
     """Detect UTF-16 without a byte order mark, and return an empty text for another encoding.
 
-    In UTF-16, more than 90 % of every second byte are NUL, and none of the others.
+    In UTF-16, every second byte is the high byte of a character. Of these, more than 90 % are NUL,
+    while no low byte is.
     """
     even_bytes, odd_bytes = head[::2], head[1::2]
     pairs = {"utf-16-le": (even_bytes, odd_bytes), "utf-16-be": (odd_bytes, even_bytes)}
@@ -216,7 +215,7 @@ def split_lines(text: str) -> list[str]:
 
 
 def skip_lines(data: bytes, count: int) -> bytes:
-    """Return the lines after the first ones, or no bytes if there are not more lines."""
+    """Return the bytes after the first `count` lines; no bytes if there are no further lines."""
     parts = data.split(b"\n", count)
     return parts[count] if len(parts) > count else b""
 
@@ -228,7 +227,8 @@ def decode(data: bytes, content: Content, encodings: Sequence[str]) -> str:
     ----------
     data : bytes of the part, which may end within a character
     content : the whole export
-    encodings : encodings that are tried in order if `content` has none; ``detect`` detects it
+    encodings : encodings that are tried in this order if `content` states no encoding; ``detect``
+        detects the encoding
 
     Returns
     -------
@@ -237,7 +237,7 @@ def decode(data: bytes, content: Content, encodings: Sequence[str]) -> str:
     Raises
     ------
     ContentError
-        If `content` has no encoding, and none of `encodings` fits.
+        If `content` states no encoding, and none of `encodings` fits.
     """
     if content.encoding:
         return data.decode(content.encoding, errors="replace")
@@ -251,6 +251,6 @@ def decode(data: bytes, content: Content, encodings: Sequence[str]) -> str:
             if match is not None and (not is_chinese or re.search(rb"[\x80-\xff]{2}", data)):
                 return str(match)
         else:
-            with suppress(UnicodeDecodeError):  # a character cut at the end is omitted
+            with suppress(UnicodeDecodeError):  # an incomplete character at the end is omitted
                 return codecs.getincrementaldecoder(encoding)().decode(data, final=False)
     raise ContentError.of("readers.encoding", encodings=" or ".join(encodings))

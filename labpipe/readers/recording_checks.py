@@ -1,8 +1,8 @@
-"""Make quality notes on time axes (holes, jitter) and marker tracks (gaps, frozen poses)."""
+"""Make quality notes on time axes (holes, jitter) and on marker tracks (gaps, frozen poses)."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,7 +18,7 @@ _MIN_JITTER = 0.05
 TIME_VARIABLE = "time_variable"
 """Code of the note on a time axis whose long steps may be intended."""
 SAMPLED_ON_EVENT = frozenset({"OnChange"})
-"""Rasters that write a sample on each change, so that long steps are normal."""
+"""Names of the rasters that write a sample on each change, so that long steps are normal."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,17 +50,18 @@ def find_holes(time: Floats) -> tuple[Hole, ...]:
 
     Notes
     -----
-    A hole is a step above 1.5 medians that no short neighbouring step compensates. A late sample
-    causes a long and a short step (1.51 ms and 0.49 ms at 1 kHz), without a lost sample.
+    A hole is a step of more than 1.5 median steps that no short neighbouring step compensates. A
+    late sample causes a long and a short step (1.51 ms and 0.49 ms at 1 kHz), although no sample is
+    lost.
     """
     steps = np.diff(time)
     if len(steps) < 2 or _are_even(steps) or not (median_step := median(steps)) > 0.0:
         return ()
     long_steps = np.flatnonzero(steps > _LONG_STEP_FACTOR * median_step)
     padded = np.concatenate(([np.inf], steps, [np.inf]))
-    with_neighbour = steps[long_steps] + np.minimum(padded[long_steps], padded[long_steps + 2])
-    holes = long_steps[with_neighbour > (1.0 + _LONG_STEP_FACTOR) * median_step]
-    return tuple(Hole(int(i), float(time[i]), float(steps[i])) for i in holes)
+    pair_duration = steps[long_steps] + np.minimum(padded[long_steps], padded[long_steps + 2])
+    hole_steps = long_steps[pair_duration > (1.0 + _LONG_STEP_FACTOR) * median_step]
+    return tuple(Hole(int(i), float(time[i]), float(steps[i])) for i in hole_steps)
 
 
 def make_clock_notes(clock: Clock, *, is_variable: bool = False) -> Iterator[QualityNote]:
@@ -75,8 +76,8 @@ def make_clock_notes(clock: Clock, *, is_variable: bool = False) -> Iterator[Qua
     Yields
     ------
     Notes ``clock_empty``, ``time_not_finite``, ``time_not_increasing``, ``time_repeats``,
-    ``time_holes``, ``time_variable``, ``time_jitter``, ``time_start_not_zero``. The second and the
-    third are errors, because the axis cannot be used.
+    ``time_holes``, ``time_variable``, ``time_jitter``, ``time_start_not_zero``. The notes
+    ``time_not_finite`` and ``time_not_increasing`` are errors: the axis cannot be used.
     """
     time, steps, where = clock.time, np.diff(clock.time), f"clock {clock.name}"
     if len(time) == 0:
@@ -100,7 +101,7 @@ def make_clock_notes(clock: Clock, *, is_variable: bool = False) -> Iterator[Qua
 
 
 def _are_even(steps: Floats) -> bool:
-    """Return whether the steps differ by less than jitter, so that no median is needed."""
+    """Return whether no step deviates enough to be jitter, which needs no slow median."""
     shortest, longest = float(steps.min()), float(steps.max())
     return shortest > 0.0 and longest - shortest <= _MIN_JITTER * shortest
 
@@ -109,40 +110,44 @@ def _make_step_notes(
     time: Floats, steps: Floats, where: str, *, is_variable: bool
 ) -> Iterator[QualityNote]:
     """Make notes on holes, variable rates and jitter."""
-    # Above this count and this fraction of all steps, long steps are normal for the program.
-    max_long_steps, max_long_fraction = 10, 0.05
+    # If more steps than both limits are long, the rate varies, and long steps are not holes.
+    max_holes, max_hole_fraction = 10, 0.05
     if _are_even(steps) or not (median_step := median(steps)) > 0.0:
         return
-    holes, total = find_holes(time), len(steps)
-    steps_text, count = _format_range(steps, median_step), len(holes)
+    holes, n_steps = find_holes(time), len(steps)
+    steps_text, n_holes = _format_steps(steps, median_step), len(holes)
     if is_variable and steps.max() > _LONG_STEP_FACTOR * steps.min():
         yield QualityNote.of("readers.time_variable", where, steps=steps_text)
         return
-    if count > max(max_long_steps, max_long_fraction * total):
-        yield QualityNote.of(
-            "readers.many_long_steps", where, steps=steps_text, long=count, total=total
-        )
+    if n_holes > max(max_holes, max_hole_fraction * n_steps):
+        facts = {"steps": steps_text, "long": n_holes, "total": n_steps}
+        yield QualityNote.of("readers.many_long_steps", where, **facts)
         return
     if holes:
         durations = [hole.duration for hole in holes]
         n_lost = sum(round(duration / median_step) - 1 for duration in durations)
-        span = f"{_format_duration(min(durations))} to {_format_duration(max(durations))}"
-        first = ", ".join(f"{hole.time:.6g} s" for hole in holes[:3])
-        yield QualityNote.of(
-            "readers.time_holes", where, count=count, span=span, lost=n_lost, first=first
-        )
-    regular = np.delete(steps, [hole.last_sample for hole in holes])
-    if np.abs(regular - median_step).max() > _MIN_JITTER * median_step:
-        text = _format_range(regular, median_step)
-        yield QualityNote.of("readers.time_jitter", where, steps=text)
+        first_times = ", ".join(f"{hole.time:.6g} s" for hole in holes[:3])
+        facts = {"count": n_holes, "span": _format_range(durations), "lost": n_lost}
+        yield QualityNote.of("readers.time_holes", where, **facts, first=first_times)
+    regular_steps = np.delete(steps, [hole.last_sample for hole in holes])
+    if np.abs(regular_steps - median_step).max() > _MIN_JITTER * median_step:
+        steps_text = _format_steps(regular_steps, median_step)
+        yield QualityNote.of("readers.time_jitter", where, steps=steps_text)
 
 
-def _format_range(steps: Floats, median_step: float) -> str:
-    ends = f"{_format_duration(float(steps.min()))} to {_format_duration(float(steps.max()))}"
-    return f"steps from {ends} around {_format_duration(median_step)}"
+def _format_steps(steps: Floats, median_step: float) -> str:
+    """Format the range and the median of steps, s, for a note."""
+    return f"steps from {_format_range(steps)} around {_format_duration(median_step)}"
+
+
+def _format_range(durations: Sequence[float] | Floats) -> str:
+    """Format the shortest and the longest of some durations, s, for a note."""
+    shortest, longest = float(np.min(durations)), float(np.max(durations))
+    return f"{_format_duration(shortest)} to {_format_duration(longest)}"
 
 
 def _format_duration(seconds: float) -> str:
+    """Format a duration in s or ms, for a note."""
     return f"{seconds:.4g} s" if seconds >= 1.0 else f"{1e3 * seconds:.4g} ms"
 
 
@@ -174,8 +179,8 @@ def find_unchanged_steps(positions: Floats) -> Flags:
     return np.asarray((np.diff(positions, axis=0) == 0.0).all(axis=1))
 
 
-def find_longest_run(flags: Flags) -> int:
-    """Find the length of the longest run of flagged samples; 0 without a flagged sample."""
+def count_longest_run(flags: Flags) -> int:
+    """Count the samples of the longest run of flagged samples; 0 without a flagged sample."""
     return max((stop - start for start, stop in find_runs(flags)), default=0)
 
 
@@ -193,8 +198,7 @@ def make_track_notes(tracks: MarkerTracks) -> Iterator[QualityNote]:
     """
     from labpipe.markers.tracklets import is_unlabelled  # not needed by tensile tests
 
-    # From this number of successive unchanged steps, a pose counts as frozen, not as at rest.
-    min_frozen_steps = 10
+    min_frozen_steps = 10  # after fewer successive unchanged steps, the body may be at rest
     if not tracks.names and not tracks.bodies:
         yield QualityNote.of("readers.take_empty", "take")
     markers = {name: tracks.positions[:, i] for i, name in enumerate(tracks.names)}
@@ -206,16 +210,13 @@ def make_track_notes(tracks: MarkerTracks) -> Iterator[QualityNote]:
         is_blank, is_unchanged = find_blank_frames(track), find_unchanged_steps(track)
         if is_blank.any() and not is_blank.all():
             ratio = f"{is_blank.sum()} of {len(is_blank)} frames"
-            longest = find_longest_run(is_blank)
+            gap_facts = {"share": ratio, "longest": count_longest_run(is_blank)}
             yield QualityNote.of(
-                "readers.marker_gaps" if name in markers else "readers.body_gaps",
-                name,
-                share=ratio,
-                longest=longest,
+                "readers.marker_gaps" if name in markers else "readers.body_gaps", name, **gap_facts
             )
-        if (longest := find_longest_run(is_unchanged)) >= min_frozen_steps:
-            count, total = int(is_unchanged.sum()), len(is_unchanged)
-            facts = {"count": count, "total": total, "most": longest}
+        if (n_frozen := count_longest_run(is_unchanged)) >= min_frozen_steps:
+            n_unchanged, n_steps = int(is_unchanged.sum()), len(is_unchanged)
+            facts = {"count": n_unchanged, "total": n_steps, "most": n_frozen}
             yield QualityNote.of("readers.frozen_pose", name, **facts)
     if count := sum(map(is_unlabelled, tracks.names)):
         total = len(tracks.names)

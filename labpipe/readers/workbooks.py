@@ -1,7 +1,7 @@
 """Read cells of workbooks (xlsx, xls) and csv files, and tables with a heading in them.
 
-The library calamine allocates a table from the first to the last cell of a sheet: one stray cell
-needs hundreds of gigabytes. Therefore an xlsx with cells far apart is refused before parsing.
+The library calamine allocates a table from the first to the last cell of a sheet. One stray cell
+may therefore need hundreds of gigabytes. An xlsx with cells far apart is refused before parsing.
 """
 
 from __future__ import annotations
@@ -25,18 +25,19 @@ Sheets = Mapping[str, Sequence[Sequence[object]]]
 """Rows of cells of each sheet, keyed by its name."""
 _XLSX, _XLS = b"PK\x03\x04", b"\xd0\xcf\x11\xe0"
 _MAX_CELLS = 10_000_000
-"""Number of cells, about 400 MB, that any sheet may have."""
+"""Number of cells, filled or not, that any sheet may have; they need about 400 MB."""
 _MAX_SPARSITY = 20
-"""Number of cells per filled cell that a larger sheet may have."""
+"""Number of cells for each filled cell that a larger sheet may have."""
 _FILLED_CELL = re.compile(rb'<c r="([A-Z]{1,3})(\d+)"[^>/]*>(?!</c>)')
 """Column and row of a filled cell in the XML of a sheet."""
 _PASSWORD_PART = "EncryptedPackage".encode("utf-16-le")
 """Name of a part that only encrypted workbooks have."""
 _WHOLE_NUMBER = re.compile(r"(\d)\.0(?=[\t\n])")
 _HEAD_ROWS = 60
-_SEPARATORS = ",;\t"
-_NAMED_SEPARATOR = re.compile(r'"?sep=(.)"?', flags=re.IGNORECASE)
-"""First line, which some programs write, that states the separator."""
+"""Number of rows in which the header of an export is searched."""
+_CSV_SEPARATORS = ",;\t"
+_SEPARATOR_LINE = re.compile(r'"?sep=(.)"?', flags=re.IGNORECASE)
+"""Pattern of the first line that states the separator, which some programs write."""
 
 
 def is_workbook(path: Path) -> bool:
@@ -80,14 +81,14 @@ def open_sheets(path: Path) -> Sheets:
 def format_rows(rows: Sequence[Sequence[object]]) -> str:
     """Format rows of a sheet as lines, with tabs between cells and with all digits of numbers."""
     text = io.StringIO()
-    lines = csv.writer(text, delimiter="\t", lineterminator="\n")
+    writer = csv.writer(text, delimiter="\t", lineterminator="\n")
     for row in rows:  # csv writes all digits of a float
-        lines.writerow([x if type(x) is float else " ".join(format_value(x).split()) for x in row])
+        writer.writerow([x if type(x) is float else " ".join(format_value(x).split()) for x in row])
     return text.getvalue()
 
 
 def format_head(rows: Sequence[Sequence[object]]) -> str:
-    """Format the first rows of a sheet like `format_rows`, whole numbers without decimal point."""
+    """Format the first rows of a sheet as `format_rows`, but whole numbers without decimals."""
     return _WHOLE_NUMBER.sub(r"\1", format_rows(rows[:_HEAD_ROWS]))
 
 
@@ -97,8 +98,11 @@ def clear_sheet_cache() -> None:
 
 
 @lru_cache(maxsize=1)
-def _parse_cached(path: Path, mtime: int, size: int) -> Sheets | ReadError:  # noqa: ARG001  versions
-    """Parse a workbook, and return an error, so that it is cached as well."""
+def _parse_cached(path: Path, mtime_ns: int, size: int) -> Sheets | ReadError:  # noqa: ARG001
+    """Parse a workbook; the time of change and the size are in the key of the cache.
+
+    An error is returned, so that it is cached too.
+    """
     from python_calamine import CalamineWorkbook, PasswordError
 
     try:
@@ -124,20 +128,24 @@ def _check_archive(path: Path) -> None:
             raise ReadError.about("readers.no_xlsx", path)
         for name in names:
             if name.startswith("xl/worksheets/"):
-                _check_places(parts.read(name), path, Path(name).stem)
+                _check_sparsity(parts.read(name), path, Path(name).stem)
 
 
-def _check_places(text: bytes, path: Path, sheet: str) -> None:
-    """Refuse a sheet with far more cells up to the last filled one than filled cells."""
-    places: list[tuple[bytes, bytes]] = _FILLED_CELL.findall(text)
-    if not places:
+def _check_sparsity(xml: bytes, path: Path, sheet: str) -> None:
+    """Refuse a sheet that has far more cells up to the last filled row and column than filled ones.
+
+    The XML is that of the sheet.
+    """
+    filled_cells: list[tuple[bytes, bytes]] = _FILLED_CELL.findall(xml)
+    if not filled_cells:
         return
-    letters = max({letters for letters, _ in places}, key=lambda letters: (len(letters), letters))
-    column = sum((letter - 64) * 26**i for i, letter in enumerate(reversed(letters)))  # A is 65
-    row = max(int(number) for _, number in places)
-    if row * column > max(_MAX_CELLS, _MAX_SPARSITY * len(places)):
+    columns = {letters for letters, _ in filled_cells}
+    last_column = max(columns, key=lambda letters: (len(letters), letters))
+    column = sum((letter - 64) * 26**i for i, letter in enumerate(reversed(last_column)))  # A is 65
+    row = max(int(number) for _, number in filled_cells)
+    if row * column > max(_MAX_CELLS, _MAX_SPARSITY * len(filled_cells)):
         place = f"{sheet}, cell {format_column(column)}{row}"
-        raise ReadError.about("readers.cells_far_apart", path, place, filled=len(places))
+        raise ReadError.about("readers.cells_far_apart", path, place, filled=len(filled_cells))
 
 
 def format_column(number: int) -> str:
@@ -192,8 +200,8 @@ def read_campaign_sheet(path: Path) -> Table:
     Raises
     ------
     ReadError
-        If the file is neither, is damaged, has no row below a heading, has cells beyond it, or has
-        cells that cannot be read.
+        If the file is neither of these or is damaged, has no row below the heading, has a filled
+        cell to the right of the heading, or has cells that cannot be read.
     """
     cells = read_workbook_cells(path) if is_workbook(path) else read_csv_cells(path)
     return split_table(cells, path, rows_of="one row per test")
@@ -231,7 +239,7 @@ def read_workbook_cells(path: Path, sheet: str = "", where: str = "") -> list[li
     ----------
     path : the workbook, xlsx
     sheet : name of the sheet; empty for the first one
-    where : prefix of the places of cells
+    where : text before the places of cells in messages
 
     Raises
     ------
@@ -244,10 +252,8 @@ def read_workbook_cells(path: Path, sheet: str = "", where: str = "") -> list[li
     name = sheet or next(iter(sheets))
     place_prefix = f"{where}, cell " if where else "cell "
     with map_read_errors(path, "a whole workbook"):
-        faulty_cells = [
-            Cell("", f"{place_prefix}{place}", fault)
-            for place, fault in _find_cell_faults(path, name).items()
-        ]
+        faults = _find_cell_faults(path, name)
+    faulty_cells = [Cell("", f"{place_prefix}{place}", fault) for place, fault in faults.items()]
     filled_rows = [
         [
             Cell(_format_cell(value), f"{place_prefix}{format_column(column)}{line}")
@@ -266,20 +272,21 @@ def _find_cell_faults(path: Path, name: str) -> dict[str, str]:
     with zipfile.ZipFile(path) as parts:
         texts = [parts.read(part) for part in parts.namelist() if "xl/worksheets/" in part]
     if not any(b"<f" in text or b't="e"' in text for text in texts):
-        return {}  # most sheets have no such cells, and openpyxl is slow
+        return {}  # most sheets have neither formulas nor errors, and openpyxl is slow
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # they are about styles and extensions, which are not read
-        formulas, values = (load_workbook(path, data_only=only)[name] for only in (False, True))
-    faults = {
-        cell.coordinate: _describe_fault(cell, values[cell.coordinate])
-        for row in formulas.iter_rows()
-        for cell in row
-    }
+        warnings.simplefilter("ignore")  # openpyxl warns about styles and extensions
+        formulas = load_workbook(path, data_only=False)[name]
+        values = load_workbook(path, data_only=True)[name]
+    cells = (cell for row in formulas.iter_rows() for cell in row)
+    faults = {x.coordinate: _describe_fault(x, values[x.coordinate]) for x in cells}
     return {place: fault for place, fault in faults.items() if fault}
 
 
 def _describe_fault(formula: Any, value: Any) -> str:
-    """Describe why a cell with a formula and a stored value cannot be read; empty if it can."""
+    """Describe why a cell cannot be read, from its formula and its stored value; empty if it can.
+
+    Both are cells of openpyxl.
+    """
     if value.data_type == "e" and value.value is not None:
         return f"the error {value.value}"
     # A formula that returns an empty text is stored as text ("str"), and is an intended blank.
@@ -298,7 +305,8 @@ def _format_cell(value: object) -> str:
 def read_csv_cells(path: Path) -> list[list[Cell]]:
     """Read all cells of a csv.
 
-    The separator is stated in line 1 (``sep=;``), or is the most frequent one in it.
+    The first non-blank line states the separator (``sep=;``), or the separator is the most frequent
+    one in that line.
 
     Parameters
     ----------
@@ -307,17 +315,17 @@ def read_csv_cells(path: Path) -> list[list[Cell]]:
     Raises
     ------
     ReadError
-        If the file is not UTF-8 text, or its quotes are wrong.
+        If the file is not UTF-8 text, or quotes are wrong.
     """
     with map_read_errors(path, "a table as UTF-8 text", remedy="Save it as 'CSV UTF-8'."):
         with path.open(encoding="utf-8-sig", newline="") as stream:
             text = stream.read()
         # The csv module splits lines, since str.splitlines also splits at U+0085 and U+2028.
         first_line = next((line for line in io.StringIO(text, newline="") if line.strip()), "")
-        separator = max(_SEPARATORS, key=first_line.count)
-        if match := _NAMED_SEPARATOR.fullmatch(first_line.rstrip("\r\n")):
+        separator = max(_CSV_SEPARATORS, key=first_line.count)
+        if match := _SEPARATOR_LINE.fullmatch(first_line.rstrip("\r\n")):
             separator = match[1]
-            text = text.replace(first_line, "\n", 1)  # the numbers of other lines stay correct
+            text = text.replace(first_line, "\n", 1)  # a blank line keeps the line numbers
         reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator, strict=True)
         return [
             [
@@ -341,8 +349,8 @@ def split_table(cells: list[list[Cell]], path: Path, *, rows_of: str, place: str
     Raises
     ------
     ReadError
-        If there is no row below a heading, a cell beyond it, or cells that cannot be read. One
-        message lists all of these cells.
+        If there is no row below the heading, a cell to the right of the heading is filled, or cells
+        cannot be read. One message lists all cells that cannot be read.
     """
     faults = [
         str(ReadError.about("readers.cell_without_value", path, cell.place, why=cell.fault))
@@ -357,7 +365,7 @@ def split_table(cells: list[list[Cell]], path: Path, *, rows_of: str, place: str
         raise ReadError.about("readers.no_rows", path, place, rows_of=rows_of, count=count)
     heading, *rows = filled_rows
     width = max(i for i, cell in enumerate(heading, start=1) if cell.text)
-    if beyond := next((cell for row in rows for cell in row[width:] if cell.text), None):
-        raise ReadError.about("readers.no_heading", path, beyond.place, text=beyond.text)
-    padded = (row + [Cell("", row[0].place)] * (width - len(row)) for row in rows)
-    return Table(tuple(heading[:width]), tuple(tuple(row[:width]) for row in padded))
+    if extra_cell := next((cell for row in rows for cell in row[width:] if cell.text), None):
+        raise ReadError.about("readers.no_heading", path, extra_cell.place, text=extra_cell.text)
+    padded_rows = (row + [Cell("", row[0].place)] * (width - len(row)) for row in rows)
+    return Table(tuple(heading[:width]), tuple(tuple(row[:width]) for row in padded_rows))

@@ -10,9 +10,9 @@ from typing import Final
 from labpipe.records.result import Contribution
 
 NOISE: Final = "noise"
-"""Joint noise of force and displacement, where the two cannot be separated."""
+"""Noise of force and displacement together, where the two cannot be separated."""
 FIT: Final = "fit"
-"""Uncertainty of a fit that estimates its own error: a law, a clock, a slip."""
+"""Uncertainty that a fit estimates itself, such as that of a law, a clock or a slip."""
 NOISE_OF_FORCE: Final = "noise of the force"
 NOISE_OF_DISPLACEMENT: Final = "noise of the displacement"
 SCALE_OF_FORCE: Final = "scale of the force"
@@ -23,7 +23,7 @@ DRIFT_OF_ZERO: Final = "drift of the zero"
 """Change of the zero of the force after the step that subtracts it."""
 ZERO_OF_DISPLACEMENT: Final = "zero of the displacement"
 SHAPE: Final = "shape of the wire"
-"""Effect of one more or one fewer term in the fitted shape."""
+"""Effect of one term more or fewer in the fitted shape."""
 COMPLIANCE: Final = "compliance of the frame"
 TURN: Final = "turn of the drive"
 SPEED: Final = "speed of the drive"
@@ -41,7 +41,7 @@ REPAIRED_SLIPS: Final = "slips added back"
 RESOLUTION_OF_FORCE: Final = "resolution of the force"
 """Half a step of a converter whose resolution is coarser than the noise."""
 RESOLUTION_OF_DISPLACEMENT: Final = "resolution of the displacement"
-"""Half a step of a displacement whose resolution is coarser than its noise, or whose values are
+"""Half a step of a displacement whose resolution is coarser than the noise, or whose values are
 repeated because they are updated at a lower rate."""
 STEP: Final = "sampling step"
 """Unknown time between two samples at which a specimen broke or a machine turned."""
@@ -67,12 +67,12 @@ IS_COMMON: Final = {cause: cause in _COMMON_CAUSES for cause in _CAUSES}
 
 
 def make_contribution(cause: str, change: float) -> Contribution:
-    """Make a row of an uncertainty budget.
+    """Make the contribution of a cause to the uncertainty of a result.
 
     Parameters
     ----------
     cause : a key of `IS_COMMON`
-    change : change of the result, see `Contribution`
+    change : change of the result by one standard uncertainty of the cause, see `Contribution`
 
     Raises
     ------

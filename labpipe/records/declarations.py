@@ -36,14 +36,14 @@ class Quantity:
     unit : SI unit of the float, ``1`` for a pure number
     display_unit : unit in which a resolved protocol writes it
     example : example of the text in YAML
-    above : exclusive lower bound in `unit`; None for no such bound
+    lower_bound : bound in `unit` that a valid value exceeds; None if there is none
     minimum, maximum : smallest and largest valid value, in `unit`
     """
 
     unit: str
     display_unit: str
     example: str
-    above: float | None = None
+    lower_bound: float | None = None
     minimum: float = -math.inf
     maximum: float = math.inf
 
@@ -145,30 +145,30 @@ class Span:
 
 
 # Types of settings; each value is in SI.
-Length: TypeAlias = Annotated[float, Quantity("m", "mm", "53 mm", above=0.0)]
+Length: TypeAlias = Annotated[float, Quantity("m", "mm", "53 mm", lower_bound=0.0)]
 Offset: TypeAlias = Annotated[float, Quantity("m", "mm", "0.8 mm")]
 """A length that may also be zero or negative."""
 Distance: TypeAlias = Annotated[float, Quantity("m", "mm", "4 mm", minimum=0.0)]
-Area: TypeAlias = Annotated[float, Quantity("m^2", "mm^2", "5.26 mm^2", above=0.0)]
+Area: TypeAlias = Annotated[float, Quantity("m^2", "mm^2", "5.26 mm^2", lower_bound=0.0)]
 Moment: TypeAlias = Annotated[float, Quantity("s", "s", "1.234 s")]
 """A time that may also be zero or negative."""
 Drift: TypeAlias = Annotated[float, Quantity("1", "ppm", "40 ppm", minimum=-0.01, maximum=0.01)]
 """Relative excess of the rate of one clock over another."""
-Duration: TypeAlias = Annotated[float, Quantity("s", "s", "0.5 s", above=0.0)]
+Duration: TypeAlias = Annotated[float, Quantity("s", "s", "0.5 s", lower_bound=0.0)]
 Force: TypeAlias = Annotated[float, Quantity("N", "N", "5 mN", minimum=0.0)]
 Compliance: TypeAlias = Annotated[float, Quantity("m/N", "um/N", "0.2 um/N", minimum=0.0)]
 Mass: TypeAlias = Annotated[float, Quantity("kg", "g", "2.7 g", minimum=0.0)]
 LinearMass: TypeAlias = Annotated[
-    float, Quantity("kg/m", "g/m", "6.1 g/m", above=0.0, maximum=100.0)
+    float, Quantity("kg/m", "g/m", "6.1 g/m", lower_bound=0.0, maximum=100.0)
 ]
 """Mass per length."""
-Speed: TypeAlias = Annotated[float, Quantity("m/s", "mm/s", "1 mm/s", above=0.0)]
-Curvature: TypeAlias = Annotated[float, Quantity("1/m", "1/m", "20 1/m", above=0.0)]
-Frequency: TypeAlias = Annotated[float, Quantity("Hz", "Hz", "10 Hz", above=0.0)]
+Speed: TypeAlias = Annotated[float, Quantity("m/s", "mm/s", "1 mm/s", lower_bound=0.0)]
+Curvature: TypeAlias = Annotated[float, Quantity("1/m", "1/m", "20 1/m", lower_bound=0.0)]
+Frequency: TypeAlias = Annotated[float, Quantity("Hz", "Hz", "10 Hz", lower_bound=0.0)]
 Ratio: TypeAlias = Annotated[float, Quantity("1", "%", "0.2 %", minimum=0.0)]
 Uncertainty: TypeAlias = Annotated[float, Quantity("1", "%", "0.2 %", minimum=0.0, maximum=1.0)]
 """A relative standard uncertainty."""
-Fraction: TypeAlias = Annotated[float, Quantity("1", "%", "10 %", above=0.0, maximum=1.0)]
+Fraction: TypeAlias = Annotated[float, Quantity("1", "%", "10 %", lower_bound=0.0, maximum=1.0)]
 """A fraction of a whole."""
 Snake: TypeAlias = Annotated[
     str, PatternText(r"[a-z][a-z0-9_]*", "a name of small letters, digits and '_', a letter first")
@@ -210,7 +210,7 @@ class Output:
     is_slope: bool = False
     is_set_by_stroke: bool = False
 
-    def name_in(self, kind: Any, entry: Mapping[str, object]) -> str:
+    def format_name(self, kind: Any, entry: Mapping[str, object]) -> str:
         """Return the name of the result in the summary, or that of the first of several.
 
         Parameters

@@ -1,4 +1,4 @@
-"""Define the records of a report: samples, groups, means, bands, comparisons, campaign."""
+"""Define the records of a report: samples, groups, means, bands, comparisons, and the campaign."""
 
 from __future__ import annotations
 
@@ -43,12 +43,12 @@ class SampleCurve(ArrayRecord):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sample:
-    """Data of one processed test that a report uses.
+    """Data of one processed test, as a report uses them.
 
     Parameters
     ----------
     test : name of the test
-    specimen : type, spool, sample, dimensions
+    specimen : specimen of the test, with its names and dimensions
     protocol : name of the protocol
     loading, unloading : branches of each cycle in order; empty without a curve
     results : results of the test, as in its summary
@@ -58,7 +58,7 @@ class Sample:
     display : display units, keyed by quantity
     source : file from which the sample was read, for messages
     label : folder of the test relative to that of the campaign, which identifies it in decisions
-    run : key of exports, sheet, protocol and processing; empty in old results
+    run : key that identifies exports, sheet, protocol and processing; empty in old results
     date : day of the test; None if neither sheet nor exports state it
     operator : operator of the test; empty if the sheet does not state it
     instruments : instruments whose certificates the protocol states
@@ -92,7 +92,7 @@ class Sample:
 
 @dataclass(frozen=True, slots=True)
 class MeanInterval:
-    """Mean with its 95 % interval, from Student's t and the uncertainties common to all values.
+    """Mean with its 95 % interval, by Student's t and the uncertainties common to all values.
 
     Parameters
     ----------
@@ -101,11 +101,11 @@ class MeanInterval:
     deviation : standard deviation of the averaged values; NaN for fewer than two
     n : number of averaged values (samples, or spool means)
     reason : reason why there is no interval; None if there is one
-    estimate : mean of the values corrected for noise (`Result.estimate`), the middle of the
+    estimate : mean of the estimates of the values (`Result.estimate`), which is the middle of the
         interval; None if it equals the mean
     common : contributions of the causes that all tests of a rig have in common, in the unit of the
         mean; the interval includes them
-    is_log : whether the interval is on a log scale, for a positive number
+    is_log : whether the interval is symmetric on a log scale, for a result that cannot be negative
     """
 
     mean: float
@@ -124,7 +124,7 @@ class MeanInterval:
 
     @property
     def half_width(self) -> float:
-        """Half-width of the interval before its conversion to a log scale, or NaN."""
+        """Half-width of the interval before its conversion to a log scale; NaN without interval."""
         if self.interval is None:
             return float("nan")
         lower, upper = self.interval.lower, self.interval.upper
@@ -132,18 +132,18 @@ class MeanInterval:
 
     @property
     def distinct_estimate(self) -> float | None:
-        """Estimate if it must be shown beside the mean, see `find_distinct_estimate`."""
+        """Estimate if a report shows it beside the mean, see `find_distinct_estimate`."""
         return find_distinct_estimate(self.mean, self.estimate, self.interval)
 
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """Decision whether to average samples or spool means, as a sentence with its reasons.
+    """Decision to average samples or spool means; its text is a sentence with reasons.
 
     Parameters
     ----------
     action : clause on the choice, such as ``Over 3 spool means``
-    grounds : clauses with the numbers on which the decision is based
+    grounds : clauses that state the reasons with their numbers
     """
 
     action: str
@@ -159,14 +159,14 @@ class NestedMean:
 
     Parameters
     ----------
-    chosen : mean and interval, of samples or of spool means as independent values
-    is_pooled : whether `chosen` is the mean of samples, which it always is for one spool
-    decision : choice of the mean, with its numbers
+    chosen : mean and interval of the samples or of the spool means, as independent values
+    is_pooled : whether `chosen` is the mean of samples, as is always the case for one spool
+    decision : reason for the choice of the mean
     spool_means : mean and interval of the samples of each spool, keyed by spool
-    within : standard deviation of samples of one spool; NaN if no spool has two samples
+    within_spools : standard deviation of samples within spools; NaN if no spool has two samples
     between_spools : standard deviation between spools, after the variance within spools has been
-        subtracted; 0 if that variance explains all of the scatter, NaN for one spool
-        or without `within`
+        subtracted; 0 if that variance explains the whole scatter, NaN for one spool
+        or without `within_spools`
     spool_p : p-value of the k-sample Anderson-Darling test that all spools have one distribution;
         NaN if not available
     """
@@ -175,7 +175,7 @@ class NestedMean:
     is_pooled: bool
     decision: Decision
     spool_means: Mapping[str, MeanInterval]
-    within: float
+    within_spools: float
     between_spools: float = float("nan")
     spool_p: float = float("nan")
 
@@ -187,14 +187,14 @@ class NestedMean:
 
 @dataclass(frozen=True, slots=True)
 class Outlier:
-    """Value that a statistical test marks as an outlier; every mean includes it.
+    """Value that a statistical test marks as an outlier; means include outliers.
 
     Parameters
     ----------
-    sample : name of the test of the sample
+    sample : name of the test in which the sample was measured
     value : value in the unit of the result
     method : name of the statistical test
-    p : p-value
+    p : p-value of the statistical test
     """
 
     sample: str
@@ -209,10 +209,12 @@ class Band(ArrayRecord):
 
     Parameters
     ----------
-    displacement : shape (n,), m, grid where every sample has data
+    displacement : shape (n,), m, grid of displacements at which every sample has data
     mean : shape (n,), N, mean curve
-    lower, upper : shape (n,), N, pointwise band, for the true mean at any single displacement
-    lower_all, upper_all : shape (n,), N, simultaneous band, for the whole true mean curve
+    lower, upper : shape (n,), N, ends of the pointwise band, which contains the true mean at any
+        single displacement with 95 % probability
+    lower_all, upper_all : shape (n,), N, ends of the simultaneous band, which contains the whole
+        true mean curve with 95 % probability
     n : number of averaged curves
     members : kind of the averaged curves, ``samples`` or ``spool means``
     reason : reason why there is no curve (all arrays are empty), no band (all bounds are NaN), or
@@ -231,28 +233,28 @@ class Band(ArrayRecord):
     reason: Reason | None = None
 
     @property
-    def has_area(self) -> bool:
-        """Whether there is a band, and not only intervals at some displacements."""
+    def has_band(self) -> bool:
+        """Whether there is a band, not only intervals at some displacements."""
         max_intervals = 3
         return bool(np.isfinite(self.lower).sum() > max_intervals)
 
     @property
-    def marks(self) -> Ints:
+    def interval_indices(self) -> Ints:
         """Indices of the displacements with an interval; empty if there is a band."""
         indices = np.flatnonzero(np.isfinite(self.lower))
-        return indices[:0] if self.has_area else indices
+        return indices[:0] if self.has_band else indices
 
 
 @dataclass(frozen=True, slots=True)
 class GroupNumber:
-    """One result over all samples of a group.
+    """One result for all samples of a group.
 
     Parameters
     ----------
     name, unit : name and unit of the result
-    mean : mean of the values; NaN without values
+    mean : mean of the values, which is NaN without values
     values : averaged results, keyed by test; empty if no sample has the result
-    left_out : reason why each excluded test was excluded, keyed by test
+    exclusions : reasons why a test is not averaged, keyed by test
     outliers : outliers among the averaged values
     is_set_by_rig : whether the rig imposes the result, which is then not tested for outliers
     """
@@ -261,13 +263,13 @@ class GroupNumber:
     unit: str
     mean: NestedMean
     values: Mapping[str, Result]
-    left_out: Mapping[str, tuple[Reason, ...]]
+    exclusions: Mapping[str, tuple[Reason, ...]]
     outliers: tuple[Outlier, ...] = ()
     is_set_by_rig: bool = False
 
 
 class Verdict(StrEnum):
-    """Outcome of a comparison."""
+    """Outcome of the comparison of two groups."""
 
     DIFFERENT = "different"
     EQUIVALENT = "equivalent"
@@ -277,15 +279,15 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Contrast:
-    """Difference of two means on the scale of their comparison.
+    """Difference of two means, on the scale on which they are compared.
 
     Parameters
     ----------
     difference : second mean minus the first; on a log scale the logarithm of second / first
-    errors : standard errors of the two means from scatter; on a log scale relative to the means
+    errors : standard errors of the two means from scatter; relative to the means on a log scale
     counts : number of values of each mean
-    shared : standard uncertainty of the difference from causes that all tests of a rig have in
-        common
+    common_error : standard uncertainty of the difference from causes that all tests of a rig have
+        in common
     margin : largest difference without practical importance, on this scale; None if not stated
     is_log : whether the scale is logarithmic, for numbers that cannot be negative
     """
@@ -293,7 +295,7 @@ class Contrast:
     difference: float
     errors: tuple[float, float]
     counts: tuple[int, int]
-    shared: float = 0.0
+    common_error: float = 0.0
     margin: float | None = None
     is_log: bool = False
 
@@ -303,13 +305,13 @@ class Contrast:
         return hypot(*self.errors)
 
     @property
-    def degrees(self) -> float:
-        """Satterthwaite's degrees of freedom (Welch, Biometrika 34 (1947) 28)."""
+    def freedom(self) -> float:
+        """Degrees of freedom of `error` by Satterthwaite (Welch, Biometrika 34 (1947) 28)."""
         squares = [error**2 for error in self.errors]
-        degrees_of_means = [count - 1 for count in self.counts]
-        terms = zip(squares, degrees_of_means, strict=True)
-        spread = sum(square**2 / degrees for square, degrees in terms)
-        return sum(squares) ** 2 / spread if spread > 0.0 else float(sum(degrees_of_means))
+        freedoms = [count - 1 for count in self.counts]
+        terms = zip(squares, freedoms, strict=True)
+        denominator = sum(square**2 / freedom for square, freedom in terms)
+        return sum(squares) ** 2 / denominator if denominator > 0.0 else float(sum(freedoms))
 
 
 @dataclass(frozen=True, slots=True)
@@ -326,17 +328,17 @@ class Difference:
     contrast : the difference on the scale of the test; None if a mean has no interval
     p : p-value under the hypothesis of no difference; NaN without `contrast`
     p_equivalent : p-value of the two one-sided tests; NaN without a margin
-    family : name of the comparisons that are judged together; empty if it was not judged
-    tests : number of comparisons with a p-value in the family
-    interval : interval of the difference in `unit`, or of the relative difference on a log scale
-        (0.38 for +38 %), at the corrected level of 95 % or more. It excludes zero if and only
+    family : name of the comparisons that are judged together; empty if this one was not judged
+    n_comparisons : number of comparisons in the family that have a p-value
+    interval : interval at the corrected level of 95 % or more: of the difference in `unit`, or on a
+        log scale of the relative difference (0.38 for +38 %). The interval excludes zero exactly
         if the groups differ significantly
-    verdict : verdict, corrected so that at most 5 % of families contain a wrong ``different``, and
-        at most 5 % a wrong ``equivalent``
+    verdict : outcome of the comparison, corrected so that at most 5 % of families contain a wrong
+        ``different``, and at most 5 % a wrong ``equivalent``
     verdict_reason : clause with the numbers of the verdict
     caveats : clauses on the limitations of the comparison
-    fields : values of the first and of the second group in the fields of the specimens that differ,
-        keyed by field
+    fields : values of the first and of the second group in each field in which their specimens
+        differ, keyed by field
     """
 
     name: str
@@ -349,7 +351,7 @@ class Difference:
     p: float = float("nan")
     p_equivalent: float = float("nan")
     family: str = ""
-    tests: int = 0
+    n_comparisons: int = 0
     interval: Interval | None = None
     verdict: Verdict = Verdict.NOT_ASKED
     verdict_reason: str = ""
@@ -365,12 +367,12 @@ class Difference:
 
     @property
     def single_field(self) -> str:
-        """Only field in which the groups differ; empty if there are several or none."""
+        """The only field in which the groups differ; empty if there are several or none."""
         return next(iter(self.fields)) if len(self.fields) == 1 else ""
 
 
 class Answer(StrEnum):
-    """Answer to the question whether a sample or a lot reaches the smallest allowed force."""
+    """Answer to the question of whether a sample or a lot reaches the smallest allowed force."""
 
     PASS = "pass"
     FAIL = "fail"
@@ -379,13 +381,13 @@ class Answer(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class SampleVerdict:
-    """Verdict on a sample that has to reach a limit.
+    """Answers on whether a sample reaches its limit.
 
     Parameters
     ----------
-    by_number : verdict by the value alone, as in standards
-    with_interval : verdict by the 95 % interval; ``cannot tell`` if it contains the limit or is
-        missing, or if the number is doubtful
+    by_number : answer by the value alone, as in standards
+    with_interval : answer by the 95 % interval; ``cannot tell`` if the interval contains the limit
+        or is missing, or if the value is doubtful
     """
 
     by_number: Answer
@@ -393,7 +395,7 @@ class SampleVerdict:
 
     @property
     def text(self) -> str:
-        """Both verdicts as a text, such as ``pass (cannot tell with its interval)``."""
+        """Both answers as a text, such as ``pass (cannot tell with its interval)``."""
         if self.by_number is self.with_interval:
             return str(self.by_number)
         return f"{self.by_number} ({self.with_interval} with its interval)"
@@ -405,9 +407,9 @@ class Lot:
 
     Parameters
     ----------
-    answer : verdict on the lot
+    answer : answer on the lot
     limit : smallest allowed force, N; None if the samples have several limits or none
-    verdicts : verdict on each sample, keyed by test
+    verdicts : answers on each sample, keyed by test
     coverage : required fraction of the lot that reaches the limit
     confidence : probability with which this fraction must be demonstrated
     n : number of samples with a value
@@ -445,7 +447,7 @@ class Group:
 
     Parameters
     ----------
-    name : specimen type, followed by the protocol if two protocols share a type
+    name : specimen type, followed by the protocol if two protocols test the type
     protocol : name of the protocol
     samples : samples in order of spool, sample and test
     numbers : results over all samples
@@ -468,26 +470,26 @@ class Group:
     lot: Lot | None = None
 
     def find_number(self, name: str) -> GroupNumber | None:
-        """Find the result with a name; None if there is none."""
+        """Find the result with a name; None if the group has no such result."""
         return next((number for number in self.numbers if number.name == name), None)
 
 
 @dataclass(frozen=True, slots=True)
 class BoundedStiffness:
-    """Measured bending stiffness of a harness bundle, with the bounds of the bundle model.
+    """Measured bending stiffness of a harness bundle, and bounds by the model of the bundle.
 
     Parameters
     ----------
     group, test : names of the group and of the test; an empty test for the mean of the group
     value : measured bending stiffness, N m^2; None if not available
     interval : 95 % interval of `value`
-    low : bending stiffness if all strands slip, N m^2; NaN without a bundle model
+    low : bending stiffness by the model if all strands slip, N m^2; NaN without a bundle model
     free : bending stiffness if the wires slip and the strands within them stick, N m^2; NaN without
         a bundle model
     high : bending stiffness if nothing slips, bent along y, N m^2; NaN without a bundle model
-    principal : smallest and largest stiffness of all directions if nothing slips, N m^2
-    degree : (value - low) / (high - low); NaN without a value or two bounds
-    degree_interval : 95 % interval from the interval of `value`, for exact bounds
+    principal : smallest and largest bending stiffness of all directions if nothing slips, N m^2
+    degree : composite degree, (value - low) / (high - low); NaN without a value or two bounds
+    degree_interval : 95 % interval of `degree` from that of `value`, for exact bounds
     reasons : reasons why there is no composite degree; empty if there is one
     """
 
@@ -506,34 +508,35 @@ class BoundedStiffness:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Campaign:
-    """Content of the report on a campaign.
+    """Campaign of tests, as a report shows it.
 
     Parameters
     ----------
     title : title of the report
     groups : groups in order of name
     differences : comparisons of pairs of groups of one protocol
-    left_out : reasons why tests could not be read, keyed by file
+    failures : reasons why tests could not be read, keyed by file
     labpipe_version : labpipe version of the report
-    by : fields of the grouping
-    compared : only field in which the pairs in `differences` differ; empty if all are compared
-    pairs_not_shown : number of pairs that differ in other fields
-    bounded_stiffnesses : bending stiffnesses of bundles, with the bounds of their model
-    wire_sheet : name of the wire sheet of the bounds; empty without one
-    rejected : decisions of persons to exclude a test, with reason, name and date, keyed by file
-    rejected_samples : the rejected tests, which are in no group
+    grouping_fields : names of the fields by which the samples are grouped
+    compared_field : the only field in which the groups of a pair in `differences` differ; empty if
+        all pairs are compared
+    pairs_not_shown : number of pairs of groups that differ in other fields
+    bounded_stiffnesses : bending stiffnesses of bundles, with the bounds by their models
+    wire_sheet : name of the wire sheet for the bounds; empty without one
+    rejected : decision of a person to exclude a test, with reason, name and date, keyed by file
+    rejected_samples : samples of the rejected tests, which are in no group
     name : name of the folder of the campaign; empty if all tests are elsewhere
     decisions : decisions on tests of the campaign, as in ``decisions.json``
-    made_on : day of the report; None if the report does not state it
+    date : day of the report; None if the report does not state it
     """
 
     title: str
     groups: tuple[Group, ...]
     differences: tuple[Difference, ...] = ()
-    left_out: Mapping[str, str] = field(default_factory=dict)
+    failures: Mapping[str, str] = field(default_factory=dict)
     labpipe_version: str = ""
-    by: tuple[str, ...] = ("type",)
-    compared: str = ""
+    grouping_fields: tuple[str, ...] = ("type",)
+    compared_field: str = ""
     pairs_not_shown: int = 0
     bounded_stiffnesses: tuple[BoundedStiffness, ...] = ()
     wire_sheet: str = ""
@@ -541,4 +544,4 @@ class Campaign:
     rejected_samples: tuple[Sample, ...] = ()
     name: str = ""
     decisions: tuple[Mapping[str, str], ...] = ()
-    made_on: Day | None = None
+    date: Day | None = None

@@ -1,4 +1,4 @@
-"""Define reasons, quality notes, and findings of a test with their consequences."""
+"""Define reasons, quality notes, and findings about a test with their consequences."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class Reason:
 
 
 def join_reasons(reasons: Iterable[Reason]) -> str:
-    """Join codes and sentences of reasons, each sentence once; empty without reasons.
+    """Join the codes and sentences of reasons, with each sentence once; empty without reasons.
 
     Parameters
     ----------
@@ -74,11 +74,12 @@ class QualityNote:
     ----------
     code : stable name for programs in snake case, such as ``time_holes``
     severity : severity of the note
-    where : role, channel, marker or key concerned, with times or frames if it has any
+    where : role, channel, marker or key concerned, with times or frames if the note has any
     message : one sentence with values and their units
-    stretches : start and end of each stretch of the recording concerned, s; empty for all of it.
-        They are not stored
-    tests : names of the tests of a group concerned; empty for all. They are not stored
+    stretches : start and end of each stretch of the recording concerned, s; empty for the whole
+        recording. Stretches are not stored
+    tests : names of the tests of a group that are concerned; empty for all tests. Names of tests
+        are not stored
     """
 
     code: str
@@ -128,9 +129,9 @@ class Finding:
 
     Parameters
     ----------
-    note : note for people
-    doubts : doubts about quantities
-    blocks : whether the finding makes later stages unavailable
+    note : note that describes the finding
+    doubts : doubts about the quantities that the finding affects
+    blocks : whether later stages of processing are unavailable because of the finding
     """
 
     note: QualityNote
@@ -168,16 +169,16 @@ class Finding:
         return self.note.code
 
 
-def doubt_stretches(
+def make_stretch_finding(
     quantity: str, note: QualityNote, clock: str, *, max_stretches: int = 100
 ) -> Finding:
     """Make a finding that a quantity is doubtful in the stretches of a note.
 
     Parameters
     ----------
-    quantity : quantity, see `Doubt`
+    quantity : doubtful quantity, see `Doubt`
     note : note with stretches on the clock `clock`; without stretches, the whole record is doubtful
-    clock : role of the recording, whose clock it is
+    clock : role of the recording that has this clock
     max_stretches : largest number of stretches; more are merged into one, from the first to the
         last
     """
@@ -204,21 +205,21 @@ class Findings:
         return Findings((*self.entries, *findings))
 
     def remove_code(self, code: str) -> Findings:
-        """Return the findings without those that have a code."""
+        """Return the findings whose code differs from a code."""
         return Findings(tuple(finding for finding in self.entries if finding.code != code))
 
     @property
     def notes(self) -> tuple[QualityNote, ...]:
-        """Notes, each once."""
+        """Notes of the findings, each once."""
         return tuple(dict.fromkeys(finding.note for finding in self.entries))
 
     @property
     def doubts(self) -> tuple[Doubt, ...]:
-        """Doubts, each once."""
+        """Doubts of the findings, each once."""
         return tuple(dict.fromkeys(doubt for finding in self.entries for doubt in finding.doubts))
 
     @property
-    def blocked(self) -> Reason | None:
+    def blocking_reason(self) -> Reason | None:
         """Reason of the first finding that blocks later stages; None without one."""
-        blocking = next((finding for finding in self.entries if finding.blocks), None)
-        return None if blocking is None else Reason(blocking.code, blocking.note.message)
+        finding = next((finding for finding in self.entries if finding.blocks), None)
+        return None if finding is None else Reason(finding.code, finding.note.message)

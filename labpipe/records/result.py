@@ -132,16 +132,16 @@ class Result:
         return "; ".join(filter(None, (self.method, self.remark)))
 
     @property
-    def shares(self) -> tuple[float, ...]:
+    def fractions(self) -> tuple[float, ...]:
         """Fraction of the variance of each row of the budget; 0 without a variance."""
         variances = [contribution.change**2 for contribution in self.budget]
         total = sum(variances)
         return tuple(variance / total if total > 0.0 else 0.0 for variance in variances)
 
     @property
-    def largest_share(self) -> tuple[str, float] | None:
+    def largest_cause(self) -> tuple[str, float] | None:
         """Cause with the largest fraction of the variance and this fraction, or None."""
-        pairs = zip((row.cause for row in self.budget), self.shares, strict=True)
+        pairs = zip((row.cause for row in self.budget), self.fractions, strict=True)
         cause, share = max(pairs, key=lambda pair: pair[1], default=("", 0.0))
         return (cause, share) if share > 0.0 else None
 

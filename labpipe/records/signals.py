@@ -1,4 +1,4 @@
-"""Define the signals of a test between recording and curve, and the relation of their clocks."""
+"""Define the signals of a test between recording and curve, and the relations of their clocks."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from labpipe.records.curve import ClockFit, Time
 
 
 class FilterFunction(Protocol):
-    """Filter of evenly spaced samples."""
+    """Function that filters evenly spaced samples."""
 
     def __call__(self, values: Floats, /) -> Floats:
         """Filter values of shape (..., n) along the last axis, without a shift in time."""
@@ -24,7 +24,7 @@ class FilterFunction(Protocol):
 
 
 Filter: TypeAlias = tuple[FilterFunction, int]
-"""A filter, and the stride of the samples that it keeps."""
+"""Filter, and stride of the samples that are kept after it."""
 Stretch: TypeAlias = tuple[float, float]
 """Start and end of a stretch of the record, s."""
 
@@ -43,8 +43,8 @@ class Signal:
     zero_error : standard error of the zero, in `unit`
     zero_drift : standard uncertainty of the change of the zero until the end of the test, as a
         fraction of the largest value, from the protocol
-    perturbed : values of shape (n,), in `unit`, with one input larger by its standard uncertainty,
-        keyed by cause (``grip offset``, ``shape of the wire``)
+    variants : values of shape (n,), in `unit`, for one input that is larger by its standard
+        uncertainty, keyed by the cause of that uncertainty (``grip offset``)
     time_unit : ``s``; ``1`` if the export has no time, and `time` counts its rows
     """
 
@@ -55,7 +55,7 @@ class Signal:
     relative_error: float = 0.0
     zero_error: float = 0.0
     zero_drift: float = 0.0
-    perturbed: Mapping[str, Floats] = field(default_factory=dict)
+    variants: Mapping[str, Floats] = field(default_factory=dict)
     time_unit: str = "s"
 
     @property
@@ -64,14 +64,14 @@ class Signal:
         return self.time_unit == "s"
 
     def map_values(self, change: Callable[[Floats], Floats]) -> Signal:
-        """Apply a function to the values and to the perturbed values.
+        """Apply a function to the values and to their variants.
 
         Parameters
         ----------
-        change : function of an array, shape (n,), that returns an array of the same shape
+        change : function that converts an array of shape (n,) to one of the same shape
         """
-        perturbed = {cause: change(values) for cause, values in self.perturbed.items()}
-        return replace(self, values=change(self.values), perturbed=perturbed)
+        variants = {cause: change(values) for cause, values in self.variants.items()}
+        return replace(self, values=change(self.values), variants=variants)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,11 +83,12 @@ class Signals:
     force, displacement : names of the signals of the curve
     raw : calibrated and zeroed signals, without smoothing
     filtered : signals after all steps; those of the curve are later smoothed branch by branch
-    filters : filters of the steps; `raw` is filtered again in pieces between its corners
-    zero_stretches : stretch at rest from which the zero is taken, s on the clock of the signal
+    filters : filters of each signal, in the order of the steps; `raw` is later filtered again in
+        pieces between its corners
+    zero_stretches : stretch at rest whose mean is the zero, s on the clock of the signal
     moving_zero_stretches : stretch of a zero in which the machine may already move, s on the clock
         of the signal
-    subtracted_levels : level in the export that was subtracted as the zero, in SI
+    subtracted_levels : level that was subtracted as the zero, in the unit of the signal
     """
 
     force: str = "force"
@@ -105,16 +106,16 @@ class Signals:
         return {self.force: "force", self.displacement: "displacement"}
 
     def is_zeroed(self, name: str) -> bool:
-        """Return whether a step zeroes a signal, from a stretch at rest or in motion."""
+        """Return whether a step has subtracted the zero of a signal."""
         return name in {*self.zero_stretches, *self.moving_zero_stretches}
 
     def add_signal(self, name: str, signal: Signal) -> Signals:
-        """Add or replace a signal, both raw and filtered."""
+        """Return the signals with a signal added or replaced, both raw and filtered."""
         raw, filtered = {**self.raw, name: signal}, {**self.filtered, name: signal}
         return replace(self, raw=raw, filtered=filtered)
 
     def replace_filtered(self, name: str, signal: Signal, *filter_steps: Filter) -> Signals:
-        """Replace a filtered signal, and add filters to its list.
+        """Return the signals with a filtered signal replaced, and filters added to its list.
 
         Parameters
         ----------
@@ -126,13 +127,13 @@ class Signals:
         return replace(self, filtered=filtered, filters=filters if filter_steps else self.filters)
 
     def subtract_level(self, name: str, level: float, error: float) -> Signals:
-        """Subtract a level from a signal, both raw and filtered.
+        """Return the signals with a level subtracted from a signal, both raw and filtered.
 
         Parameters
         ----------
         name : name of the signal
         level : level to subtract, in the unit of the signal
-        error : standard error of the level, which becomes the error of the zero
+        error : standard error of the level, which becomes the error of the zero, in the same unit
         """
 
         def subtract(signal: Signal) -> Signal:
@@ -155,65 +156,64 @@ class Clocks:
 
     Parameters
     ----------
-    curve : name of the clock of the curve, which is that of the displacement
-    force : relation of the clock of the force to that of the curve; None for one clock, or before
-        the clocks are joined
-    others : relation of each further clock, keyed by its name: its time = offset + (1 + drift) x
-        time of the curve
+    curve_clock : name of the clock of the curve, which is that of the displacement
+    force_fit : relation of the clock of the force to that of the curve; None for one clock, or
+        before the clocks are joined
+    other_fits : relation of each further clock to that of the curve, keyed by the name of the
+        clock: time on this clock = offset + (1 + drift) x time of the curve
     """
 
-    curve: str = ""
-    force: ClockFit | None = None
-    others: Mapping[str, ClockFit] = field(default_factory=dict)
+    curve_clock: str = ""
+    force_fit: ClockFit | None = None
+    other_fits: Mapping[str, ClockFit] = field(default_factory=dict)
 
     @property
-    def error(self) -> float:
+    def offset_error(self) -> float:
         """Standard error of the offset between force and motion, s; 0 for one clock."""
-        if self.force is None:
+        if self.force_fit is None:
             return 0.0
-        return float(np.sqrt(1.0 / np.sum(self.force.event_errors**-2.0)))
+        return float(np.sqrt(1.0 / np.sum(self.force_fit.event_errors**-2.0)))
 
     @property
     def drift_error(self) -> float:
         """Standard error of the clock drift; 0 for one clock or one event.
 
-        One event does not determine the drift: the interval of the fit is then NaN.
+        The interval of the drift is NaN for one event, which does not determine the drift.
         """
-        error = 0.0 if self.force is None else self.force.drift_interval.standard_error
+        error = 0.0 if self.force_fit is None else self.force_fit.drift_interval.standard_error
         return error if np.isfinite(error) else 0.0
 
     @property
-    def middle(self) -> float:
-        """Weighted mean time of the events of the fit, s on the clock of the curve.
+    def mean_event_time(self) -> float:
+        """Weighted mean time of the fitted events, s on the clock of the curve; 0 for one clock.
 
-        The errors of offset and drift are independent at this time. It is 0 for one clock.
+        The errors of offset and drift are independent at this time.
         """
-        fit = self.force
+        fit = self.force_fit
         if fit is None:
             return 0.0
         return float(np.average(fit.event_times_motion, weights=fit.event_errors**-2.0))
 
     @property
-    def perturbed(self) -> dict[str, Clocks]:
-        """Clocks with one input larger by its standard uncertainty, keyed by cause.
+    def variants(self) -> dict[str, Clocks]:
+        """Clocks with an offset or drift that is larger by its standard error, keyed by cause.
 
-        The offset shifts all times of the force by `error`. The drift stretches them by
-        `drift_error` about the `middle` of the events.
+        The offset shifts all times of the force by `offset_error`. The drift stretches them by
+        `drift_error` about `mean_event_time`.
         """
-        fit = self.force
+        fit = self.force_fit
         if fit is None:
             return {}
-        shifted = replace(fit, offset=fit.offset + self.error)
-        variants = {CLOCK_OFFSET: replace(self, force=shifted)}
+        shifted_fit = replace(fit, offset=fit.offset + self.offset_error)
+        variants = {CLOCK_OFFSET: replace(self, force_fit=shifted_fit)}
         if drift_error := self.drift_error:
-            drifted = replace(
-                fit, offset=fit.offset - drift_error * self.middle, drift=fit.drift + drift_error
-            )
-            variants[CLOCK_DRIFT] = replace(self, force=drifted)
+            offset = fit.offset - drift_error * self.mean_event_time
+            stretched_fit = replace(fit, offset=offset, drift=fit.drift + drift_error)
+            variants[CLOCK_DRIFT] = replace(self, force_fit=stretched_fit)
         return variants
 
     def to_curve(self, time: Time, clock: str) -> Time:
-        """Convert times of a clock to the clock of the curve, s; unchanged before they are joined.
+        """Convert times to the clock of the curve, s; unchanged before clocks are joined.
 
         Parameters
         ----------
@@ -223,7 +223,7 @@ class Clocks:
         return time if fit is None else fit.to_marker_time(time)
 
     def from_curve(self, time: Time, clock: str) -> Time:
-        """Convert times of the curve to another clock, s; unchanged before they are joined.
+        """Convert times of the curve to another clock, s; unchanged before clocks are joined.
 
         Parameters
         ----------
@@ -242,23 +242,24 @@ class Clocks:
 
         Returns
         -------
-        Shape (n,), in the unit of the signal; NaN beyond its ends.
+        Shape (n,), in the unit of the signal; NaN outside the times of its samples.
         """
         time = self.from_curve(time, signal.clock)
         if len(time) == len(signal.time) and np.array_equal(time, signal.time):
             return signal.values
-        # `interp` copies its arrays: it gets only the samples of the signal next to these times.
+        # `interp` copies its arrays; only the samples next to these times are passed to it.
         right = np.searchsorted(signal.time, time, side="right")
         nearest: Ints = np.sort(np.clip([right - 1, right], 0, len(signal.time) - 1), axis=None)
         if not len(nearest):  # `interp` refuses an empty record
             return np.zeros(0)
-        x, y = signal.time[nearest], signal.values[nearest]
-        return np.interp(time, x, y, left=np.nan, right=np.nan)
+        times, values = signal.time[nearest], signal.values[nearest]
+        return np.interp(time, times, values, left=np.nan, right=np.nan)
 
     def to_force_times(self, time: Floats) -> Floats:
         """Convert times of the curve to the clock of the force, shape (n,), s."""
-        return time if self.force is None else self.force.to_force_time(time)
+        return time if self.force_fit is None else self.force_fit.to_force_time(time)
 
     def _find_fit(self, clock: str) -> ClockFit | None:
         """Find the relation of a clock to that of the curve; None for the clock of the curve."""
-        return None if clock in ("", self.curve) else self.others.get(clock, self.force)
+        is_curve_clock = clock in ("", self.curve_clock)
+        return None if is_curve_clock else self.other_fits.get(clock, self.force_fit)

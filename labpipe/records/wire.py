@@ -211,7 +211,7 @@ class WireTable(ArrayRecord):
         return np.asarray(np.where(is_zero, fraction[1], fraction))
 
     @property
-    def slips_at_once(self) -> bool:
+    def slips_immediately(self) -> bool:
         """Whether strands slip as soon as the wire bends, without stick stiffness.
 
         The first secant of the table is then the slope of the law at zero curvature.
@@ -323,7 +323,7 @@ class CurveErrors:
     sse : sum of the squared errors, N^2
     rmse : root mean square error, N
     rmse_share : root mean square error divided by the largest measured force
-    inside : fraction of the points inside the band; NaN without a band
+    coverage : fraction of the points inside the band; NaN without a band
 
     References
     ----------
@@ -335,7 +335,7 @@ class CurveErrors:
     sse: float
     rmse: float
     rmse_share: float
-    inside: float
+    coverage: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -374,13 +374,13 @@ class CurveMatch(ArrayRecord):
     reference : shape (n,), N, force of the other curve; NaN where it has none
     errors : errors over the common points, relative to the largest force of the other curve and its
         95 % band; None without common points
-    left_out : number of points that were not compared
+    n_excluded : number of points that were not compared
     explanation : reason why points were not compared; empty if all points were compared
     """
 
     reference: Vector
     errors: CurveErrors | None
-    left_out: int = 0
+    n_excluded: int = 0
     explanation: str = ""
 
 

@@ -64,9 +64,9 @@ def make_budget_bar(
     text, scale = "", wording.choose_scale(number.name, number.unit, display)
     if interval is not None:
         half_width = 0.5 * abs(scale.factor) * (interval.upper - interval.lower)
-        half_text = wording.write_number(half_width, None, digits=2).value
+        half_text = wording.format_number(half_width, None, digits=2).value
         text = f"\u00b1 {half_text} {scale.unit}".strip()
-    return BudgetBar(wording.write_label(number.name.partition(".")[0]), shares, text)
+    return BudgetBar(wording.format_label(number.name.partition(".")[0]), shares, text)
 
 
 def make_budget_plot(bars: Sequence[BudgetBar]) -> Plot:

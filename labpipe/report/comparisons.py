@@ -255,9 +255,9 @@ def make_pair_table(pair: Pair) -> Table:
         scale = wording.choose_scale(difference.name, difference.unit, display)
         margin = nan if difference.margin is None else difference.margin
         rows.append({
-            "Number": wording.write_heading(difference.name, scale),
-            "Difference (95 %, corrected)": _write_difference(difference, display),
-            "Irrelevant below": wording.write_number(margin, None, scale.factor, digits=3).value,
+            "Number": wording.format_heading(difference.name, scale),
+            "Difference (95 %, corrected)": _format_difference(difference, display),
+            "Irrelevant below": wording.format_number(margin, None, scale.factor, digits=3).value,
             "Verdict": str(difference.verdict),
         })  # fmt: skip
     caveats = (caveat for difference in pair.differences for caveat in difference.caveats)
@@ -274,12 +274,12 @@ def make_answer(pair: Pair) -> tuple[Cell, Cell, str, str]:
     pair : groups that differ in one field
     """
     difference = pair.differences[0]
-    difference_text = _write_difference(difference, wording.get_display(pair.first))
+    difference_text = _format_difference(difference, wording.get_display(pair.first))
     first, second = count_values(pair)
     return (
         Cell(name_comparison(pair), describe_context((pair.first, pair.second), pair.field)),
         Cell(str(difference.verdict).upper(), difference.verdict_reason),
-        f"{wording.write_label(difference.name)} {difference_text}",
+        f"{wording.format_label(difference.name)} {difference_text}",
         f"{second} v {first}",
     )
 
@@ -291,20 +291,20 @@ def count_values(pair: Pair) -> list[int]:
     return [0 if number is None else number.mean.chosen.n for number in numbers]
 
 
-def _write_difference(difference: Difference, display: Mapping[str, str]) -> str:
+def _format_difference(difference: Difference, display: Mapping[str, str]) -> str:
     """Write a difference in per cent or in its unit, with its corrected interval, if any."""
     max_shown_ratio = 10.0  # a larger upper end is written as "more than +1000 %"
     ends, mean_difference, bound_text = difference.interval, difference.difference, ""
     if difference.change is None:
         scale = wording.choose_scale(difference.name, difference.unit, display)
         estimate = mean_difference.distinct_estimate
-        number = wording.write_number(mean_difference.mean, ends, scale.factor, estimate=estimate)
+        number = wording.format_number(mean_difference.mean, ends, scale.factor, estimate=estimate)
         unit = f" {scale.unit}".rstrip()
     else:
         if ends is not None and ends.upper > max_shown_ratio:
             ends = Interval(min(ends.lower, max_shown_ratio), max_shown_ratio, ends.level)
             bound_text = "more than "
-        number, unit = wording.write_number(difference.change, ends, 100.0), " %"
+        number, unit = wording.format_number(difference.change, ends, 100.0), " %"
     interval_text = wording.join_sentences([mean_difference.reason])
     if number.lower:
         lower, upper = map(_add_plus_sign, (number.lower, number.upper))
@@ -322,11 +322,11 @@ def _add_plus_sign(number: str) -> str:
 def list_pair_remarks(campaign: Campaign) -> list[str]:
     """List remarks on pairs of groups that the page does not show, or that have no verdict."""
     remarks = []
-    if campaign.compared:
-        name = campaign.compared.replace("_", " ")
+    if campaign.compared_field:
+        name = campaign.compared_field.replace("_", " ")
         if not campaign.differences:
             remarks.append(format_sentence("report.no_pair_differs", field=name))
-        option, pairs = campaign.compared, _count_pairs(campaign.pairs_not_shown)
+        option, pairs = campaign.compared_field, _count_pairs(campaign.pairs_not_shown)
         text = format_sentence("report.pairs_left_out", field=name, option=option, pairs=pairs)
         remarks.append(text)
     # only pairs that differ in one single field belong to a family
@@ -338,7 +338,7 @@ def list_pair_remarks(campaign: Campaign) -> list[str]:
 
 
 def _count_pairs(count: int) -> str:
-    return f"{wording.write_count(count, 'pair')} {'is' if count == 1 else 'are'}"
+    return f"{wording.format_count(count, 'pair')} {'is' if count == 1 else 'are'}"
 
 
 def list_family_figures(campaign: Campaign) -> Iterator[Page]:
@@ -388,7 +388,7 @@ def _make_curve_plots(
         y_scale, name, heading = plots.PLAIN_NUMBER, "Force / peak force", "Force / peak force"
     lines: list[Line] = []
     legend, bands = [], []
-    count = wording.write_count(len(family.groups), "group")
+    count = wording.format_count(len(family.groups), "group")
     for index, (group, label) in enumerate(zip(family.groups, family.labels, strict=True)):
         band = group.band_scaled if is_scaled else group.band
         if band is not None:
@@ -451,7 +451,7 @@ def _make_mean_plots(family: Family, stems: Mapping[str, str]) -> Iterator[Plot]
         lines.append(Line(f"sample {look}", x, np.full(len(x), -row - sample_shift), group=stem))
         mean = number.mean.chosen
         lines += group_plots.make_dot_lines(f"dot {look}", mean.mean, mean.interval, -row, stem)
-    label, count = wording.write_label(name), wording.write_count(len(numbers), "group")
+    label, count = wording.format_label(name), wording.format_count(len(numbers), "group")
     x_axis = group_plots.make_dot_axis(name, scale, lines)
     y_axis = Axis(low=0.5 - len(numbers), high=0.5, row_names=family.labels)
     heading, title = wording.shorten(label, 40), f"{label} of {count}, with 95 % intervals."

@@ -189,7 +189,7 @@ def _plot_fits(result: TestResult) -> Iterator[Line]:
         y, number = fit.level + fit.slope * (x - fit.start), find_result(result.results, fit.result)
         if number is None or number.value is None:
             number = Result(fit.result, fit.slope, "N/m")
-        label = f"{wording.write_label(fit.result)}: {_describe_number(result, number)}"
+        label = f"{wording.format_label(fit.result)}: {_describe_number(result, number)}"
         yield make_line(x=x, y=y, label=label, **settings)
 
 
@@ -197,7 +197,7 @@ def _describe_number(result: TestResult, number: Result) -> str:
     """Write the value of a number with its interval and unit."""
     scale = wording.choose_scale(number.name, number.unit, result.display)
     value = np.nan if number.value is None else number.value
-    text = wording.write_number(value, number.interval, scale.factor).text
+    text = wording.format_number(value, number.interval, scale.factor).text
     return f"{text} {scale.unit}"
 
 
@@ -460,9 +460,9 @@ def _make_residual_plot(fit: ClockFit, time: Axis) -> Plot:
     ]
     residual_text = f"residual {1e3 * fit.residual:.2g} ms (rms of {n_events})"
     if n_events <= n_parameters:
-        residual_text = f"{wording.write_count(n_events, 'event')} for two unknowns: no residual"
-    offset = wording.write_with_interval(fit.offset, fit.offset_interval)
-    drift = wording.write_with_interval(fit.drift, fit.drift_interval, 1e6)
+        residual_text = f"{wording.format_count(n_events, 'event')} for two unknowns: no residual"
+    offset = wording.format_with_interval(fit.offset, fit.offset_interval)
+    drift = wording.format_with_interval(fit.drift, fit.drift_interval, 1e6)
     clock_text = f"offset {offset} s,  drift {drift} ppm".replace("-", "\u2212")
     text = f"{clock_text},  {residual_text};  bars: 95 % of each event"
     settings = {"ha": "right", "va": "bottom", "color": GREY}
@@ -766,11 +766,11 @@ def make_budget_page(result: TestResult) -> Page:
     """
     row_mm, frame_mm = 6.0, 26.0
     results = (entry for entry in result.results if budgets.has_budget_bar(entry.name))
-    numbers = [number for number in results if number.largest_share is not None][: budgets.MAX_BARS]
+    numbers = [number for number in results if number.largest_cause is not None][: budgets.MAX_BARS]
     bars = []
     for number in numbers:
         causes = [contribution.cause for contribution in number.budget]
-        shares = dict(zip(causes, number.shares, strict=True))
+        shares = dict(zip(causes, number.fractions, strict=True))
         bars.append(budgets.make_budget_bar(number, shares, number.interval, result.display))
     panel, height = budgets.make_budget_plot(bars), frame_mm + row_mm * len(bars)
     has_cycles = any("." in number.name for number in numbers)

@@ -175,7 +175,7 @@ def _make_curve_plots(view: GroupView) -> Iterator[Plot]:
     curves = (curve for sample in group.samples for curve in (*sample.loading, *sample.unloading))
     forces = [*(curve.force for curve in curves), np.array(limits)]
     y = _make_force_axis("Force", view.choose_scale("force"), forces, band)
-    title = f"Force against displacement of {wording.write_count(len(group.samples), 'sample')}:"
+    title = f"Force against displacement of {wording.format_count(len(group.samples), 'sample')}:"
     mean, caption = f"mean of {band.n} {band.members}", wording.join_sentences([band.reason])
     size = 660, 240
     yield _make_plot(view, "curves", (x, y), lines, title, mean=mean, caption=caption, size=size)
@@ -257,7 +257,7 @@ def make_band_lines(band: Band, look: str = "", group: str = "") -> Iterator[Lin
     look : class of the colour of the band
     group : stem of the group in a plot of several groups, which shows only the pointwise band
     """
-    if band.n < 2 or not band.has_area:
+    if band.n < 2 or not band.has_band:
         return
     rows = _choose_band_rows(band, band.upper)
     x = band.displacement[rows]
@@ -282,7 +282,7 @@ def make_mean_lines(band: Band, look: str = "", group: str = "") -> Iterator[Lin
     """
     if not len(band.displacement) or (band.n < 2 and not group):
         return  # the mean of one sample is that sample
-    rows, marks = _choose_band_rows(band, band.mean), band.marks
+    rows, marks = _choose_band_rows(band, band.mean), band.interval_indices
     yield Line(f"mean {look}".strip(), band.displacement[rows], band.mean[rows], group=group)
     if len(marks):
         x = join_with_gaps(band.displacement[marks], band.displacement[marks])
@@ -334,7 +334,7 @@ def _make_shape_plots(view: GroupView) -> Iterator[Plot]:
     plotted_steps = np.round(steps[-n_shapes:], 4) + 0.0
     deflections = ", ".join(f"{deflection * scale.factor:.2g}" for deflection in plotted_steps)
     caption = f"Markers at {deflections} {scale.unit} of the first loading, at equal axis scale."
-    title = f"Shapes of {wording.write_count(len(lines), 'sample')} of"
+    title = f"Shapes of {wording.format_count(len(lines), 'sample')} of"
     layout: dict[str, Any] = {"size": (width, height), "is_to_scale": True}
     yield _make_plot(view, "shapes", axes, lines, title, caption=caption, **layout)
 
@@ -400,7 +400,7 @@ def _make_number_plots(group: Group) -> Iterator[Plot]:
     numbers = [number for number in all_numbers if number.mean.n_samples > 1][:MAX_DOT_NUMBERS]
     plotted_names = {number.name for number in numbers}
     table_only_names = [number.name for number in all_numbers if number.name not in plotted_names]
-    caption = f"In the tables only: {'; '.join(map(wording.write_label, table_only_names))}."
+    caption = f"In the tables only: {'; '.join(map(wording.format_label, table_only_names))}."
     for number in numbers:
         rows: dict[str, int] = {}
         lines = list(_plot_dots(group, number, rows))
@@ -424,7 +424,7 @@ def make_dot_axis(name: str, scale: wording.Scale, lines: Sequence[Line]) -> Axi
     values = [line.x for line in lines if not line.look.startswith("interval")]
     ends = np.concatenate([line.x for line in lines])
     low, high = plots.clip_range(np.concatenate(values), ends, 1.0)
-    return plots.make_axis(wording.write_label(name), scale, [np.array([low, high])])
+    return plots.make_axis(wording.format_label(name), scale, [np.array([low, high])])
 
 
 def make_dot_lines(

@@ -17,13 +17,13 @@ from labpipe.report import plot_records as plots
 from labpipe.report.figure_page import DASHED, sample_colour_map
 from labpipe.report.plot_records import Axis, Line, Page, Plot, make_line
 from labpipe.report.wire_report import (
-    FORCE,
+    FORCE_SCALE,
     LENGTH_SCALE,
-    MOMENT,
+    MOMENT_SCALE,
     STIFFNESS_SCALE,
     make_curvature_axis,
 )
-from labpipe.report.wording import join_sentences, write_number
+from labpipe.report.wording import format_number, join_sentences
 
 FIGURE, SWEEP_FIGURE = "harness", "harness-sweep"
 """Names of the figures and their files, without the ending."""
@@ -380,14 +380,14 @@ def _make_moment_plot(model: BundleModel) -> Plot:
             lines.append(make_line(look, x[part], moment[part], alpha=opacity))
     for stiffness in (model.low, model.high):
         lines.append(make_line("bundle_without_yielding", x, stiffness * x))
-    y = Axis("Bending moment", MOMENT, is_log=True)
+    y = Axis("Bending moment", MOMENT_SCALE, is_log=True)
     return Plot(make_curvature_axis(x), y, lines, "First loading, bent along y")
 
 
 def describe_stiffness(model: BundleModel) -> str:
     """Describe the bounds of the bending stiffness of a bundle in a sentence."""
     all_slip, wires_slip, nothing_slips, smallest, largest = (
-        write_number(stiffness, None, STIFFNESS_SCALE.factor, digits=4).value
+        format_number(stiffness, None, STIFFNESS_SCALE.factor, digits=4).value
         for stiffness in (model.low, model.free, model.high, *model.principal)
     )
     directions = f"{smallest} to {largest} over all directions"
@@ -416,7 +416,7 @@ def make_loop_page(name: str, fit: FrictionFit) -> Page:
     name : name of the test
     fit : fit of the friction between the wires
     """
-    x, y = Axis("Deflection", LENGTH_SCALE), Axis("Force at the tip", FORCE)
+    x, y = Axis("Deflection", LENGTH_SCALE), Axis("Force at the tip", FORCE_SCALE)
     panels = []
     for rows, label, colour, heading, error in (
         (~fit.is_held_out, "fitted (one parameter)", "C0", "Fitted", fit.error_fitted),
@@ -438,7 +438,7 @@ def describe_friction(fit: FrictionFit) -> str:
     """Describe the friction between the wires of a bundle, and the errors of its prediction."""
     # deflection of a cantilever at which the curvature of its clamped end makes the tape slide
     slide_mm = LENGTH_SCALE.factor * fit.slide_curvature * fit.loop.length**2 / 3.0
-    held_percentage = write_number(fit.held, Interval(fit.held_lower, fit.held_upper), 100.0)
+    held_percentage = format_number(fit.held, Interval(fit.held_lower, fit.held_upper), 100.0)
     return format_sentence(
         "report.friction_of_bundle",
         composite=_format_percent(fit.composite_share),

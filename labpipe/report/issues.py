@@ -78,7 +78,7 @@ def find_issues(campaign: Campaign) -> tuple[Issue, ...]:
     Issues in the order of `Kind`, then of groups and samples. Numbers of a test with the same
     reasons are one issue.
     """
-    excluded = {Kind.UNREADABLE: campaign.left_out, Kind.REJECTED: campaign.rejected}
+    excluded = {Kind.UNREADABLE: campaign.failures, Kind.REJECTED: campaign.rejected}
     order = [*Kind]
     issues = [
         Issue(kind, "", (file,), "", reason)
@@ -91,7 +91,7 @@ def find_issues(campaign: Campaign) -> tuple[Issue, ...]:
         issues += _list_number_issues(group)
         if not group.samples and not group.notes:
             reason = group.band.reason or Reason("empty_group", "no sample in this group")
-            text, topic = wording.write_sentence(reason.message), "empty group"
+            text, topic = wording.make_sentence(reason.message), "empty group"
             issues.append(Issue(Kind.WARNING, group.name, (), topic, text, reason.code))
         issues += _list_note_issues(group.name, (), group.notes)
     return tuple(sorted(issues, key=lambda issue: order.index(issue.kind)))
@@ -121,12 +121,13 @@ def _list_sample_issues(group: Group, sample: Sample) -> Iterator[Issue]:
             results_by_reason.setdefault((kind, result.reasons), []).append(result)
     for (kind, reasons), results in results_by_reason.items():
         names = tuple(result.name for result in results)
-        labels, reason = "; ".join(map(wording.write_label, names)), wording.join_sentences(reasons)
+        labels = "; ".join(map(wording.format_label, names))
+        reason = wording.join_sentences(reasons)
         yield Issue(kind, group.name, tests, labels, reason, _join_codes(reasons), names)
     length, force = wording.get_scales(wording.get_display(group), "displacement", "force")
     for slip in sample.slips:
-        position = wording.write_number(slip.position, slip.position_interval, length.factor)
-        drop = wording.write_number(slip.drop, slip.drop_interval, force.factor)
+        position = wording.format_number(slip.position, slip.position_interval, length.factor)
+        drop = wording.format_number(slip.drop, slip.drop_interval, force.factor)
         drop_text = f"{drop.value} {force.unit} ({drop.interval})"
         text = f"{drop_text} lost at {position.value} {length.unit} ({position.interval})"
         yield Issue(Kind.SLIP, group.name, tests, text, DECISIONS[slip.decision])
@@ -144,14 +145,14 @@ def _list_number_issues(group: Group) -> Iterator[Issue]:
         if result.status is Status.FAILED
     }
     for number in group.numbers:
-        label, names = wording.write_label(number.name), (number.name,)
-        for test, reasons in number.left_out.items():
+        label, names = wording.format_label(number.name), (number.name,)
+        for test, reasons in number.exclusions.items():
             if (test, number.name) not in failed_results:
                 reason, codes = wording.join_sentences(reasons), _join_codes(reasons)
                 yield Issue(Kind.LEFT_OUT, group.name, (test,), label, reason, codes, names)
         scale = wording.choose_number_scale(group, number)
         for outlier in number.outliers:
-            value = wording.write_number(outlier.value, None, scale.factor).value
+            value = wording.format_number(outlier.value, None, scale.factor).value
             reason = f"{value} {scale.unit}".strip() + (
                 f" differs from the other samples by {outlier.method} (p = {outlier.p:.2g})."
             )
@@ -188,7 +189,7 @@ def _list_note_issues(
             group,
             tests or tuple(dict.fromkeys(test for note in members for test in note.tests)),
             "; ".join(wording.replace_names(note.where) for note in members),
-            " ".join(dict.fromkeys(wording.write_sentence(note.message) for note in members)),
+            " ".join(dict.fromkeys(wording.make_sentence(note.message) for note in members)),
             code,
         )
 
@@ -245,10 +246,10 @@ class Cause:
         if len(tests) == 1:
             ((group, test),) = tests
             return f"{test} ({group})" if group else test
-        group_text = groups[0] if len(groups) == 1 else wording.write_count(len(groups), "group")
+        group_text = groups[0] if len(groups) == 1 else wording.format_count(len(groups), "group")
         if not tests:
             return group_text
-        count = wording.write_count(len(tests), "test")
+        count = wording.format_count(len(tests), "test")
         return f"{count} {'of' if len(groups) == 1 else 'in'} {group_text}"
 
     @property
@@ -327,8 +328,8 @@ def _find_effect(cause: Cause, groups: Mapping[str, Group]) -> Effect | None:
 def _compute_effect(group: Group, number: GroupNumber, tests: set[str]) -> Effect | None:
     """Compute the effect of tests on the mean of a number, which includes or lacks them."""
     lost_interval_size = 10.0  # rank of a mean of a single value, which has no interval
-    label, n = f"{wording.write_label(number.name)} of {group.name}", number.mean.chosen.n
-    n_missing = len(tests & number.left_out.keys())
+    label, n = f"{wording.format_label(number.name)} of {group.name}", number.mean.chosen.n
+    n_missing = len(tests & number.exclusions.keys())
     if n_missing and not number.values:
         return Effect(inf, format_sentence("report.effect_no_value", number=label))
     if n_missing and n == 1:

@@ -120,13 +120,10 @@ def render_page(
     n_answers = min(len(questions), max_answers)
     n_decisions = min(len(open_decisions), max_decisions)
     max_group_rows = max(n_screen_lines - n_answers - lines_per_decision * n_decisions, min_groups)
-    report_id, script, samples = (
-        compute_report_id(campaign),
-        read_page_script(),
-        list_samples(campaign),
-    )
+    report_id, script = compute_report_id(campaign), read_page_script()
+    samples = list_samples(campaign)
     protocols = ", ".join(sorted({group.protocol for group in campaign.groups})) or "none"
-    origin = [report_id, str(campaign.made_on or ""), f"labpipe {campaign.labpipe_version}".strip()]
+    origin = [report_id, str(campaign.date or ""), f"labpipe {campaign.labpipe_version}".strip()]
     facts = [
         *(letterhead or {}).items(),
         ("Tested", page_tables.describe_testing(samples)),
@@ -140,7 +137,7 @@ def render_page(
         report=report_id,
         script=script,
         script_hash=compute_hash(script),
-        page_data=write_page_data(campaign, report_id=report_id),
+        page_data=format_page_data(campaign, report_id=report_id),
         **make_style(footer, read_part("page_answers.css")),
         pages=has_test_pages,
         logo=logo,
@@ -193,7 +190,7 @@ def _list_key_heads(groups: Sequence[GroupView]) -> tuple[tuple[str, str], ...]:
     for group, *_ in groups:
         for number in wording.list_key_numbers(group):
             scale = wording.choose_number_scale(group, number)
-            heads.setdefault(number.name, wording.write_heading(number.name, scale))
+            heads.setdefault(number.name, wording.format_heading(number.name, scale))
     return tuple(heads.items())[:n_numbers]
 
 
@@ -212,7 +209,8 @@ def _list_key_rows(groups: Sequence[GroupView], heads: Mapping[str, str]) -> lis
     rows = []
     for view, mean_strip in zip(groups, strips, strict=True):
         strip = mean_strip if len(groups) > 1 else None
-        cells, spark = [_make_key_cell(view.group, name) for name in heads], _write_mean_curve(view)
+        cells = [_make_key_cell(view.group, name) for name in heads]
+        spark = _format_mean_curve(view)
         rows.append({"view": view, "strip": strip, "cells": cells, "spark": spark})
     return rows
 
@@ -239,12 +237,12 @@ def _make_key_cell(group: Group, name: str) -> Cell:
     scale = wording.choose_number_scale(group, number)
     tip = "" if source is mean else "one test: uncertainty of its measurement"
     if (estimate := source.distinct_estimate) is not None:
-        written = wording.write_number(mean.mean, source.interval, scale.factor, estimate=estimate)
+        written = wording.format_number(mean.mean, source.interval, scale.factor, estimate=estimate)
         tip += f"{'; ' * bool(tip)}interval of the estimate {written.estimate}"
-    return Cell(wording.write_with_interval(mean.mean, source.interval, scale.factor), tip=tip)
+    return Cell(wording.format_with_interval(mean.mean, source.interval, scale.factor), tip=tip)
 
 
-def _write_mean_curve(view: GroupView) -> str:
+def _format_mean_curve(view: GroupView) -> str:
     """Write the mean curve of a group, or its first curve without a mean, as a sparkline."""
     band = view.group.band
     x, y = band.displacement, band.mean
@@ -254,7 +252,7 @@ def _write_mean_curve(view: GroupView) -> str:
             return ""
         x, y = curve.displacement, curve.force
     rows = plots.simplify_line(x, y, max_points=24, tolerance=0.01)
-    return plots.write_sparkline(x[rows], y[rows])
+    return plots.format_sparkline(x[rows], y[rows])
 
 
 class OpenDecision(NamedTuple):
@@ -290,9 +288,9 @@ def describe_campaign(campaign: Campaign, open_decisions: Sequence[OpenDecision]
     """Count tests and open decisions, such as ``24 tests · 1 rejected · 2 to decide``."""
     n_undecided = len({test.number for decision in open_decisions for test in decision.tests})
     counts = [
-        wording.write_count(len(list_samples(campaign)), "test"),
+        wording.format_count(len(list_samples(campaign)), "test"),
         f"{len(campaign.rejected)} rejected",
-        *([f"{len(campaign.left_out)} not read"] if campaign.left_out else []),
+        *([f"{len(campaign.failures)} not read"] if campaign.failures else []),
         f"{n_undecided} to decide",
     ]
     return " \u00b7 ".join(counts)
@@ -308,7 +306,7 @@ def read_page_script() -> Markup:
     return Markup(f'"use strict";\n(() => {{\n{scripts}}})();\n')
 
 
-def write_page_data(campaign: Campaign, *, report_id: str) -> Markup:
+def format_page_data(campaign: Campaign, *, report_id: str) -> Markup:
     """Write the data of the script for a ``script`` element of type ``application/json``.
 
     Parameters
@@ -370,7 +368,7 @@ def make_style(footer: str, extra_rules: str = "") -> dict[str, Markup]:
     -------
     ``style`` and ``style_hash`` for the template of the page.
     """
-    rules = read_part("page_looks.css").replace("var(--footer)", write_css_string(footer))
+    rules = read_part("page_looks.css").replace("var(--footer)", format_css_string(footer))
     rules += extra_rules
     return {"style": Markup(rules), "style_hash": compute_hash(rules)}
 
@@ -386,7 +384,7 @@ def compute_hash(text: str) -> Markup:
     return Markup(f"'sha256-{base64.b64encode(digest).decode()}'")
 
 
-def write_css_string(text: str) -> str:
+def format_css_string(text: str) -> str:
     """Write a text as an escaped string of a style sheet.
 
     Parameters
@@ -514,10 +512,10 @@ def _make_number_table(result: TestResult) -> Table:
     reason_above = ""
     for number in result.results:
         scale = wording.choose_scale(number.name, number.unit, result.display)
-        value = wording.write_result(number, scale.factor)
+        value = wording.format_result(number, scale.factor)
         reason = wording.join_sentences(number.reasons)
         rows.append({
-            "Number": Cell(wording.write_heading(number.name, scale), tip=number.name),
+            "Number": Cell(wording.format_heading(number.name, scale), tip=number.name),
             "Value, 95 %": Cell(value, mark="?" if number.status is Status.DOUBTFUL else ""),
             "State": Cell(str(number.status), tip=", ".join(number.codes)),
             "Why": "As above." if reason and reason == reason_above else reason,
@@ -530,7 +528,7 @@ def _make_number_table(result: TestResult) -> Table:
 def _list_largest_causes(number: Result) -> str:
     """List up to three causes of at least 1 % of the variance, with their shares."""
     n_causes, min_share = 3, 0.01
-    shares = sorted(zip(number.shares, number.budget, strict=True), key=lambda pair: -pair[0])
+    shares = sorted(zip(number.fractions, number.budget, strict=True), key=lambda pair: -pair[0])
     largest = [(share, entry) for share, entry in shares[:n_causes] if share >= min_share]
     return "; ".join(f"{entry.cause} {100 * share:.0f} %" for share, entry in largest)
 
@@ -540,7 +538,7 @@ def _make_note_table(result: TestResult) -> Table:
         {
             "Where": Cell(wording.replace_names(note.where), tip=note.code),
             "Kind": str(note.severity),
-            "Note": wording.write_sentence(note.message),
+            "Note": wording.make_sentence(note.message),
         }
         for _, note in sort_notes(("", note) for note in result.quality)
     ]

@@ -21,7 +21,7 @@ from labpipe.report.issues import DECISIONS, Cause
 from labpipe.report.plot_records import MeanStrip, clip_range, make_mean_strip
 from labpipe.report.table_records import DASH, Cell, Record, Table, tabulate
 from labpipe.statistics.group_samples import NOT_STATED, SPOOL, list_fields
-from labpipe.statistics.lots import FORCE_LIMIT, write_percent
+from labpipe.statistics.lots import FORCE_LIMIT, format_percent
 from labpipe.statistics.means import summarise_budget
 
 REJECTED = "rejected"
@@ -175,7 +175,7 @@ def find_group_of_rejected(sample: Sample, campaign: Campaign) -> Group | None:
         group
         for group in campaign.groups
         if group.protocol == sample.protocol
-        and all(fields.get(name) == group.fields.get(name) for name in campaign.by if name != SPOOL)
+        and all(fields.get(x) == group.fields.get(x) for x in {*campaign.grouping_fields} - {SPOOL})
     ]
 
     def count_common_fields(group: Group) -> int:
@@ -224,12 +224,12 @@ def describe_testing(samples: Sequence[Sample]) -> str:
     period = "on an unknown day (no sheet states one)"
     if dates:
         period = " to ".join(dict.fromkeys(map(str, (dates[0], dates[-1]))))
-        period += f", {wording.write_count(n_undated, 'test')} of unknown day" if n_undated else ""
+        period += f", {wording.format_count(n_undated, 'test')} of unknown day" if n_undated else ""
     operators = Counter(sample.operator for sample in samples)
     n_unattributed = operators.pop("", 0)
     names = ", ".join(operators) or "operator not stated"
     if operators and n_unattributed:
-        names += f" ({wording.write_count(n_unattributed, 'test')} without operator)"
+        names += f" ({wording.format_count(n_unattributed, 'test')} without operator)"
     return f"{period} by {names}"
 
 
@@ -266,7 +266,7 @@ def list_instruments(samples: Sequence[Sample]) -> list[InstrumentLine]:
         n_overdue = sum(due is not None and date > due for date in dates)
         text = "no due date stated" if due is None else f"calibration due {due}"
         if n_overdue:
-            text = f"calibration OVERDUE since {due} in {wording.write_count(n_overdue, 'test')}"
+            text = f"calibration OVERDUE since {due} in {wording.format_count(n_overdue, 'test')}"
         name = f"{instrument.channel} {instrument.certificate}"
         lines.append(InstrumentLine(name, text, n_overdue > 0))
     return lines
@@ -312,7 +312,7 @@ def make_number_table(group: Group) -> Table:
     for row, number in enumerate(group.numbers):
         scale = wording.choose_number_scale(group, number)
         rows.append([
-            Cell(wording.write_heading(number.name, scale), tip=number.name),
+            Cell(wording.format_heading(number.name, scale), tip=number.name),
             Cell("", drawing=_draw_strip(number) if row < n_plots and number.values else None),
             *_make_mean_cells(group, number, scale.factor),
             *(_make_sample_cell(number, sample, scale.factor) for sample in columns),
@@ -328,13 +328,13 @@ def _make_mean_cells(group: Group, number: GroupNumber, factor: float) -> tuple[
         return Cell(DASH, tip="no sample has this number"), Cell("0"), Cell(DASH)
     count = f"{mean.chosen.n}"
     if not mean.is_pooled:
-        count = wording.write_count(mean.chosen.n, "spool")
+        count = wording.format_count(mean.chosen.n, "spool")
     elif mean.chosen.n != len(group.samples):
         count = f"{mean.chosen.n} of {len(group.samples)}"
     return (
-        Cell(wording.write_mean(mean.chosen, factor)),
+        Cell(wording.format_mean(mean.chosen, factor)),
         Cell(count, tip=str(mean.decision) if len(mean.spool_means) > 1 else ""),
-        Cell(wording.write_number(mean.chosen.deviation, None, factor, digits=2).value),
+        Cell(wording.format_number(mean.chosen.deviation, None, factor, digits=2).value),
     )
 
 
@@ -368,7 +368,7 @@ def make_result_cell(result: Result | None, factor: float, *, is_outlier: bool =
     if result is None or result.value is None:
         return Cell(DASH, tip="" if result else "not requested")
     mark = ("?" if result.status is Status.DOUBTFUL else "") + ("!" if is_outlier else "")
-    return Cell(wording.write_result(result, factor), mark=mark)
+    return Cell(wording.format_result(result, factor), mark=mark)
 
 
 def _list_table_notes(group: Group) -> Iterator[str]:
@@ -377,7 +377,7 @@ def _list_table_notes(group: Group) -> Iterator[str]:
     if any(not number.mean.is_pooled for number in averaged_numbers):
         yield format_sentence("report.n_in_spools")
     rig_names = [number.name for number in group.numbers if number.is_set_by_rig]
-    rig_labels = [wording.write_label(name).lower() for name in rig_names]
+    rig_labels = [wording.format_label(name).lower() for name in rig_names]
     if rig_labels:
         yield format_sentence("report.set_by_rig", numbers="; ".join(rig_labels))
     if len({sample.specimen.spool for sample in group.samples}) == 1 < len(group.samples):
@@ -385,7 +385,7 @@ def _list_table_notes(group: Group) -> Iterator[str]:
     labels_by_reason: dict[Reason, list[str]] = {}
     for number in averaged_numbers:
         if reason := number.mean.chosen.reason:
-            labels_by_reason.setdefault(reason, []).append(wording.write_label(number.name))
+            labels_by_reason.setdefault(reason, []).append(wording.format_label(number.name))
     for reason, labels in labels_by_reason.items():
         numbers = "all numbers" if len(labels) == len(group.numbers) else "; ".join(labels)
         why = wording.join_sentences([reason])
@@ -409,7 +409,7 @@ def _list_mark_notes(group: Group) -> Iterator[str]:
         yield f"{reason} ({', '.join(tests)})"
     labels_by_test: dict[str, list[str]] = {}
     for number in group.numbers:
-        label = wording.write_label(number.name).lower()
+        label = wording.format_label(number.name).lower()
         for outlier in number.outliers:
             labels_by_test.setdefault(outlier.sample, []).append(label)
     for test, labels in labels_by_test.items():
@@ -441,7 +441,7 @@ def make_sample_tables(page_group: GroupView) -> list[Table]:
                 row = {"Test": Cell(sample.test, link=link), "Spool": sample.specimen.spool}
             for number in numbers:
                 scale = wording.choose_number_scale(group, number)
-                head = wording.write_heading(number.name, scale)
+                head = wording.format_heading(number.name, scale)
                 row[head] = _make_sample_cell(number, sample, scale.factor)
             rows.append(row)
         title = f"{group.name}: every sample{', continued' if tables else ''}"
@@ -495,12 +495,12 @@ def make_spool_table(group: Group) -> Table | None:
         if not number.values:
             continue
         scale, decision = wording.choose_number_scale(group, number), number.mean.decision
-        row: Record = {"Number": wording.write_heading(number.name, scale)}
+        row: Record = {"Number": wording.format_heading(number.name, scale)}
         for spool in spools:
             mean = number.mean.spool_means.get(spool)
             row[f"Spool {spool}"] = Cell(DASH, "no number")
             if mean is not None:
-                mean_text = wording.write_mean(mean, scale.factor)
+                mean_text = wording.format_mean(mean, scale.factor)
                 row[f"Spool {spool}"] = Cell(mean_text, f"n = {mean.n}")
         row["Decision"] = Cell(decision.action, "; ".join(decision.grounds))
         if str(decision) == decision_above:
@@ -515,7 +515,7 @@ def make_spool_table(group: Group) -> Table | None:
 def make_slip_table(group: Group) -> Table | None:
     """Make the table of the slips of a group; None without slips."""
     length, force = wording.get_scales(wording.get_display(group), "displacement", "force")
-    write, rows = wording.write_with_interval, list[Record]()
+    write, rows = wording.format_with_interval, list[Record]()
     for sample in group.samples:
         for slip in sample.slips:
             position = write(slip.position, slip.position_interval, length.factor)
@@ -565,7 +565,7 @@ def make_lot_table(groups: Iterable[GroupView]) -> Table | None:
             continue
         scale = choose_lot_scale(group, lot)
         limit, bound, smallest = (
-            f"{wording.write_number(ratio, None, scale.factor).value} {scale.unit}".strip()
+            f"{wording.format_number(ratio, None, scale.factor).value} {scale.unit}".strip()
             if isfinite(ratio)
             else DASH
             for ratio in (1.0, lot.bound, lot.smallest)
@@ -582,7 +582,7 @@ def make_lot_table(groups: Iterable[GroupView]) -> Table | None:
             "n": str(lot.n),
             "Separation": describe_observations(group.samples) or DASH,
         })  # fmt: skip
-        coverage, confidence = map(write_percent, (lot.coverage, lot.confidence))
+        coverage, confidence = map(format_percent, (lot.coverage, lot.confidence))
         rules.add(f"{coverage} of the lot with {confidence} confidence")
     note = format_sentence("report.lots", rules=" or ".join(sorted(rules)))
     return tabulate("Lots against their smallest force", rows, notes=(note,)) if rows else None
@@ -610,7 +610,7 @@ def make_verdict_table(group: Group) -> Table | None:
         }
         for name in ("peak_force.1", FORCE_LIMIT):
             result = find_result(sample.results, name)
-            row[wording.write_heading(name, force)] = make_result_cell(result, force.factor)
+            row[wording.format_heading(name, force)] = make_result_cell(result, force.factor)
         for question in questions:
             answer = sample.specimen.observed.get(question, NOT_STATED)
             row[question.replace("_", " ").capitalize()] = answer
@@ -639,19 +639,19 @@ def make_bounds_table(campaign: Campaign) -> Table | None:
     scale, rows = choose_stiffness_scale(campaign), list[Record]()
     for stiffness in campaign.bounded_stiffnesses:
         all_slip, wires_slip, nothing_slips, smallest, largest = (
-            wording.write_number(bound, None, scale.factor, digits=3).value
+            wording.format_number(bound, None, scale.factor, digits=3).value
             for bound in (stiffness.low, stiffness.free, stiffness.high, *stiffness.principal)
         )
         value = nan if stiffness.value is None else stiffness.value
-        share = wording.write_number(100.0 * stiffness.degree, None, digits=2).value
+        share = wording.format_number(100.0 * stiffness.degree, None, digits=2).value
         if stiffness.degree_interval is not None:
-            share = wording.write_with_interval(stiffness.degree, stiffness.degree_interval, 100.0)
+            share = wording.format_with_interval(stiffness.degree, stiffness.degree_interval, 100.0)
         share += "" if isnan(stiffness.degree) else " %"
         directions = "" if smallest == largest else f"{smallest} to {largest}"
         test = Cell(stiffness.test, stiffness.group)
         rows.append({
             "Test": test if stiffness.test else f"mean of {stiffness.group}",
-            scale.label("Bending stiffness"): wording.write_with_interval(
+            scale.label("Bending stiffness"): wording.format_with_interval(
                 value, stiffness.interval, scale.factor
             ),
             scale.label("All slips"): all_slip,
@@ -701,7 +701,7 @@ def make_method_tables(campaign: Campaign) -> list[Table]:
         rows = []
         for name, methods in methods_by_number.items():
             method = wording.replace_names("; ".join(filter(None, methods)))
-            row: Record = {"Number": Cell(wording.write_label(name), tip=name)}
+            row: Record = {"Number": Cell(wording.format_label(name), tip=name)}
             rows.append(row | {"Method": method or "No sample has this number."})
         title = f"Protocol {protocol}: method of each number"
         tables.append(tabulate(title, rows, ("Number", "Method")))
@@ -760,7 +760,7 @@ def _make_first_number_cell(sample: Sample, numbers: Sequence[GroupNumber]) -> C
         return Cell(DASH)
     scale = wording.choose_scale(name, result.unit, sample.display)
     cell = make_result_cell(result, scale.factor)
-    return cell._replace(subtext=wording.write_heading(name, scale), sort_value=result.value)
+    return cell._replace(subtext=wording.format_heading(name, scale), sort_value=result.value)
 
 
 def describe_problems(test: PageTest) -> str:

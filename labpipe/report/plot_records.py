@@ -119,7 +119,7 @@ class Line:
     settings: Mapping[str, Any] = field(default_factory=dict)
     values: Floats | None = None
 
-    def write_path(self, x: Axis, y: Axis) -> str:
+    def format_path(self, x: Axis, y: Axis) -> str:
         """Write the line as an SVG path in integer coordinates, interrupted at gaps.
 
         Parameters
@@ -130,13 +130,13 @@ class Line:
         Examples
         --------
         >>> axis = Axis("", PLAIN_NUMBER, 0.0, 65535.0)
-        >>> make_line("curve", [0.0, 9.0, 10.0], [5.0, 5.0, 9.0]).write_path(axis, axis)
+        >>> make_line("curve", [0.0, 9.0, 10.0], [5.0, 5.0, 9.0]).format_path(axis, axis)
         'M0 65530l9 0 1-4'
         """
         end = "z" if self.is_closed else ""
         grid = _convert_to_grid(self.x, x), GRID_SIZE - _convert_to_grid(self.y, y)
         segments = split_at_gaps(*grid)
-        return "".join(_write_segment(*segment.T) + end for segment in segments)
+        return "".join(_format_segment(*segment.T) + end for segment in segments)
 
 
 _GAP = np.full((1, 2), nan)
@@ -155,7 +155,7 @@ def _convert_to_grid(values: Floats, axis: Axis) -> Floats:
     return np.clip(np.rint(coordinates), -GRID_SIZE, 2 * GRID_SIZE)
 
 
-def _write_segment(x_grid: Floats, y_grid: Floats) -> str:
+def _format_segment(x_grid: Floats, y_grid: Floats) -> str:
     start = f"M{x_grid[0]:.0f} {y_grid[0]:.0f}"
     if len(x_grid) == 1:
         return f"{start}h0"
@@ -454,11 +454,11 @@ def make_mean_strip(
     return MeanStrip(convert_to_pixel(mean) if isfinite(mean) else None, bar, dots)
 
 
-def write_sparkline(x: Floats, y: Floats) -> str:
+def format_sparkline(x: Floats, y: Floats) -> str:
     """Write a small curve without axes as an SVG path that fills its frame."""
     x_axis = make_axis("", PLAIN_NUMBER, [x], margin=0.0)
     y_axis = make_axis("", PLAIN_NUMBER, [y], margin=0.05)
-    return Line("", x, y).write_path(x_axis, y_axis)
+    return Line("", x, y).format_path(x_axis, y_axis)
 
 
 _Segment: TypeAlias = tuple[float, int, int, int]

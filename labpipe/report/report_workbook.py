@@ -60,14 +60,14 @@ def _list_facts(campaign: Campaign) -> Iterator[str]:
     """Yield counts, days, operators, instruments and the identifier of the report."""
     samples, n_rejected = page_tables.list_samples(campaign), len(campaign.rejected)
     counts = {"test": len(samples), "group": len(campaign.groups)}
-    tests, groups = (wording.write_count(count, noun) for noun, count in counts.items())
-    rejected_tests = wording.write_count(n_rejected, "test")
+    tests, groups = (wording.format_count(count, noun) for noun, count in counts.items())
+    rejected_tests = wording.format_count(n_rejected, "test")
     yield f"{tests} in {groups}{f', {rejected_tests} rejected' if n_rejected else ''}."
     if samples:
         yield f"Tested {page_tables.describe_testing(samples)}."
     for instrument in page_tables.list_instruments(samples):
         yield f"{instrument.name}: {instrument.calibration}."
-    date = f" on {campaign.made_on}" if campaign.made_on is not None else ""
+    date = f" on {campaign.date}" if campaign.date is not None else ""
     version = f"labpipe {campaign.labpipe_version}".strip()
     yield f"Report {page_tables.compute_report_id(campaign)}, made{date} by {version}."
 
@@ -157,7 +157,7 @@ def _make_key_record(group: Group) -> Record:
         scale = wording.choose_number_scale(group, number)
         cells = _make_mean_cells(number.mean.chosen, scale)
         for suffix, cell in zip(("", ", lower", ", upper"), cells.values(), strict=True):
-            record[scale.label(f"{wording.write_label(number.name)}{suffix}")] = cell
+            record[scale.label(f"{wording.format_label(number.name)}{suffix}")] = cell
     return record
 
 
@@ -187,13 +187,13 @@ def _make_mean_record(
     """
     scale, nested_mean = wording.choose_number_scale(group, number), number.mean
     record: Record = {
-        "group": group.name, "number": wording.write_label(number.name), "over": set_name,
+        "group": group.name, "number": wording.format_label(number.name), "over": set_name,
         "unit": scale.unit, **_make_mean_cells(mean, scale),
     }  # fmt: skip
     if not number.values:
-        reason = "; ".join(map(join_reasons, number.left_out.values()))
+        reason = "; ".join(map(join_reasons, number.exclusions.values()))
         return {**record, "reason": reason, "result": number.name}
-    deviations = nested_mean.within, nested_mean.between_spools
+    deviations = nested_mean.within_spools, nested_mean.between_spools
     cells = [make_number_cell(value, mean.interval, scale.factor) for value in deviations]
     all_samples_record: Record = {
         "mean over": "samples" if nested_mean.is_pooled else "spool means",
@@ -243,7 +243,7 @@ def _make_test_record(group: str, sample: Sample, lot: Lot | None) -> Record:
     for result in main_results:
         scale = wording.choose_scale(result.name, result.unit, sample.display)
         cell = make_number_cell(result.value, result.interval, scale.factor)
-        numbers[wording.write_heading(result.name, scale)] = cell
+        numbers[wording.format_heading(result.name, scale)] = cell
     return {
         "test": sample.test,
         "group": group,
@@ -273,7 +273,7 @@ def _list_results(campaign: Campaign) -> Iterator[Record]:
                 yield {
                     "group": group.name,
                     "test": sample.test,
-                    "number": wording.write_label(result.name),
+                    "number": wording.format_label(result.name),
                     "unit": scale.unit,
                     **make_interval_cells(result.value, result.interval, scale.factor),
                     "estimate": make_number_cell(result.estimate, result.interval, scale.factor),
@@ -333,7 +333,7 @@ def _make_difference_record(difference: Difference, display: Mapping[str, str]) 
     return {
         "first": difference.first,
         "second": difference.second,
-        "number": wording.write_label(difference.name),
+        "number": wording.format_label(difference.name),
         "unit": scale.unit,
         **make_interval_cells(
             mean_difference.mean, mean_difference.interval, scale.factor, name="second minus first"
@@ -351,7 +351,7 @@ def _make_difference_record(difference: Difference, display: Mapping[str, str]) 
         "different, p": make_number_cell(difference.p),
         "equivalent, p": make_number_cell(difference.p_equivalent),
         "family": difference.family,
-        "in family": difference.tests or None,
+        "in family": difference.n_comparisons or None,
         "why": "; ".join(filter(None, (difference.verdict_reason, *difference.caveats))),
         "reason": str(mean_difference.reason or ""),
         "result": difference.name,
@@ -373,7 +373,7 @@ def _list_budgets(campaign: Campaign) -> Iterator[Record]:
                 half_width = None if ends is None else 0.5 * (ends.upper - ends.lower)
                 head: Record = {
                     "group": group.name,
-                    "number": wording.write_label(number.name),
+                    "number": wording.format_label(number.name),
                     "of": name,
                     "unit": scale.unit,
                     "half of the 95 % interval": make_number_cell(half_width, None, scale.factor),

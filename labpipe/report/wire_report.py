@@ -21,14 +21,14 @@ from labpipe.report import table_records
 from labpipe.report.figure_page import choose_line_look, split_pages
 from labpipe.report.plot_records import Axis, Label, Line, Page, Plot, make_line
 from labpipe.report.table_records import Record, Table
-from labpipe.report.wording import Scale, join_sentences, shorten, write_number
+from labpipe.report.wording import Scale, format_number, join_sentences, shorten
 
-CURVATURE = Scale(1.0, "1/m")
+CURVATURE_SCALE = Scale(1.0, "1/m")
 LENGTH_SCALE = Scale(1e3, "mm")
-MOMENT = Scale(1e3, "N·mm")
+MOMENT_SCALE = Scale(1e3, "N·mm")
 STIFFNESS_SCALE = Scale(1e6, "N·mm²")
-_LARGE_STIFFNESS = Scale(1.0, "N·m²")
-FORCE = Scale(1.0, "N")
+LARGE_STIFFNESS_SCALE = Scale(1.0, "N·m²")
+FORCE_SCALE = Scale(1.0, "N")
 
 MAX_WIRES = 12
 """Largest number of wires on a page whose lines a reader can distinguish."""
@@ -37,7 +37,7 @@ MAX_WIRES = 12
 def choose_stiffness_unit(tables: Sequence[WireTable]) -> Scale:
     """Choose the unit of bending stiffness of a figure: N·mm², or N·m² from 1 N·m² upwards."""
     largest = max(table.stick_stiffness for table in tables)
-    return STIFFNESS_SCALE if largest < 1.0 else _LARGE_STIFFNESS
+    return STIFFNESS_SCALE if largest < 1.0 else LARGE_STIFFNESS_SCALE
 
 
 def _shorten_name(table: WireTable) -> str:
@@ -71,7 +71,7 @@ def is_curved(table: WireTable) -> Flags:
 def make_curvature_axis(curvatures: Floats) -> Axis:
     """Make a logarithmic axis between the smallest and the largest curvature, 1/m."""
     low, high = float(np.min(curvatures)), float(np.max(curvatures))
-    return Axis("Curvature", CURVATURE, low, high, is_log=True)
+    return Axis("Curvature", CURVATURE_SCALE, low, high, is_log=True)
 
 
 def make_sections_page(name: str, tables: Sequence[WireTable]) -> Page:
@@ -131,8 +131,8 @@ def make_section_plot(table: WireTable, reach: float, unit: Scale) -> Plot:
     if layout.kind == "compressed":
         lines.append(make_line("centroid", *_rotate_centres(layout, table.spec.orientation)))
     bar_text = f"{LENGTH_SCALE.factor * bar_length:g} {LENGTH_SCALE.unit}"
-    stick = write_number(table.stick_stiffness, None, unit.factor, digits=3).value
-    slip = write_number(table.slip_stiffness, None, unit.factor, digits=3).value
+    stick = format_number(table.stick_stiffness, None, unit.factor, digits=3).value
+    slip = format_number(table.slip_stiffness, None, unit.factor, digits=3).value
     diameter = 2.0 * LENGTH_SCALE.factor * layout.wire_radius
     heading = (
         f"{_shorten_name(table)}\n{describe_strands(table)}\n"
@@ -238,7 +238,7 @@ def make_stiffness_page(table: WireTable) -> Page:
         *_mark_doubtful_range(table.doubtful_curvature, table.curvature[-1]),
     ]
     stick_text, slip_text = (
-        f"all {state}\n{write_number(unit.factor * stiffness, None, digits=4).value}"
+        f"all {state}\n{format_number(unit.factor * stiffness, None, digits=4).value}"
         for state, stiffness in (("stick", stick), ("slip", slip))
     )
     texts = {stick: stick_text, slip: slip_text}
@@ -275,8 +275,8 @@ def make_moment_page(table: WireTable) -> Page:
     top = 1.04 * min(float(elastic.max()), max_top_ratio * float(moment.max()))
     lines = [make_line("total_moment", x, moment), make_line("without_yielding", x, elastic)]
     doubtful_range = _mark_doubtful_range(table.doubtful_curvature, end)
-    x_axis, log_axis = Axis("Curvature", CURVATURE, 0.0, end), make_curvature_axis(x[is_bent])
-    moment_axis = Axis("Bending moment", MOMENT, 0.0, top)
+    x_axis, log_axis = Axis("Curvature", CURVATURE_SCALE, 0.0, end), make_curvature_axis(x[is_bent])
+    moment_axis = Axis("Bending moment", MOMENT_SCALE, 0.0, top)
     share_axis = Axis("Share of the moment", Scale(100.0, "%"), 0.0, 1.0)
     moments = [*_stack_areas(x, components), *lines, *doubtful_range]
     moment_shares = [*_stack_areas(x[is_bent], shares), *doubtful_range]
@@ -328,7 +328,7 @@ def make_cantilever_page(table: WireTable) -> Page:
         *_mark_doubtful_range(table.doubtful_deflection, end),
     ]
     deflection = Axis("Tip deflection", LENGTH_SCALE, 0.0, end)
-    end_load = Axis("End load", FORCE, 0.0, headroom * float(np.max(table.tip_force)))
+    end_load = Axis("End load", FORCE_SCALE, 0.0, headroom * float(np.max(table.tip_force)))
     return _make_wire_page(table, "cantilever", [Plot(deflection, end_load, lines)], 70.0, note)
 
 
@@ -350,10 +350,10 @@ def make_comparison_page(name: str, tables: Sequence[WireTable]) -> Page:
             moments.append(make_line("wire", table.curvature[part], table.moment[part], **settings))
     x = make_curvature_axis(np.concatenate([secant_line.x for secant_line in secants]))
     stiffness = Axis("Secant bending stiffness", choose_stiffness_unit(tables), is_log=True)
-    moment = Axis("Bending moment", MOMENT, low=0.0)
+    moment = Axis("Bending moment", MOMENT_SCALE, low=0.0)
     panels = [
         Plot(x, stiffness, secants, "secant stiffness"),
-        Plot(Axis("Curvature", CURVATURE, low=0.0), moment, moments, "moment"),
+        Plot(Axis("Curvature", CURVATURE_SCALE, low=0.0), moment, moments, "moment"),
     ]
     title, note = "Wires compared  ·  wire model", format_sentence("report.wires_compared")
     return Page(name, title, panels, note, 76.0, plots.SINGLE_COLUMN)
@@ -472,7 +472,9 @@ def make_summary_record(table: WireTable) -> Record:
     limit = table.doubtful_curvature if table.is_doubtful.any() else None
     share = None if limit is None else np.interp(limit, table.curvature, table.insulation_share)
     rest, deflection = table.rest, table.tip_deflection
-    end_loads = FORCE.factor * interpolate_end_load(table, np.array(REPORTED_DEFLECTIONS))
+    tip_texts = (f"{LENGTH_SCALE.factor * tip:g}" for tip in REPORTED_DEFLECTIONS)
+    end_load_headings = [FORCE_SCALE.label(f"end load at {text} mm") for text in tip_texts]
+    end_loads = FORCE_SCALE.factor * interpolate_end_load(table, np.array(REPORTED_DEFLECTIONS))
     has_doubtful = len(deflection) > 0 and table.doubtful_deflection < deflection[-1]
     return {
         "strands": len(layout.layer),
@@ -493,14 +495,14 @@ def make_summary_record(table: WireTable) -> Record:
         "doubtful beyond, curvature (1/m)": limit,
         "insulation's share there (%)": None if share is None else 100.0 * float(share),
         "insulation's share at the end (%)": 100.0 * float(table.insulation_share[-1]),
-        "moment at the end (N·mm)": MOMENT.factor * float(table.moment[-1]),
+        "moment at the end (N·mm)": MOMENT_SCALE.factor * float(table.moment[-1]),
         "secant stiffness at the end (N·mm²)": factor * float(table.secant_stiffness[-1]),
         "tangent stiffness at the end (N·mm²)": factor * float(table.tangent_stiffness[-1]),
         "spread over orientations, largest (%)": spread,
         "axial stiffness, without rotation (N)": table.axial_stiffness,
         "torsional stiffness, fixed length (N·mm²)": factor * table.torsional_stiffness,
         "torsional stiffness, free length (N·mm²)": factor * table.free_torsional_stiffness,
-        "coupling of stretch and twist (N·mm)": MOMENT.factor * table.stretch_twist_coupling,
+        "coupling of stretch and twist (N·mm)": MOMENT_SCALE.factor * table.stretch_twist_coupling,
         "mass per length (g/m)": 1e3 * table.mass_per_length,
         "sag at rest (mm)": None if rest is None else LENGTH_SCALE.factor * rest.sag,
         "force at the tip at rest (mN)": None if rest is None else 1e3 * rest.force,
@@ -508,27 +510,24 @@ def make_summary_record(table: WireTable) -> Record:
         "doubtful beyond, deflection (mm)": (
             LENGTH_SCALE.factor * table.doubtful_deflection if has_doubtful else None
         ),
-        **{
-            f"end load at {LENGTH_SCALE.factor * tip:g} {LENGTH_SCALE.unit} ({FORCE.unit})": load
-            for tip, load in zip(REPORTED_DEFLECTIONS, end_loads.tolist(), strict=True)
-        },
+        **dict(zip(end_load_headings, end_loads.tolist(), strict=True)),
         "warnings": join_warnings(table),
         "defaults used": "; ".join(spec.defaults.values()),
     }
 
 
 _LAW_COLUMNS: tuple[tuple[str, str, Scale], ...] = (
-    ("curvature", "curvature", CURVATURE),
-    ("moment", "moment", MOMENT),
-    ("of sticking strands", "stick", MOMENT),
-    ("of slipping strands", "slip", MOMENT),
-    ("of the strands' own bending", "bending", MOMENT),
-    ("lost to yielding", "plastic", MOMENT),
-    ("of the insulation", "insulation", MOMENT),
+    ("curvature", "curvature", CURVATURE_SCALE),
+    ("moment", "moment", MOMENT_SCALE),
+    ("of sticking strands", "stick", MOMENT_SCALE),
+    ("of slipping strands", "slip", MOMENT_SCALE),
+    ("of the strands' own bending", "bending", MOMENT_SCALE),
+    ("lost to yielding", "plastic", MOMENT_SCALE),
+    ("of the insulation", "insulation", MOMENT_SCALE),
     ("secant stiffness", "secant_stiffness", STIFFNESS_SCALE),
     ("tangent stiffness", "tangent_stiffness", STIFFNESS_SCALE),
-    ("lowest moment of all orientations", "lowest_moment", MOMENT),
-    ("highest moment of all orientations", "highest_moment", MOMENT),
+    ("lowest moment of all orientations", "lowest_moment", MOMENT_SCALE),
+    ("highest moment of all orientations", "highest_moment", MOMENT_SCALE),
     ("share of the insulation", "insulation_share", Scale(100.0, "%")),
 )
 
@@ -612,9 +611,10 @@ def _tabulate_laws(tables: Sequence[WireTable], law_rows: Sequence[Ints]) -> Tab
 
 def _tabulate_cantilevers(tables: Sequence[WireTable]) -> Table:
     """Make the sheet of end loads against deflection, with a chart."""
-    heads, records_by_wire = (LENGTH_SCALE.label("tip deflection"), FORCE.label("end load")), {}
+    heads = LENGTH_SCALE.label("tip deflection"), FORCE_SCALE.label("end load")
+    records_by_wire = {}
     for table in tables:
-        x, y = LENGTH_SCALE.factor * table.tip_deflection, FORCE.factor * table.tip_force
+        x, y = LENGTH_SCALE.factor * table.tip_deflection, FORCE_SCALE.factor * table.tip_force
         is_doubtful = table.tip_deflection > table.doubtful_deflection
         columns = dict(zip(heads, (x, y), strict=True))
         records_by_wire[table.name] = _make_law_records(table, columns, is_doubtful)

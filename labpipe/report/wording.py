@@ -67,7 +67,7 @@ def shorten(name: str, max_length: int) -> str:
     return f"{name[: max_length - 1 - end]}…{name[len(name) - end :]}"
 
 
-def write_count(count: int, noun: str) -> str:
+def format_count(count: int, noun: str) -> str:
     """Write a count, such as ``1 sample`` or ``3 samples``."""
     return f"{count} {noun}{'s' * (count != 1)}"
 
@@ -75,7 +75,7 @@ def write_count(count: int, noun: str) -> str:
 def describe_counts(group: Group) -> str:
     """Write the numbers of samples and spools, such as ``6 samples from 2 spools``."""
     spools = {sample.specimen.spool for sample in group.samples}
-    return f"{write_count(len(group.samples), 'sample')} from {write_count(len(spools), 'spool')}"
+    return f"{format_count(len(group.samples), 'sample')} from {format_count(len(spools), 'spool')}"
 
 
 _RESULT_LABELS: Mapping[str, str] = {
@@ -102,7 +102,7 @@ SUPERSCRIPTS = str.maketrans(
 )
 
 
-def write_label(name: str) -> str:
+def format_label(name: str) -> str:
     """Write the label of a result.
 
     Parameters
@@ -115,20 +115,20 @@ def write_label(name: str) -> str:
 
     Examples
     --------
-    >>> write_label("peak_force.2")
+    >>> format_label("peak_force.2")
     'Peak force, cycle 2'
-    >>> write_label("stiffness_first_per_peak_force")
+    >>> format_label("stiffness_first_per_peak_force")
     'Stiffness, first region, per peak force'
-    >>> write_label("bending_stiffness_at_3")
+    >>> format_label("bending_stiffness_at_3")
     'Bending stiffness at 3 1/m'
-    >>> write_label("slip_drop.1")
+    >>> format_label("slip_drop.1")
     'Force lost in slip 1'
     """
     stem, _, number = name.partition(".")
     if stem.endswith(_PER_PEAK):
-        name_text = f"{write_label(stem.removesuffix(_PER_PEAK))}, per peak force"
+        name_text = f"{format_label(stem.removesuffix(_PER_PEAK))}, per peak force"
     elif match := _AT_CURVATURE.fullmatch(stem):
-        name_text = f"{write_label(match[1])} at {match[2]} 1/m"
+        name_text = f"{format_label(match[1])} at {match[2]} 1/m"
     else:
         name_text = _RESULT_LABELS.get(stem) or stem.replace("_", " ").capitalize()
     if not number:
@@ -154,22 +154,22 @@ def replace_names(sentence: str) -> str:
     'no modulus, as stiffness, second region failed'
     """
 
-    def write_label_of(match: re.Match[str]) -> str:
+    def replace_name(match: re.Match[str]) -> str:
         stem = match[0].partition(".")[0].removesuffix(_PER_PEAK)
         if stem not in _RESULT_LABELS and not stem.startswith(_PROTOCOL_PREFIXES):
             return match[0]
-        text = write_label(match[0])
+        text = format_label(match[0])
         return text if match.start() == 0 else text[0].lower() + text[1:]
 
-    return _RESULT_NAME.sub(write_label_of, sentence)
+    return _RESULT_NAME.sub(replace_name, sentence)
 
 
-def write_sentence(message: str) -> str:
+def make_sentence(message: str) -> str:
     """Turn a message into a sentence; the labels of results replace their names.
 
     Examples
     --------
-    >>> write_sentence("the branch ends at 4.2 mm")
+    >>> make_sentence("the branch ends at 4.2 mm")
     'The branch ends at 4.2 mm.'
     """
     text = replace_names(message)
@@ -179,7 +179,7 @@ def write_sentence(message: str) -> str:
 
 def join_sentences(reasons: Iterable[Reason | QualityNote | None]) -> str:
     """Join the sentences of reasons or notes, each once; None is skipped."""
-    return " ".join(dict.fromkeys(write_sentence(reason.message) for reason in reasons if reason))
+    return " ".join(dict.fromkeys(make_sentence(reason.message) for reason in reasons if reason))
 
 
 def is_main(name: str) -> bool:
@@ -280,13 +280,13 @@ def typeset_unit(unit: str) -> str:
     return "" if unit == "1" else text.replace("*", "·")
 
 
-def write_heading(name: str, scale: Scale) -> str:
+def format_heading(name: str, scale: Scale) -> str:
     """Write the label of a result with its unit in brackets, for a column or an axis."""
-    return scale.label(write_label(name))
+    return scale.label(format_label(name))
 
 
 @dataclass(frozen=True, slots=True)
-class WrittenNumber:
+class FormattedNumber:
     """Text of a number, of the ends of its interval, and of an estimate that differs from it."""
 
     value: str
@@ -306,14 +306,14 @@ class WrittenNumber:
         return f"{self.value} ({self.interval})" if self.lower else self.value
 
 
-def write_number(
+def format_number(
     value: float,
     interval: Interval | None,
     factor: float = 1.0,
     *,
     digits: int = _DEFAULT_DIGITS,
     estimate: float | None = None,
-) -> WrittenNumber:
+) -> FormattedNumber:
     """Write a number with as many digits as its interval supports.
 
     Parameters
@@ -335,17 +335,17 @@ def write_number(
 
     Examples
     --------
-    >>> write_number(0.052284, Interval(0.046271, 0.058296), 1e3)
-    WrittenNumber(value='52.3', lower='46.3', upper='58.3', estimate='')
-    >>> write_number(1234.567, None).value
+    >>> format_number(0.052284, Interval(0.046271, 0.058296), 1e3)
+    FormattedNumber(value='52.3', lower='46.3', upper='58.3', estimate='')
+    >>> format_number(1234.567, None).value
     '1235'
     """
     last_place = compute_last_place(value, interval, factor, digits)
     if not math.isfinite(value):
-        return WrittenNumber("\u2013")
+        return FormattedNumber("\u2013")
     numbers = [value] if interval is None else [value, interval.lower, interval.upper]
     numbers += [] if estimate is None else [estimate]
-    return WrittenNumber(*_round_together([factor * number for number in numbers], last_place))
+    return FormattedNumber(*_round_together([factor * number for number in numbers], last_place))
 
 
 def compute_last_place(
@@ -402,7 +402,7 @@ def _round_to_place(number: float, last_place: int) -> str:
     return f"{rounded + 0.0:.{max(-last_place, 0)}f}"  # + 0.0 removes the sign of a zero
 
 
-def write_with_interval(
+def format_with_interval(
     value: float, interval: Interval | None, factor: float = 1.0, *, estimate: float | None = None
 ) -> str:
     """Write a number with its interval in one line.
@@ -421,13 +421,13 @@ def write_with_interval(
 
     Examples
     --------
-    >>> write_with_interval(0.052284, Interval(0.046271, 0.058296), 1e3)
+    >>> format_with_interval(0.052284, Interval(0.046271, 0.058296), 1e3)
     '52.3 ± 6.0'
-    >>> write_with_interval(1.26, Interval(1.15, 1.44))
+    >>> format_with_interval(1.26, Interval(1.15, 1.44))
     '1.26 (1.15 to 1.44)'
     """
     max_asymmetry = 0.1  # largest difference of the two sides, relative to the longer one
-    written = write_number(value, interval, factor, estimate=estimate)
+    written = format_number(value, interval, factor, estimate=estimate)
     if interval is None or not written.lower:
         return written.value
     above, below = interval.upper - value, value - interval.lower
@@ -443,19 +443,19 @@ def write_with_interval(
     return f"({text}){times}{power}" if times else text
 
 
-def write_mean(mean: MeanInterval, factor: float = 1.0) -> str:
-    """Write a mean with its interval as `write_with_interval` does.
+def format_mean(mean: MeanInterval, factor: float = 1.0) -> str:
+    """Write a mean with its interval as `format_with_interval` does.
 
     Parameters
     ----------
     mean : mean with its interval, SI
     factor : factor from SI to the display unit
     """
-    return write_with_interval(mean.mean, mean.interval, factor, estimate=mean.distinct_estimate)
+    return format_with_interval(mean.mean, mean.interval, factor, estimate=mean.distinct_estimate)
 
 
-def write_result(result: Result, factor: float = 1.0) -> str:
-    """Write a result with its interval as `write_with_interval` does, or a dash without a value.
+def format_result(result: Result, factor: float = 1.0) -> str:
+    """Write a result with its interval as `format_with_interval` does, or a dash without a value.
 
     Parameters
     ----------
@@ -465,4 +465,4 @@ def write_result(result: Result, factor: float = 1.0) -> str:
     if result.value is None:
         return "\u2013"
     estimate = result.distinct_estimate
-    return write_with_interval(result.value, result.interval, factor, estimate=estimate)
+    return format_with_interval(result.value, result.interval, factor, estimate=estimate)

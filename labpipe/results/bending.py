@@ -518,7 +518,7 @@ class _SpanFrames:
     def of(cls, test: ReducedTest) -> _SpanFrames:
         """Collect the frames of a test, with times on the clock of its curve."""
         span, loading = test.require(test.span), test.require(test.first_loading)
-        fit = test.clocks.others.get(test.signals.raw[_SPAN].clock)
+        fit = test.clocks.other_fits.get(test.signals.raw[_SPAN].clock)
         time = span.time if fit is None else fit.to_marker_time(span.time)
         return cls(span, test.required_curve, loading, time, test.seed)
 

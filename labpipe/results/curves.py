@@ -271,7 +271,7 @@ class SampleNoise:
         max_samples, min_samples = 20_000, 20  # on each side, and in all
         min_block_samples, max_scatter_ratio = 1.5, 30.0
         name, signal = getattr(test.signals, quantity), test.force
-        has_own_clock = quantity == "force" and test.force.clock != test.clocks.curve
+        has_own_clock = quantity == "force" and test.force.clock != test.clocks.curve_clock
         if not has_own_clock:
             time, values = test.required_curve.time, getattr(test.required_curve, quantity)
             signal = replace(test.displacement, time=time, values=values)
@@ -626,13 +626,13 @@ def _list_inputs(
     for index, mode in enumerate(compute_drift_modes(time_from_zero, drift), start=1):
         add_drift = partial(_add_force, change=mode, compliance=test.compliance)
         yield Input(causes.DRIFT_OF_ZERO, add_drift, stream=f"{causes.DRIFT_OF_ZERO} {index}")
-    for cause, signal in displacement.perturbed.items():
+    for cause, signal in displacement.variants.items():
         change = average_between(signal - displacement.values, starts)
         # Noise of the change would raise the largest of many samples.
         change = smooth(change) if cause in _CAUSES_BY_FRAME else change
         distribution: Distribution = "uniform" if cause == causes.SHAPE else "normal"
         yield Input(cause, partial(shift_displacement_by, change=change), distribution=distribution)
-    for cause, clocks in test.clocks.perturbed.items():
+    for cause, clocks in test.clocks.variants.items():
         delay = clocks.to_force_times(time) - test.clocks.to_force_times(time)
         yield Input(cause, partial(_delay_force, delay=average_between(delay, starts)))
     for name, uncertainty in test.setup.uncertainties.items():

@@ -596,7 +596,7 @@ class PeakForce(CycleKind):
     def choose_samples(self, test: ReducedTest, trace: Trace, cycle: int) -> Extractor:
         """Choose the largest sample of the force, from its own signal if that has another clock."""
         extractor, signal = choose_peak_sample(test, trace, cycle), test.force
-        if signal.clock == test.clocks.curve or trace.is_smooth:
+        if signal.clock == test.clocks.curve_clock or trace.is_smooth:
             return extractor
         samples = find_cycle_samples(trace, cycle)
         ends = trace.time[[samples.start, min(samples.stop, len(trace.time)) - 1]]

@@ -271,7 +271,7 @@ class ReducedTest:
             If the stage is not available.
         """
         if stage is None:
-            raise UnavailableError(self.findings.blocked or missing)
+            raise UnavailableError(self.findings.blocking_reason or missing)
         if isinstance(stage, Failure):
             raise UnavailableError(stage)
         return stage
@@ -335,7 +335,7 @@ class ReducedTest:
         """Return whether a doubt overlaps a period, or the stretch of the zero of its quantity."""
         if doubt.period is None or period is None:
             return True
-        stretches, signals = [(*period, self.clocks.curve)], self.signals
+        stretches, signals = [(*period, self.clocks.curve_clock)], self.signals
         for name, zero in {**signals.moving_zero_stretches, **signals.zero_stretches}.items():
             if signals.quantities.get(name) == doubt.quantity:
                 stretches.append((*zero, signals.raw[name].clock))
@@ -641,7 +641,7 @@ class ClockResult(Kind):
 
     def measure(self, test: ReducedTest) -> Iterator[Part]:
         """Yield offset and drift of force time against marker time; one event gives no drift."""
-        fit = test.require(test.clocks.force, Failure.of("results.one_clock"))
+        fit = test.require(test.clocks.force_fit, Failure.of("results.one_clock"))
         n_events = len(fit.event_times_motion)
         offset = Estimate(fit.offset, fit.offset_interval.standard_error, n_events)
         drift: Outcome = Estimate(fit.drift, fit.drift_interval.standard_error, n_events)

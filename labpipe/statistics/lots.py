@@ -194,8 +194,8 @@ def _add_answer(lot: Lot, fractions: Mapping[str, Result], limits: Collection[fl
 
 def _judge_scatter(lot: Lot) -> tuple[Answer, Reason]:
     """Judge a lot by its tolerance bound; all its samples pass."""
-    bound, coverage = lot.format_fraction(lot.bound), write_percent(lot.coverage)
-    demanded = {"coverage": coverage, "confidence": write_percent(lot.confidence)}
+    bound, coverage = lot.format_fraction(lot.bound), format_percent(lot.coverage)
+    demanded = {"coverage": coverage, "confidence": format_percent(lot.confidence)}
     if lot.bound >= 1.0:
         return Answer.PASS, Reason.of("statistics.lot_passes", bound=bound, **demanded)
     upper_factor = compute_tolerance_factor(lot.n, lot.coverage, 1.0 - lot.confidence)
@@ -208,6 +208,6 @@ def _judge_scatter(lot: Lot) -> tuple[Answer, Reason]:
     return Answer.CANNOT_TELL, Reason.of("statistics.lot_needs_more", **reached, needed=needed)
 
 
-def write_percent(fraction: float) -> str:
+def format_percent(fraction: float) -> str:
     """Write a fraction as a percentage, such as ``99.9 %``."""
     return f"{100.0 * fraction:.6g} %"

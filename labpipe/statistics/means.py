@@ -98,7 +98,7 @@ def compute_nested_mean(
         is_pooled=is_pooled,
         decision=_describe_decision(values, scatter, p, limits, is_pooled=is_pooled),
         spool_means=means,
-        within=scatter.within,
+        within_spools=scatter.within,
         between_spools=scatter.between_spools,
         spool_p=p,
     )
@@ -378,9 +378,9 @@ def summarise_budget(group_result: GroupNumber) -> GroupBudget:
     The fraction of a cause that a test does not have is zero.
     """
     shares_by_test = [
-        {row.cause: share for row, share in zip(result.budget, result.shares, strict=True)}
+        {row.cause: share for row, share in zip(result.budget, result.fractions, strict=True)}
         for result in group_result.values.values()
-        if result.largest_share is not None
+        if result.largest_cause is not None
     ]
     causes = sort_causes(chain(*shares_by_test))
     medians = {cause: median(test.get(cause, 0.0) for test in shares_by_test) for cause in causes}

@@ -101,7 +101,7 @@ def compute_contrast(
             second.deviation / sqrt(second.n) / second_scale,
         ),
         counts=(first.n, second.n),
-        shared=combine_changes(subtract_changes(*common)),
+        common_error=combine_changes(subtract_changes(*common)),
         margin=log_or_absolute_margin or None,
         is_log=is_log,
     )
@@ -120,8 +120,8 @@ def compute_half_width(contrast: Contrast, tail_probability: float = ALPHA) -> f
     The root of the sum of squares of the half widths from scatter and from common causes, on the
     scale of the contrast. The interval of a mean is computed in the same way.
     """
-    quantile = compute_t_quantile(contrast.degrees, tail_probability) if contrast.error else 0.0
-    common_half_width = float(special.ndtri(1.0 - 0.5 * tail_probability)) * contrast.shared
+    quantile = compute_t_quantile(contrast.freedom, tail_probability) if contrast.error else 0.0
+    common_half_width = float(special.ndtri(1.0 - 0.5 * tail_probability)) * contrast.common_error
     return hypot(quantile * contrast.error, common_half_width)
 
 
@@ -167,7 +167,7 @@ def compute_equivalence_p(contrast: Contrast) -> float:
 def _compute_tail(distance: float, contrast: Contrast) -> float:
     """Compute the probability that scatter and common causes together exceed a distance."""
     max_deviations = 8.0  # a probability below 1e-15 is returned as zero
-    degrees, error, common_error = contrast.degrees, contrast.error, contrast.shared
+    degrees, error, common_error = contrast.freedom, contrast.error, contrast.common_error
     if common_error == 0.0 and error == 0.0:
         return 0.0 if distance else 0.5
     if common_error == 0.0:
@@ -300,7 +300,7 @@ def _judge_difference(
     return replace(
         difference,
         family=family,
-        tests=difference_test.n_tests,
+        n_comparisons=difference_test.n_tests,
         interval=interval,
         verdict=verdict,
         verdict_reason=verdict_reason,

@@ -450,7 +450,7 @@ def _write_results(target: GroupWriter, results: Sequence[Result]) -> None:
         numbers = result.value, result.best_estimate, interval.lower, interval.upper
         status = result.status, ", ".join(result.codes), result.reason_text
         rows.append(ResultRow(result.name, *numbers, result.unit, interval.level, *status))
-        for row, share in zip(result.budget, result.shares, strict=True):
+        for row, share in zip(result.budget, result.fractions, strict=True):
             cells = (result.name, row.cause, row.change, result.unit, share, row.is_common)
             budget_rows.append(BudgetRow(*cells))
     write_table(group, "table", ResultRow, rows)

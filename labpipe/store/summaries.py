@@ -133,7 +133,7 @@ def build_result_entry(result: Result) -> dict[str, object]:
     result : result of a test or of a harness
     """
     interval = result.interval
-    shares = zip(result.budget, result.shares, strict=True)
+    shares = zip(result.budget, result.fractions, strict=True)
     entry: dict[str, object] = to_json({
         "name": result.name,
         "value": result.value,

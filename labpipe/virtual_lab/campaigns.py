@@ -124,12 +124,12 @@ class WireGroup(NamedTuple):
     length: float
 
 
-GROUPS = (
+WIRE_GROUPS = (
     *(WireGroup(WIRES[name], 0.085) for name in ("A1", "A2", "A3")),
     *(WireGroup(WIRES[name], length) for name in ("B1", "B2") for length in (0.085, 0.1)),
 )
-"""Three wires with samples of 85 mm, and two with samples of 85 and of 100 mm. In [1]_ the samples
-of A3 are 120 mm long, which protects the load cell; here they are 85 mm long."""
+"""Three wires with samples of 85 mm, and two wires with samples of 85 mm and of 100 mm. In [1]_ the
+samples of A3 are 120 mm long, which protects the load cell; here they are 85 mm long."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,7 +147,7 @@ class WireCampaign:
     has_mishaps : whether markers are lost or mislabelled
     """
 
-    groups: tuple[WireGroup, ...] = GROUPS
+    groups: tuple[WireGroup, ...] = WIRE_GROUPS
     samples: int = 3
     scatter: float = 0.03
     rate: float = 200.0
@@ -166,9 +166,10 @@ class WireCampaign:
             sample_wire = replace(wire, factor=_draw_factor(random, self.scatter))
             scenario = build_wire_scenario(sample_wire, length, cycles=self.cycles)
             name = f"{wire.name}-{1e3 * length:03.0f}-{sample}"
-            test = _set_up(self, replace(scenario, name=name, sample=sample), gain_error, random)
-            test = test if self.has_mishaps else replace(test, mishaps=NO_MISHAPS)
-            yield test, 1000 * seed + counts.total()
+            scenario = replace(scenario, name=name, sample=sample)
+            scenario = _set_up_rig(self, scenario, gain_error, random)
+            mishaps = scenario.mishaps if self.has_mishaps else NO_MISHAPS
+            yield replace(scenario, mishaps=mishaps), 1000 * seed + counts.total()
 
 
 @dataclass(frozen=True, slots=True)
@@ -202,16 +203,16 @@ class TapedCampaign:
                 scenario = build_taped_scenario(name, cycles=self.cycles, factor=factor)
                 scenario = replace(scenario, name=f"{name}-{sample}", sample=sample)
                 test_seed = 100_000 * seed + 100 * type_index + sample
-                yield _set_up(self, scenario, gain_error, random), test_seed
+                yield _set_up_rig(self, scenario, gain_error, random), test_seed
 
 
-def _set_up(
+def _set_up_rig(
     campaign: WireCampaign | TapedCampaign,
     scenario: CantileverScenario,
     gain_error: float,
     random: np.random.Generator,
 ) -> CantileverScenario:
-    """Set up a test with the gain error of the campaign, and its own clocks, pose and mishaps."""
+    """Set the gain error of the campaign, and draw clocks and pose of a test."""
     offset, drift = float(random.uniform(0.3, 2.5)), float(random.uniform(-60e-6, 60e-6))
     return replace(
         scenario,
@@ -226,8 +227,8 @@ def _set_up(
 class ConduitCampaign:
     """Bundles in a conduit (Table 4.2 of [1]_) in three-point bending.
 
-    Every third sample has no export of the load frame, so that its displacement follows from speed
-    and time.
+    Every third sample has no export of the load frame, so that the displacement must be computed
+    from speed and time.
 
     Parameters
     ----------
@@ -283,15 +284,15 @@ SMALL_HARNESS = (
 
 _SMALL_TUBE = (("outer_diameter", 10.2e-3), ("inner_diameter", 7.4e-3))
 _TUBES = {"CT-10-slit": (1.0, ()), "CT-10": (1.1, ()), "CT-7": (1.2, _SMALL_TUBE)}
-"""Factor on the forces, and dimensions, m, that differ from the protocol, of each type of tube."""
+"""Factor on the forces, and dimensions, m, that differ from the protocol, keyed by tube type."""
 _SLIPS = {
     "CT-10-slit-2": (GripSlip(18.75e-3, 0.47), GripSlip(30.85e-3, 0.81)),
     "CT-7-3": (GripSlip(24.3e-3, 0.62, duration=0.1),),
 }
-"""Slips in the grips in each test that has any."""
-_UNLOADED_TUBE = "CT-10-3"
+"""Slips in the grips, keyed by the name of the test."""
+_UNLOADING_TEST = "CT-10-3"
 """Name of the test that includes unloading."""
-_TUBE_IN_PARTS = "2b"
+_MULTI_FILE_SAMPLE = "2b"
 """Name of the sample whose export has several files."""
 _TAPES = ((1.01, 60e-3), (1.01, 40e-3), (1.01, 60e-3), (0.98, 60e-3), (0.98, 60e-3))
 """Factor on the forces, and displacement at failure, m, of each tape."""
@@ -299,7 +300,7 @@ _TAPES = ((1.01, 60e-3), (1.01, 40e-3), (1.01, 60e-3), (0.98, 60e-3), (0.98, 60e
 
 @dataclass(frozen=True, slots=True)
 class TensileCampaign:
-    """Tensile tests of corrugated tubes, twist tubes and tapes, and of a bar for the compliance.
+    """Tensile tests of tubes and tapes, and of a bar that measures the compliance of the frame.
 
     Parameters
     ----------
@@ -318,7 +319,7 @@ class TensileCampaign:
             *_build_tapes(self.tapes, large_error, random),
             build_stiff_bar(gain_error=large_error),
         ]
-        yield from ((test, 1000 * seed + number) for number, test in enumerate(tests, start=1))
+        yield from ((test, 1000 * seed + index) for index, test in enumerate(tests, start=1))
 
 
 def _build_corrugated_tubes(
@@ -333,7 +334,7 @@ def _build_corrugated_tubes(
             yield replace(
                 tube,
                 law=replace(tube.law, slack=float(random.uniform(0.3e-3, 0.55e-3))),
-                frame=replace(tube.frame, unloads=name == _UNLOADED_TUBE),
+                frame=replace(tube.frame, unloads=name == _UNLOADING_TEST),
                 slips=_SLIPS.get(name, ()),
                 section=section,
             )
@@ -349,17 +350,17 @@ def _build_twist_tubes(gain_error: float, random: np.random.Generator) -> Iterat
             break_point=float(random.uniform(7.8e-3, 8.1e-3)),
             gain_error=gain_error,
         )
-        part_at = 2.6 if sample == _TUBE_IN_PARTS else None
+        part_at = 2.6 if sample == _MULTI_FILE_SAMPLE else None
         yield replace(tube, export=replace(tube.export, part_at=part_at))
 
 
 def _build_tapes(
     tapes: Sequence[tuple[float, float]], gain_error: float, random: np.random.Generator
 ) -> Iterator[TensileScenario]:
-    """Build tests of tapes with stated factors and displacements at failure."""
-    for number, (factor, failure_displacement) in enumerate(tapes, start=1):
+    """Build tests of tapes from factor on the forces, and displacement at failure, m, of each."""
+    for sample, (factor, failure_displacement) in enumerate(tapes, start=1):
         tape = build_pet_tape(
-            str(number),
+            str(sample),
             factor=factor * _draw_factor(random, 0.01),
             failure_displacement=failure_displacement * _draw_factor(random, 0.02),
             gain_error=gain_error,

@@ -2,8 +2,8 @@
 
 In the cantilever rig, marker centres are offset from the axis of the wire along its local normal,
 towards the pull. The orientation of the body of the clamp is the identity for any pose of the rig,
-because Motive defines a new body in this way. Mishaps are then applied to the markers: gaps, a
-renamed marker, swapped labels.
+because Motive defines a new body in this way. Then mishaps are applied to the markers on the wire:
+gaps, a renamed marker, swapped labels.
 
 In three-point bending, markers form lines along a cylinder that bends and twists. There is no body,
 and there are no mishaps.
@@ -24,22 +24,22 @@ from labpipe.records.recording import RigidBody
 FORCE_PATH = "Model Root/Load Cell"
 """Path of the output of the load cell in the model of the force recorder."""
 PORT = "Out1"
-"""Name of each channel of the force recorder, which is that of a port."""
+"""Name of the port of the model to which each channel of the force recorder belongs."""
 
 
 class Setting(NamedTuple):
-    """Value of the virtual rig. The test sheet states it if the protocol has another value.
+    """Setting of the virtual rig. The test sheet states it if the protocol has another value.
 
     Parameters
     ----------
     key : dotted key of the protocol
     value : value as in the protocol; a float is a length, m
-    because : reason why the test sheet overrides the protocol
+    reason : reason why the test sheet overrides the protocol
     """
 
     key: str
     value: object
-    because: str = "the virtual rig is set so"
+    reason: str = "the virtual rig is set so"
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,28 +67,32 @@ class LoadCell:
     full_scale: float = 10.0
 
     def read(self, force: Floats, random: np.random.Generator) -> tuple[Floats, float]:
-        """Compute the quantised and saturated output for a force, V, and the true gain, N/V.
+        """Read the load cell, with quantisation and saturation.
 
         Parameters
         ----------
         force : shape (n,), N, true force
         random : random generator of gain error and noise
+
+        Returns
+        -------
+        Output, shape (n,), V, and true gain, N/V.
         """
         random_error = self.gain_uncertainty * random.standard_normal()
         gain_error = random_error if self.gain_error is None else self.gain_error
-        gain = float(self.gain * (1.0 + gain_error))
+        true_gain = float(self.gain * (1.0 + gain_error))
         noisy_force = force + self.noise * random.standard_normal(len(force))
-        step = 2.0 * self.full_scale / 2**self.bits
-        lowest, highest = -(2 ** (self.bits - 1)), 2 ** (self.bits - 1) - 1
-        counts = np.rint((noisy_force / gain + self.offset) / step)
-        return np.clip(counts, lowest, highest) * step, gain
+        resolution = 2.0 * self.full_scale / 2**self.bits
+        min_count, max_count = -(2 ** (self.bits - 1)), 2 ** (self.bits - 1) - 1
+        counts = np.rint((noisy_force / true_gain + self.offset) / resolution)
+        return np.clip(counts, min_count, max_count) * resolution, true_gain
 
     def list_settings(self) -> list[Setting]:
-        """List the settings of the calibration sheet."""
-        error = f"{100 * self.gain_uncertainty:.10g} %"
+        """List the nominal gain and its uncertainty, as on the calibration sheet."""
+        uncertainty = f"{100 * self.gain_uncertainty:.10g} %"
         return [
             Setting("sources.force.calibration.gain", f"{self.gain:.10g} N/V"),
-            Setting("sources.force.calibration.gain_uncertainty", error),
+            Setting("sources.force.calibration.gain_uncertainty", uncertainty),
         ]
 
 
@@ -108,11 +112,11 @@ class Pose:
     origin: tuple[float, float, float] = (0.215, 1.031, -0.442)
 
     def compute_rotation(self) -> Floats:
-        """Compute the rotation from the specimen frame to the motion-capture frame, (3, 3)."""
+        """Compute the matrix from the specimen frame to the motion-capture frame, shape (3, 3)."""
         return Rotation.from_euler("YXZ", [self.yaw, self.pitch, self.roll]).as_matrix()
 
     def transform_to_lab(self, positions: Floats) -> Floats:
-        """Transform positions from the specimen frame to the motion-capture frame, m."""
+        """Transform positions, shape (..., 3), m, to the motion-capture frame."""
         return np.asarray(positions @ self.compute_rotation().T + np.asarray(self.origin))
 
 
@@ -122,8 +126,8 @@ class MarkerInterval:
 
     Parameters
     ----------
-    marker : number of the marker, from 0 at the clamp
-    start, stop : fractions of the frames of the take, from 0 to 1
+    marker : index of the marker, from 0 at the clamp
+    start, stop : start and end of the interval, as fractions of the frames of the take
     """
 
     marker: int
@@ -156,20 +160,20 @@ MISHAPS = (
     Mishaps(n_gaps=4, long_gap=0.0, switch=MarkerInterval(1, 0.62, 1.0), unlabelled=None),
     Mishaps(n_gaps=12, long_gap=0.8, switch=None, unlabelled=MarkerInterval(2, 0.3, 0.33)),
 )
-"""Mishaps in successive samples of a campaign; the sequence repeats."""
+"""Mishaps in the tests of successive samples of a type; the sequence repeats."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Schedule:
-    """Motion of clamp or crosshead, and the two recordings of it, in true time.
+    """Motion of clamp or crosshead, and times of the samples of both recorders, in true time.
 
     Parameters
     ----------
     corner_times : shape (n,), s, times at which the motion starts or stops
     progress : shape (n,), m, total travel up and down until these times
-    turning_times : shape (2 cycles + 1,), s, times of the start, the first top, the first return,
-        ..., the last return, each at the beginning of its dwell
-    end : end of all records, s
+    turning_times : shape (2 cycles + 1,), s, start of the motion, and arrival at full stroke and at
+        zero in each cycle
+    end_time : end of all records, s
     frame_clock : shape (frames,), s, times of the frames on the clock of the cameras
     frame_times : shape (frames,), s, the same times in true time
     force_clock : shape (samples,), s, times of the samples on the clock of the force recorder
@@ -179,7 +183,7 @@ class Schedule:
     corner_times: Floats
     progress: Floats
     turning_times: Floats
-    end: float
+    end_time: float
     frame_clock: Floats
     frame_times: Floats
     force_clock: Floats
@@ -196,7 +200,7 @@ class ForceRecord:
 
     Parameters
     ----------
-    clock : shape (samples,), s, times on the clock of the recorder
+    clock_times : shape (samples,), s, times on the clock of the recorder
     signals : signals of shape (samples,), keyed by path. One is the output of the load cell, V. A
         cantilever test adds the direction, which is 1 while the clamp moves down and 0 otherwise,
         and the frequency of the pulses of the motor, Hz. A three-point test adds the trigger that
@@ -204,14 +208,9 @@ class ForceRecord:
     true_gain : true gain of the load cell, N/V
     """
 
-    clock: Floats
+    clock_times: Floats
     signals: Mapping[str, Floats]
     true_gain: float
-
-    @property
-    def volts(self) -> Floats:
-        """Return the output of the load cell, shape (samples,), V."""
-        return self.signals[FORCE_PATH]
 
 
 @dataclass(frozen=True, slots=True)
@@ -221,9 +220,9 @@ class ExportLayout:
     Parameters
     ----------
     force_unit : ``N`` or ``kN`` for MTS TestSuite, ``lbf`` for TestResources R-Controller
-    part_at : time at which TestSuite begins another acquisition step, s. It then writes three
+    part_at : time at which TestSuite begins a second acquisition step, s. It then writes three
         files: one for each step, not numbered in the order of time, and one without samples. None
-        for one file
+        for a single step in one file
     """
 
     force_unit: str = "kN"
@@ -240,7 +239,7 @@ class FrameRecord:
     displacement : displacement with tare, noise and resolution, m
     force : force with tare, gain error, noise and resolution, N
     layout : layout of the export
-    test_type : type of test, in the note of the export that it is synthetic
+    test_type : type of test, for the header of the export
     """
 
     time: Floats
@@ -251,21 +250,25 @@ class FrameRecord:
 
 
 def round_to_single(values: Floats) -> Floats:
-    """Round values to 32 bits, as a controller stores them, without negative zeros.
+    """Round values to 32-bit floating-point numbers, as a controller stores them.
 
     Parameters
     ----------
     values : array of any shape, in SI units
+
+    Returns
+    -------
+    Rounded values as 64-bit numbers, without negative zeros.
     """
     return values.astype(np.float32).astype(np.float64) + 0.0
 
 
-BODY = "Clamp"
+_BODY_NAME = "Clamp"
 """Name of the rigid body of the clamp."""
 BODY_MARKERS = np.array(
     [[0.021, 0.014, 0.009], [-0.024, 0.011, -0.008], [0.004, -0.019, 0.017], [0.003, 0.022, -0.019]]
 )
-"""Markers of the clamp relative to its pivot, m, shape (4, 3)."""
+"""Positions of the markers of the clamp relative to its pivot, m, shape (4, 3)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -274,9 +277,9 @@ class MishapEvent:
 
     Parameters
     ----------
-    kind : kind of the mishap: gap, switch or unlabelled
-    markers : numbers of the affected markers, from 0 at the clamp, regardless of labels
-    start, stop : indices of the first affected frame, and of the first frame after them
+    kind : kind of the mishap: ``gap``, ``switch`` or ``unlabelled``
+    markers : indices of the affected markers, from 0 at the clamp, regardless of labels
+    start, stop : indices of the first affected frame, and of the first frame after the mishap
     """
 
     kind: str
@@ -293,27 +296,29 @@ class Take:
     ----------
     time : shape (frames,), s, times of the frames on the clock of the cameras
     rate : frames per second
-    names : names of all measured markers; the markers of the body are first
+    labels : labels of all measured markers; those of the markers of the body are first
     positions : shape (frames, markers, 3), m; NaN for untracked markers
     bodies : body of the clamp; empty in three-point bending
-    fitted : shape (frames, 4, 3), m, fitted positions of the markers of the body; (frames, 0, 3)
-        without a body
-    quality : shape (frames, 4), Marker Quality of Motive, up to 1; (frames, 0) without a body
-    labels : labels of the markers along the specimen, in the order of their positions
-    log : mishaps, in the order in which they are applied
-    unit : unit of length in the export: m, cm or mm
+    fitted_positions : shape (frames, 4, 3), m, positions of the markers of the body in its fitted
+        pose; (frames, 0, 3) without a body
+    marker_quality : shape (frames, 4), Marker Quality of Motive, up to 1; (frames, 0) without a
+        body
+    specimen_labels : labels of the markers along the specimen, in the order of their arc lengths,
+        without mishaps
+    mishap_events : mishaps, in the order in which they are applied
+    length_unit : unit of length in the export: m, cm or mm
     """
 
     time: Floats
     rate: float
-    names: tuple[str, ...]
+    labels: tuple[str, ...]
     positions: Floats
     bodies: tuple[RigidBody, ...]
-    fitted: Floats
-    quality: Floats
-    labels: tuple[str, ...]
-    log: tuple[MishapEvent, ...]
-    unit: str
+    fitted_positions: Floats
+    marker_quality: Floats
+    specimen_labels: tuple[str, ...]
+    mishap_events: tuple[MishapEvent, ...]
+    length_unit: str
 
 
 def simulate_take(
@@ -324,7 +329,7 @@ def simulate_take(
     *,
     pose: Pose,
     fps: float,
-    unit: str,
+    length_unit: str,
     noise: float,
     clamp: tuple[Floats, float, float] | None = None,
     mishaps: Mishaps = NO_MISHAPS,
@@ -339,38 +344,41 @@ def simulate_take(
     random : random generator for noise, labels and mishaps
     pose : pose of the rig
     fps : frames per second
-    unit : unit of length in the export: m, cm or mm
+    length_unit : unit of length in the export: m, cm or mm
     noise : rms noise of a marker per axis, m
-    clamp : pivot of the clamp in the specimen frame, shape (frames, 3), m, and the rms noise per
-        axis of the pivot, m, and of the orientation, rad; None without a clamp
-    mishaps : mishaps of the markers
+    clamp : positions of the pivot of the clamp in the specimen frame, shape (frames, 3), m, rms
+        noise of the pivot per axis, m, and rms noise of the rotation about each axis, rad; None
+        without a clamp
+    mishaps : mishaps of the markers along the specimen
     """
-    frames, n_markers = positions.shape[:2]
-    observed, names = pose.transform_to_lab(positions), tuple[str, ...]()
-    bodies, fitted = tuple[RigidBody, ...](), np.zeros((frames, 0, 3))
+    n_frames, n_markers = positions.shape[:2]
+    measured = pose.transform_to_lab(positions)
+    labels: tuple[str, ...] = ()
+    bodies: tuple[RigidBody, ...] = ()
+    fitted_positions = np.zeros((n_frames, 0, 3))
     if clamp is not None:
         pivot = pose.transform_to_lab(clamp[0])
-        body, fitted = _simulate_body(pivot, *clamp[1:], noise, random)
+        body, fitted_positions = _simulate_body(pivot, *clamp[1:], noise, random)
         bodies = (body,)
-        names = tuple(f"{BODY}:Marker{n + 1}" for n in range(len(BODY_MARKERS)))
-        observed = np.concatenate([pivot[:, None, :] + BODY_MARKERS, observed], axis=1)
-    observed += noise * random.standard_normal(observed.shape)
-    labels = tuple(f"{group}:Marker{n + 1}" for n in random.permutation(n_markers))
-    log = _draw_mishaps(mishaps, schedule, n_markers, random)
-    names, observed = _apply_mishaps((*names, *labels), observed, log, n_markers)
-    order = sorted(range(len(names)), key=lambda column: _rank_column(names[column]))
-    quality = 1.0 - np.abs(0.01 * random.standard_normal(fitted.shape[:2]))
+        labels = tuple(f"{_BODY_NAME}:Marker{n + 1}" for n in range(len(BODY_MARKERS)))
+        measured = np.concatenate([pivot[:, None, :] + BODY_MARKERS, measured], axis=1)
+    measured += noise * random.standard_normal(measured.shape)
+    specimen_labels = tuple(f"{group}:Marker{n + 1}" for n in random.permutation(n_markers))
+    events = _draw_mishaps(mishaps, schedule, n_markers, random)
+    labels, measured = _apply_mishaps((*labels, *specimen_labels), measured, events, n_markers)
+    columns = sorted(range(len(labels)), key=lambda column: _rank_label(labels[column]))
+    quality = 1.0 - np.abs(0.01 * random.standard_normal(fitted_positions.shape[:2]))
     return Take(
         time=schedule.frame_clock,
         rate=fps,
-        names=tuple(names[column] for column in order),
-        positions=observed[:, order],
+        labels=tuple(labels[column] for column in columns),
+        positions=measured[:, columns],
         bodies=bodies,
-        fitted=fitted,
-        quality=np.clip(quality, 0.0, 1.0),
-        labels=labels,
-        log=log,
-        unit=unit,
+        fitted_positions=fitted_positions,
+        marker_quality=np.clip(quality, 0.0, 1.0),
+        specimen_labels=specimen_labels,
+        mishap_events=events,
+        length_unit=length_unit,
     )
 
 
@@ -378,71 +386,72 @@ def _simulate_body(
     pivot: Floats, pivot_noise: float, turn_noise: float, noise: float, random: np.random.Generator
 ) -> tuple[RigidBody, Floats]:
     """Simulate the pose of the clamp with noise, and the positions of its markers in this pose."""
-    frames = len(pivot)
-    position = pivot + pivot_noise * random.standard_normal((frames, 3))
-    rotations = turn_noise * random.standard_normal((frames, 3))
-    # The rotations about x, y and z are small.
-    quaternion = np.column_stack([0.5 * rotations, np.ones(frames)])
+    n_frames = len(pivot)
+    position = pivot + pivot_noise * random.standard_normal((n_frames, 3))
+    rotations = turn_noise * random.standard_normal((n_frames, 3))
+    # The vector part of the quaternion of a small rotation is half the rotation vector.
+    quaternion = np.column_stack([0.5 * rotations, np.ones(n_frames)])
     quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
     marker_shifts = np.cross(rotations[:, None, :], BODY_MARKERS[None])
-    error = noise * (1.5 + 0.2 * random.standard_normal(frames))
-    body = RigidBody(BODY, position, quaternion, np.abs(error))
+    error = noise * (1.5 + 0.2 * random.standard_normal(n_frames))
+    body = RigidBody(_BODY_NAME, position, quaternion, np.abs(error))
     return body, position[:, None, :] + BODY_MARKERS + marker_shifts
 
 
-def _rank_column(name: str) -> tuple[int, int]:
-    """Rank a column as Motive does: bodies first, then markers by number, unlabelled ones last."""
-    group, _, number = name.partition(":Marker")
-    return (int(group != BODY), int(number)) if number else (2, 0)
+def _rank_label(label: str) -> tuple[int, int]:
+    """Rank a label as Motive does: the body first, then markers by number, unlabelled ones last."""
+    group, _, number = label.partition(":Marker")
+    return (int(group != _BODY_NAME), int(number)) if number else (2, 0)
 
 
 def _draw_mishaps(
     mishaps: Mishaps, schedule: Schedule, n_markers: int, random: np.random.Generator
 ) -> tuple[MishapEvent, ...]:
-    """Draw frames and markers of all mishaps: gaps first, swapped labels last."""
+    """Draw the gaps, and list all mishaps: gaps first, swapped labels last."""
     time = schedule.frame_times
     first_frame, last_frame = np.searchsorted(time, schedule.turning_times[[0, -1]])
-    lengths = list(random.integers(2, 16, mishaps.n_gaps))
+    gap_lengths = list(random.integers(2, 16, mishaps.n_gaps))
     if mishaps.long_gap > 0.0:
-        lengths.append(round(mishaps.long_gap / (time[1] - time[0])))
-    log: list[MishapEvent] = []
-    for length in lengths:
+        gap_lengths.append(round(mishaps.long_gap / (time[1] - time[0])))
+    events: list[MishapEvent] = []
+    for length in gap_lengths:
         start = int(random.integers(first_frame, max(first_frame + 1, last_frame - length)))
         marker = int(random.integers(n_markers))
-        log.append(MishapEvent("gap", (marker,), start, start + int(length)))
+        events.append(MishapEvent("gap", (marker,), start, start + int(length)))
     intervals_by_kind = (("unlabelled", mishaps.unlabelled, 1), ("switch", mishaps.switch, 2))
     for kind, interval, n_affected in intervals_by_kind:
         if interval is not None:
             markers = tuple(range(interval.marker, interval.marker + n_affected))
             start, stop = (int(x * len(time)) for x in (interval.start, interval.stop))
-            log.append(MishapEvent(kind, markers, start, stop))
-    return tuple(log)
+            events.append(MishapEvent(kind, markers, start, stop))
+    return tuple(events)
 
 
 def _apply_mishaps(
-    names: tuple[str, ...], positions: Floats, log: tuple[MishapEvent, ...], n_markers: int
+    labels: tuple[str, ...], positions: Floats, events: tuple[MishapEvent, ...], n_markers: int
 ) -> tuple[tuple[str, ...], Floats]:
     """Apply mishaps to the markers along the specimen, which are the last `n_markers`.
 
     A gap affects a marker, not a label. While labels are swapped, the gap is under the other label.
     """
-    n_others = len(names) - n_markers
-    unlabelled = np.full((len(positions), 1, 3), np.nan)
-    for event in log:
-        frames, columns = slice(event.start, event.stop), [n_others + n for n in event.markers]
+    first_column = len(labels) - n_markers
+    unlabelled_marker = np.full((len(positions), 1, 3), np.nan)
+    for event in events:
+        frames = slice(event.start, event.stop)
+        columns = [first_column + marker for marker in event.markers]
         if event.kind == "switch":
             positions[frames, columns] = positions[frames, columns[::-1]]
             continue
         if event.kind == "unlabelled":
-            unlabelled[frames] = positions[frames, columns]
+            unlabelled_marker[frames] = positions[frames, columns]
         positions[frames, columns] = np.nan
-    if any(event.kind == "unlabelled" for event in log):
-        return (*names, "Unlabeled 1234"), np.concatenate([positions, unlabelled], axis=1)
-    return names, positions
+    if any(event.kind == "unlabelled" for event in events):
+        return (*labels, "Unlabeled 1234"), np.concatenate([positions, unlabelled_marker], axis=1)
+    return labels, positions
 
 
 def list_markers(labels: tuple[str, ...], arc_lengths: Floats) -> list[dict[str, object]]:
-    """List the markers along a specimen for ``truth.json``, with arc lengths in m."""
+    """List label and arc length, m, of each marker along a specimen for ``truth.json``."""
     pairs = zip(labels, arc_lengths.round(12).tolist(), strict=True)
     return [{"label": label, "arc_length": arc_length} for label, arc_length in pairs]
 

@@ -1,13 +1,14 @@
 """Write the files of a virtual test: exports in the vendors' formats, test sheet, true values.
 
 **ControlDesk** (force recorder): a .mat file, MAT v5, file format revision 2.1, with one struct of
-Info, X, Y and Description. Channels are identified by Path and Name, units are empty, data are
-rows, and whole numbers are stored as small integers. The text header states the time of saving.
+Info, X, Y and Description. Channels are identified by Path and Name, units are empty, data are row
+vectors, and whole numbers are stored as small integers. The text header states the time of saving.
 
 **Motive** (cameras): a table CSV, Format Version 1.23, with CRLF line ends. A line of keys and
 values and a blank line are followed by rows of types, names, ids, quantities and axes, and by the
 data with six decimals; cells of untracked markers are blank. The fitted markers of the body (Rigid
-Body Marker, quoted names) stand beside the measured markers of the same names (Marker, bare names).
+Body Marker, names in quotes) are in addition to the measured markers of the same names (Marker, no
+quotes).
 
 **MTS TestSuite** (load frame): ``(Timed)`` text, UTF-8 with byte order mark, CRLF line ends. Four
 lines of preamble and two blank lines are followed by names with a trailing blank. Numbers are
@@ -23,7 +24,7 @@ Every file states that it is synthetic. The test sheet states the nominal gain o
 the true one. It overrides the shipped protocol only where the virtual rig differs from it.
 
 ``truth.json`` has the true values in SI units, with frames, signs and clocks as in the modules of
-the rigs. The processing never reads it.
+the rigs. The processing never reads ``truth.json``.
 
 References
 ----------
@@ -70,12 +71,12 @@ Scenario: TypeAlias = CantileverScenario | ConduitScenario | TensileScenario | M
 """Scenario of a virtual test of any kind."""
 S = TypeVar("S", bound=Scenario)
 
-SHEET_FILE, TRUTH_FILE, WIRE_SHEET = "test.yaml", "truth.json", "wires.csv"
-_SHEET_HEAD = (
+SHEET_FILE, TRUTH_FILE, WIRE_SHEET_FILE = "test.yaml", "truth.json", "wires.csv"
+_SHEET_COMMENT = (
     "# A synthetic test, made by labpipe's virtual lab. Its true values are in truth.json.\n"
 )
 _NEWTONS = {"N": 1.0, "kN": 1e3, "lbf": 4.4482216152605}
-"""Force in N of each unit of exports."""
+"""Size of each force unit of exports, N."""
 _METRES_PER_INCH = 0.0254
 
 
@@ -85,7 +86,8 @@ class Observation(Generic[S]):
 
     Parameters
     ----------
-    scenario, seed : scenario of the test, and seed of its noise, gain and mishaps
+    scenario : scenario of the test
+    seed : seed of noise, gain and mishaps
     records : record of each role in the test sheet: ``force`` (`ForceRecord`), ``markers``
         (`Take`) and ``frame`` (`FrameRecord` or `TensionRecord`)
     truth : true values, as in ``truth.json``
@@ -121,13 +123,13 @@ def observe(scenario: S, seed: int) -> Observation[S]:
 
 
 def simulate_test(scenario: Scenario, folder: Path, seed: int) -> Path:
-    """Run a virtual test and write its exports, test sheet and truth.
+    """Run a virtual test and write its exports, test sheet and true values.
 
     Parameters
     ----------
     scenario : scenario of the test
     folder : folder of this test; created if it does not exist; files of the same names are replaced
-    seed : equal seeds give equal files
+    seed : seed of noise, gain and mishaps; equal seeds give equal files
 
     Returns
     -------
@@ -140,25 +142,27 @@ def simulate_test(scenario: Scenario, folder: Path, seed: int) -> Path:
     StoreError
         If the files cannot be written.
     """
-    test = observe(scenario, seed)
+    observation = observe(scenario, seed)
     run = Run(scenario.name, datetime.fromisoformat(f"{scenario.date}T10:05:00"), seed)
-    facts = {"synthetic": True, "seed": seed, "scenario": asdict(scenario), **test.truth}
+    truth = {"synthetic": True, "seed": seed, "scenario": asdict(scenario), **observation.truth}
     with map_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
-        files = {role: _WRITERS[type(x)](folder, x, run) for role, x in test.records.items()}
-        (folder / SHEET_FILE).write_text(write_sheet(scenario, files), encoding="utf-8")
-        truth = json.dumps(facts, default=lambda array: np.round(array, 12).tolist())
-        (folder / TRUTH_FILE).write_text(f"{truth}\n", encoding="utf-8")
+        files = {}
+        for role, record in observation.records.items():
+            files[role] = _WRITERS[type(record)](folder, record, run)
+        (folder / SHEET_FILE).write_text(format_sheet(scenario, files), encoding="utf-8")
+        text = json.dumps(truth, default=lambda array: np.round(array, 12).tolist())
+        (folder / TRUTH_FILE).write_text(f"{text}\n", encoding="utf-8")
     return folder
 
 
-def write_sheet(scenario: Scenario, files: Mapping[str, Sequence[str]]) -> str:
-    """Write the test sheet.
+def format_sheet(scenario: Scenario, files: Mapping[str, Sequence[str]]) -> str:
+    """Format the test sheet.
 
     Parameters
     ----------
     scenario : scenario of the test
-    files : names of the exports of each role
+    files : names of the exports, keyed by role
 
     Returns
     -------
@@ -170,11 +174,11 @@ def write_sheet(scenario: Scenario, files: Mapping[str, Sequence[str]]) -> str:
         "sample": scenario.sample,
         **scenario.describe_specimen(),
     }
-    overrides = {
-        key: {"value": text, "because": because}
-        for key, value, because in scenario.list_settings()
-        if (text := _format_lengths(value)) != _find_protocol_value(scenario.protocol, key)
-    }
+    overrides = {}
+    for key, value, reason in scenario.list_settings():
+        sheet_value = _format_lengths(value)
+        if sheet_value != _find_protocol_value(scenario.protocol, key):
+            overrides[key] = {"value": sheet_value, "because": reason}
     sheet = {
         "test": scenario.name,
         "protocol": scenario.protocol,
@@ -184,13 +188,13 @@ def write_sheet(scenario: Scenario, files: Mapping[str, Sequence[str]]) -> str:
         "files": {role: names[0] if len(names) == 1 else [*names] for role, names in files.items()},
         **({"overrides": overrides} if overrides else {}),
     }
-    return _SHEET_HEAD + yaml.safe_dump(
+    return _SHEET_COMMENT + yaml.safe_dump(
         sheet, sort_keys=False, allow_unicode=True, default_flow_style=None, width=200
     )
 
 
 def _format_lengths(value: object) -> object:
-    """Convert lengths, m, to text in mm, also those in blocks."""
+    """Format floats, which are lengths in m, as texts in mm, in a value or in a block of values."""
     if isinstance(value, dict):
         return {key: _format_lengths(entry) for key, entry in value.items()}
     return f"{1e3 * value:.10g} mm" if isinstance(value, float) else value
@@ -204,7 +208,7 @@ def _read_protocol(name: str) -> Any:
 
 
 def _find_protocol_value(name: str, dotted_key: str) -> object:
-    """Find the value of a key in a shipped protocol; None if it has none."""
+    """Find the value of a dotted key in a shipped protocol; None if the key is absent."""
     value = _read_protocol(name)
     for key in dotted_key.split("."):
         value = value.get(key) if isinstance(value, dict) else None
@@ -214,7 +218,8 @@ def _find_protocol_value(name: str, dotted_key: str) -> object:
 def write_wire_sheet(folder: Path) -> Path:
     """Write the sheet of the virtual wires for `labpipe model` and `labpipe calibrate`.
 
-    The sheet states dimensions and materials, but no friction, which a calibration identifies.
+    The sheet states dimensions and layout of the strands, but no friction, which a calibration
+    identifies.
 
     Parameters
     ----------
@@ -237,7 +242,7 @@ def write_wire_sheet(folder: Path) -> Path:
         for wire in WIRES.values()
     ]
     folder.mkdir(parents=True, exist_ok=True)
-    path = folder / WIRE_SHEET
+    path = folder / WIRE_SHEET_FILE
     with path.open("w", encoding="utf-8", newline="") as file:
         sheet = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
         sheet.writeheader()
@@ -252,36 +257,37 @@ class Run:
     Parameters
     ----------
     name : name of the test
-    started : time at which the test started
+    start_time : date and time of the start of the test
     seed : seed of the test
     """
 
     name: str
-    started: datetime
+    start_time: datetime
     seed: int
 
     @property
     def note(self) -> str:
-        """Return the note that the test is synthetic."""
+        """Return a note that the test is synthetic."""
         return f"SYNTHETIC: made by labpipe's virtual lab, seed {self.seed}, not a measurement"
 
 
 def write_control_desk(folder: Path, record: ForceRecord, run: Run) -> tuple[str, ...]:
-    """Write a force record as ControlDesk does; the file is saved at the time of its last sample.
+    """Write a force record as ControlDesk does.
 
     Parameters
     ----------
     folder : folder of the file
-    record : record of the recorder
-    run : facts for the header and the description
+    record : samples of the force recorder
+    run : facts for the header and the description; the stated time of saving is that of the last
+        sample
 
     Returns
     -------
     Name of the file; its stem is the name of the struct.
     """
-    clock = record.clock
-    saved = run.started + timedelta(seconds=round(float(clock[-1])))
-    limit = np.finfo(np.float64).max
+    times = record.clock_times
+    saving_time = run.start_time + timedelta(seconds=round(float(times[-1])))
+    max_value = np.finfo(np.float64).max
     int1, int2, data_type = np.int32(1), np.int32(2), np.int32(4)
     raster = "HostService"
     fields = "Name Type Data Unit Raster Device XIndex DownSampling Description DisplayIdentifier"
@@ -289,43 +295,44 @@ def write_control_desk(folder: Path, record: ForceRecord, run: Run) -> tuple[str
     channels = []
     for path, values in sorted(record.signals.items()):
         data = _compact_integers(values)[None, :]
-        head = (PORT, data_type, data, "", raster, "Platform", int1, int1, "", "", path, int2)
-        channels.append((*head, -limit, limit, -limit, limit))
+        cells = (PORT, data_type, data, "", raster, "Platform", int1, int1, "", "", path, int2)
+        channels.append((*cells, -max_value, max_value, -max_value, max_value))
     origin = (
         "Software revision: virtual_lab.sdf\r\nVariable description: virtual_lab.sdf\r\n"
         f"    Platform / Device: Platform [{run.note}]\r\nControlDesk version: 7.4"
     )
     content = {
         "Info": {"RevisionMajor": int2, "RevisionMinor": int1, "MeasurementID": int1},
-        "X": {"Name": "", "Type": data_type, "Data": clock[None, :], "Unit": "", "Raster": raster},
+        "X": {"Name": "", "Type": data_type, "Data": times[None, :], "Unit": "", "Raster": raster},
         "Y": np.array([channels], dtype=[(field, object) for field in fields.split()]),
         "Description": {
             "General": {
                 "User": "labpipe virtual lab",
-                "DateTime": f"{saved:%Y/%m/%d %H:%M:%S}",
+                "DateTime": f"{saving_time:%Y/%m/%d %H:%M:%S}",
                 "Origin": origin,
                 "Description": "synthetic",
             },
             "Recording": {"StartCondition": "None (Immediate Recording)", "StopCondition": "None"},
             "Measurement": {
                 "XAxisOffset": np.uint8(0),
-                "Length": float(clock[-1]),
-                "StartTimestamp": float(clock[0]),
-                "StopTimestamp": float(clock[-1]),
+                "Length": float(times[-1]),
+                "StartTimestamp": float(times[0]),
+                "StopTimestamp": float(times[-1]),
             },
         },
     }
     file_path = folder / "force.mat"
     savemat(file_path, {file_path.stem: content}, oned_as="row", long_field_names=True)
-    # SciPy's header states the present time: replaced, so that equal tests give equal files.
-    text = f"MATLAB 5.0 MAT-file, Platform: PCWIN, Created on: {saved:%a %b %d %H:%M:%S %Y}"
+    # The header of SciPy states the present time. It is replaced, so that equal tests give equal
+    # files.
+    header = f"MATLAB 5.0 MAT-file, Platform: PCWIN, Created on: {saving_time:%a %b %d %H:%M:%S %Y}"
     with file_path.open("r+b") as file:
-        file.write(text.encode("ascii").ljust(116))
+        file.write(header.encode("ascii").ljust(116))
     return (file_path.name,)
 
 
 def _compact_integers(values: Floats) -> NDArray[np.generic]:
-    """Convert whole numbers to the smallest unsigned integers of up to 16 bits, if possible."""
+    """Convert values to the smallest unsigned integers of up to 16 bits, if that is exact."""
     is_whole = bool(np.all(values == np.floor(values)) and np.all(values >= 0.0))
     if not is_whole or np.max(values) > np.iinfo(np.uint16).max:
         return values
@@ -339,66 +346,69 @@ def write_motive(folder: Path, take: Take, run: Run) -> tuple[str, ...]:
     ----------
     folder : folder of the file
     take : take of the cameras
-    run : facts for the header; its seed is also that of the ids
+    run : facts for the header; the seed also determines the ids
 
     Returns
     -------
     Name of the file.
     """
-    block_rows = 2000  # rows that are formatted at a time
+    n_block_rows = 2000  # number of rows that are formatted at a time
     units = {"m": ("Meters", 1.0), "cm": ("Centimeters", 100.0), "mm": ("Millimeters", 1000.0)}
-    unit, factor = units[take.unit]
-    frames = str(len(take.time))
-    pairs = {
+    unit, factor = units[take.length_unit]
+    n_frames = str(len(take.time))
+    header = {
         "Format Version": "1.23",
         "Take Name": run.name,
         "Take Notes": f"synthetic: made by labpipe's virtual lab with seed {run.seed}",
         "Capture Frame Rate": f"{take.rate:.6f}",
         "Export Frame Rate": f"{take.rate:.6f}",
-        "Capture Start Time": f"{run.started:%Y-%m-%d %I.%M.%S}.000 {run.started:%p}",
-        "Total Frames in Take": frames,
-        "Total Exported Frames": frames,
+        "Capture Start Time": f"{run.start_time:%Y-%m-%d %I.%M.%S}.000 {run.start_time:%p}",
+        "Total Frames in Take": n_frames,
+        "Total Exported Frames": n_frames,
         "Rotation Type": "Quaternion",
         "Length Units": unit,
         "Coordinate Space": "Global",
     }
-    labels, table = _build_motive_columns(take, factor, np.random.default_rng([run.seed, 77]))
-    head = [",".join(f"{key},{value}" for key, value in pairs.items()), ""]
-    head += [",".join(row) for row in zip(*labels, strict=True)]
-    row = "%d" + ",%.6f" * table.shape[1] + "\r\n"
+    headings, table = _build_motive_columns(take, factor, np.random.default_rng([run.seed, 77]))
+    header_lines = [",".join(f"{key},{value}" for key, value in header.items()), ""]
+    header_lines += [",".join(row) for row in zip(*headings, strict=True)]
+    row_format = "%d" + ",%.6f" * table.shape[1] + "\r\n"
     with (folder / "take.csv").open("w", encoding="ascii", newline="") as file:
-        file.write("".join(line + "\r\n" for line in head))
-        for start in range(0, len(table), block_rows):
-            block = table[start : start + block_rows].tolist()
-            lines = (row % (frame, *values) for frame, values in enumerate(block, start=start))
-            file.write("".join(lines).replace("nan", ""))
+        file.write("".join(line + "\r\n" for line in header_lines))
+        for start in range(0, len(table), n_block_rows):
+            block = table[start : start + n_block_rows].tolist()
+            rows = (row_format % (frame, *values) for frame, values in enumerate(block, start))
+            file.write("".join(rows).replace("nan", ""))
     return ("take.csv",)
 
 
 def _build_motive_columns(
     take: Take, factor: float, random: np.random.Generator
 ) -> tuple[list[tuple[str, ...]], Floats]:
-    """Build type, name, id, quantity and axis of all columns, and the data without the frame."""
+    """Build the headings (type, name, id, quantity, axis) of all columns, and the table of values.
+
+    The frame number has a heading, but no column in the table.
+    """
     position_columns = [("Position", axis) for axis in "XYZ"]
     rotation_columns = [("Rotation", axis) for axis in "XYZW"]
     blocks: list[tuple[str, str, str, list[tuple[str, str]]]] = []
     data = [take.time[:, None]]
     for body in take.bodies:
-        identity = f'"{random.bytes(16).hex().upper()}"'
-        columns = [*rotation_columns, *position_columns, ("Mean Marker Error", "")]
-        blocks.append(("Rigid Body", body.name, identity, columns))
+        body_id = f'"{random.bytes(16).hex().upper()}"'
+        body_columns = [*rotation_columns, *position_columns, ("Mean Marker Error", "")]
+        blocks.append(("Rigid Body", body.name, body_id, body_columns))
         data += [body.rotation, body.position * factor, body.error[:, None] * factor]
-        columns = [*position_columns, ("Marker Quality", "")]
+        marker_columns = [*position_columns, ("Marker Quality", "")]
         for number in range(1, len(BODY_MARKERS) + 1):
-            marker = f'"{body.name}:Marker{number}"'
-            blocks.append(("Rigid Body Marker", marker, identity, columns))
-    for name in take.names:
-        blocks.append(("Marker", name, f'"{random.bytes(3).hex().upper()}"', position_columns))
-    fitted = np.concatenate([take.fitted * factor, take.quality[:, :, None]], axis=2)
+            label = f'"{body.name}:Marker{number}"'
+            blocks.append(("Rigid Body Marker", label, body_id, marker_columns))
+    for label in take.labels:
+        blocks.append(("Marker", label, f'"{random.bytes(3).hex().upper()}"', position_columns))
+    fitted = np.dstack([take.fitted_positions * factor, take.marker_quality])
     data += [values.reshape(len(take.time), -1) for values in (fitted, take.positions * factor)]
-    heading_rows = [("", "", "", "", "Frame"), ("Type", "Name", "ID", "", "Time (Seconds)")]
-    labels = [(*names, *column) for *names, columns in blocks for column in columns]
-    return [*heading_rows, *labels], np.hstack(data)
+    first_headings = [("", "", "", "", "Frame"), ("Type", "Name", "ID", "", "Time (Seconds)")]
+    headings = [(*block, *column) for *block, columns in blocks for column in columns]
+    return [*first_headings, *headings], np.hstack(data)
 
 
 def write_frame(folder: Path, record: FrameRecord, run: Run) -> tuple[str, ...]:
@@ -412,7 +422,7 @@ def write_frame(folder: Path, record: FrameRecord, run: Run) -> tuple[str, ...]:
 
     Returns
     -------
-    Names of the files; those of TestSuite in the order of their numbers.
+    Names of the files; those of TestSuite are in the order of their numbers.
     """
     if record.layout.force_unit == "lbf":
         return _write_r_controller(folder, record, run)
@@ -420,30 +430,31 @@ def write_frame(folder: Path, record: FrameRecord, run: Run) -> tuple[str, ...]:
     if record.layout.part_at is not None:
         n_missing_rows = 2
         n_early = int(np.searchsorted(record.time, record.layout.part_at))
-        # The files are those of the later step, of the earlier step, and of one without samples.
+        # The second step comes first; the last step has no samples.
         steps = [slice(n_early + n_missing_rows, None), slice(n_early), None]
-    names = []
+    file_names = []
     for number, step in enumerate(steps):
-        names.append(f"DAQ- Crosshead, … - (Timed){number or ''}.txt")
-        text = "" if step is None else _format_test_suite(names[-1], record, step, run)
-        (folder / names[-1]).write_bytes(text.encode("utf-8-sig"))
-    return tuple(names)
+        file_name = f"DAQ- Crosshead, … - (Timed){number or ''}.txt"
+        file_names.append(file_name)
+        text = "" if step is None else _format_test_suite(file_name, record, step, run)
+        (folder / file_name).write_bytes(text.encode("utf-8-sig"))
+    return tuple(file_names)
 
 
-def _format_test_suite(file: str, record: FrameRecord, step: slice, run: Run) -> str:
+def _format_test_suite(file_name: str, record: FrameRecord, step: slice, run: Run) -> str:
     """Format the preamble and the rows of an acquisition step."""
-    started, force_unit = run.started, record.layout.force_unit
-    clock = f"{(started.hour - 1) % 12 + 1}:{started:%M:%S %p}"
+    start, force_unit = run.start_time, record.layout.force_unit
+    time_of_day = f"{(start.hour - 1) % 12 + 1}:{start:%M:%S %p}"
     columns = (
         1e3 * round_to_single(record.displacement[step]),
         round_to_single(record.force[step]) / _NEWTONS[force_unit],
         round_to_single(record.time[step]),
     )
     lines = [
-        f"File Path: C:\\MTS Data\\SYNTHETIC labpipe virtual lab\\{run.name}\\{file}   ",
+        f"File Path: C:\\MTS Data\\SYNTHETIC labpipe virtual lab\\{run.name}\\{file_name}   ",
         f"Test: SYNTHETIC {record.test_type}, labpipe virtual lab, seed {run.seed}",
         f"Test Run: {run.name}",
-        f"Date: {started.month}/{started.day}/{started.year} {clock}",
+        f"Date: {start.month}/{start.day}/{start.year} {time_of_day}",
         "",
         "",
         "Crosshead \tLoad \tTime ",
@@ -457,19 +468,19 @@ def _write_r_controller(folder: Path, record: FrameRecord, run: Run) -> tuple[st
     """Write a record as a workbook of TestResources; equal records give equal bytes."""
     force = record.force / _NEWTONS["lbf"]
     rows = np.column_stack([record.time, force, record.displacement / _METRES_PER_INCH])
-    head = [
+    header_rows = [
         (run.note,),
         ("Test", run.name),
-        ("Date", f"{run.started:%m/%d/%Y %H:%M:%S}"),
+        ("Date", f"{run.start_time:%m/%d/%Y %H:%M:%S}"),
         (),
         ("Time (s)", "Force (lbf)", "Displacement (in)"),
     ]
     properties = {"title": run.name, "comments": run.note, "author": "labpipe virtual lab"}
     with Workbook(folder / f"{run.name}.xlsx", {"in_memory": True}) as book:
-        book.set_properties({**properties, "created": run.started})
+        book.set_properties({**properties, "created": run.start_time})
         sheet = book.add_worksheet("Test Data")
-        for number, cells in enumerate([*head, *(rows.round(6) + 0.0).tolist()]):
-            sheet.write_row(number, 0, cells)
+        for row, cells in enumerate([*header_rows, *(rows.round(6) + 0.0).tolist()]):
+            sheet.write_row(row, 0, cells)
     return (f"{run.name}.xlsx",)
 
 
@@ -493,4 +504,4 @@ _WRITERS: Mapping[type, Callable[[Path, Any, Run], tuple[str, ...]]] = {
     FrameRecord: write_frame,
     TensionRecord: write_tension,
 }
-"""Function that writes each type of record."""
+"""Function that writes an export, keyed by the type of the record."""

@@ -2,9 +2,10 @@
 
 The law of a stranded wire is that of `wire.bending_law` for first loading, as plays
 (`fit_play_law`). After a reversal, strands slip and copper yields in the other direction at twice
-the change (Masing's rule), unless a fraction of the copper's hardening is isotropic. Calibrations
-use the same law but another solution: `cantilever_scenarios` follows the wire with its history step
-by step, whereas `wire.first_loading` solves for all deflections at once.
+the change of moment (Masing's rule), unless a fraction of the copper's hardening is isotropic.
+Calibrations use the same law with another solver: `cantilever_scenarios` solves one position after
+the other, with the history of the wire, whereas `wire.first_loading` solves for all deflections at
+once.
 
 All wires of a bundle have the same curvature. The moment of the bundle is the sum of the moments of
 its wires, each bent about its own axis, and of the moments of their axial forces, which are limited
@@ -20,14 +21,14 @@ wires off the axis, and kappa_s is the curvature at which a wire at this distanc
 twice the distance slips at half of this curvature. Slip causes the kink. The glue of the tape holds
 the outer wires until the strain kappa R at the radius R of the bundle is e; then the tape slides on
 all of them at once. Sliding causes the plateau, where only the wires themselves are stiff. Without
-further effects the force would still increase by 1 % per millimetre, because the lever of a
-strongly bent bundle becomes shorter. But a sliding tape holds the bundle less firmly: all slip
-moments are multiplied by 1 - q (kappa_max R / e - 1), at least by a half, where kappa_max is the
-largest curvature so far. If the tape does not slide, there is no such factor.
+further effects the force would still increase by 1 % per millimetre, because the lever arm of a
+strongly bent bundle becomes shorter. However, a sliding tape holds the bundle less firmly: all slip
+moments are multiplied by the larger of 1 - q (kappa_max R / e - 1) and 0.5, where kappa_max is the
+largest curvature so far. Before the tape slides, this factor is 1.
 
 Parallel Coulomb sliders are equivalent to plays in series, and their loops follow Masing's rule.
-Therefore a bundle is one `PlayLaw`. Wires that have slipped are locked afterwards: from the second
-cycle on, all slip moments and slip curvatures are multiplied by `locking`.
+Therefore the law of a bundle is one `PlayLaw`. Wires that have slipped resist the next slip more:
+from the second cycle on, all slip moments and slip curvatures are multiplied by `locking`.
 
 References
 ----------
@@ -71,12 +72,12 @@ def read_catalog() -> dict[str, Any]:
 
 
 def scale_law(law: PlayLaw, factor: float, slip_factor: float = 1.0) -> PlayLaw:
-    """Multiply the moments of a law at given curvatures.
+    """Multiply the moments of a law at given curvatures by a factor.
 
     Parameters
     ----------
-    law : law of the type
-    factor : factor on all moments
+    law : law of moment against curvature
+    factor : factor on all moments at given curvatures
     slip_factor : further factor on moments and curvatures of the corners and the end of the law
     """
     return PlayLaw(
@@ -167,7 +168,7 @@ class StrandedWire:
         Raises
         ------
         ValueError
-            If the strands do not fit, or a number is out of range.
+            If the strands do not fit into the insulation, or a number is out of range.
         """
         copper = replace(ANNEALED_COPPER, strength=ANNEALED_COPPER.strength * self.copper_scale)
         layers = lay_up(self.n_strands, self.strand, self.lay_angles, copper)
@@ -175,7 +176,7 @@ class StrandedWire:
         return place_sectors(layers, tube) if self.is_compressed else place_hexagon(layers, tube)
 
     def build_contacts(self) -> Contacts:
-        """Make the friction and pressure between the layers."""
+        """Build the contacts between the layers, with friction and radial force."""
         return make_contacts(
             len(self.lay_angles),
             strand=self.friction_strand,
@@ -184,12 +185,12 @@ class StrandedWire:
         )
 
     def build_loading_law(self) -> PlayLaw:
-        """Build the law of first loading, which unloads by Masing's rule.
+        """Build the law of first loading, whose unloading follows Masing's rule.
 
         Raises
         ------
         ValueError
-            As for `build_section`, and if the law softens or stiffens.
+            If `build_section` raises it, or if `fit_play_law` finds no law.
         """
         law = fit_play_law(
             self.build_section(),
@@ -220,7 +221,7 @@ class StrandedWire:
         }
 
 
-def _read_wire(
+def _build_wire(
     name: str, lay_angles_deg: list[float], copper_area: float | None = None, **sizes: Any
 ) -> StrandedWire:
     """Build a wire from its sizes in the catalog.
@@ -229,7 +230,7 @@ def _read_wire(
     ----------
     name : name of the wire
     lay_angles_deg : lay angle of each ring of strands, deg
-    copper_area : area of all strands, m^2; None if `sizes` have the diameter of the strands
+    copper_area : area of all strands, m^2; None if `sizes` contains the diameter of a strand
     sizes : further fields of the wire
     """
     if copper_area is not None:
@@ -237,14 +238,14 @@ def _read_wire(
     return StrandedWire(name=name, lay_angles=tuple(np.radians(lay_angles_deg).tolist()), **sizes)
 
 
-WIRES = {name: _read_wire(name, **sizes) for name, sizes in read_catalog()["wires"].items()}
+WIRES = {name: _build_wire(name, **sizes) for name, sizes in read_catalog()["wires"].items()}
 """Wires of Table 2.1 of [1]_. The copper of B1 and B2 does not fit into insulation with the stated
 thickness of 0.3 mm; here the thickness is 0.2 mm."""
 
 
 _PACKED, _, _ASYMMETRIC = ARRANGEMENTS
 _SHELL_TOLERANCE = 1e-6
-"""Largest difference of distances from the centre within one shell, in pitches of the lattice."""
+"""Largest difference of two distances that count as equal, in pitches of the lattice."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -253,7 +254,7 @@ class BundleModel:
 
     Parameters
     ----------
-    wires : name in `WIRES` and number of the wires of each type
+    wires : name in `WIRES` and number of wires, for each type
     arrangement : one of `records.harness_bundle.ARRANGEMENTS`. With two types, ``asymmetric`` has
         the second type on the side of the pull; the other arrangements distribute it over the
         section
@@ -261,12 +262,12 @@ class BundleModel:
     slip_curvature : curvature kappa_s at which a wire at the mean distance slips, 1/m
     glue_share : fraction g of the axial stiffness of the outer wires that the glue of the tape
         holds
-    glue_strain : strain e at which the tape slides on the wires; None if it never slides
+    glue_strain : strain e at which the tape slides on the wires; None if the tape never slides
     slide_loss : fraction q of the slip moments that is lost between the curvature at which the tape
         slides and twice this curvature; at least half of the moments remains
     locking : factor on slip moments and curvatures from the second cycle on, at least 1
     conduit_stiffness : bending stiffness of an elastic conduit around the bundle, N m^2
-    tape, taping, conduit : values of `records.harness_bundle.Bundle` for the test sheet
+    tape, taping, conduit : fields of `records.harness_bundle.Bundle` for the test sheet
     conduit_bore : inner diameter of the conduit for the test sheet, m; None without a conduit
     factor : factor of this sample on all moments at given curvatures
     """
@@ -287,11 +288,6 @@ class BundleModel:
     factor: float = 1.0
 
     @property
-    def number(self) -> int:
-        """Return the number of wires."""
-        return sum(number for _, number in self.wires)
-
-    @property
     def radius(self) -> float:
         """Return the radius of the circle around all wires about the centre of stiffness, m."""
         layout = lay_wires(self)
@@ -302,8 +298,8 @@ class BundleModel:
 
         Parameters
         ----------
-        cycle : number of the cycle, from 1; the plays of one law are the history of the next law
-        max_curvature : largest curvature so far, 1/m
+        cycle : number of the cycle, from 1; the laws of all cycles have the same number of plays
+        max_curvature : largest absolute curvature so far, 1/m
 
         Raises
         ------
@@ -315,7 +311,7 @@ class BundleModel:
         return scale_law(law, self.factor, self.compute_slip_factor(max_curvature) * locking)
 
     def compute_slip_factor(self, max_curvature: float) -> float:
-        """Compute the fraction of slip moments that remains after a bend to a curvature, 1/m."""
+        """Compute the fraction of slip moments that remains after a largest curvature, 1/m."""
         min_factor = 0.5
         if self.glue_strain is None:
             return 1.0
@@ -331,67 +327,67 @@ class BundleModel:
     def stiffnesses(self) -> Mapping[str, float]:
         """Return the contributions to the bending stiffness at first loading, N m^2.
 
-        ``wires`` is that of the wires about their own axes; ``friction``, ``glue`` and ``conduit``
-        are those of the other parts; ``initial`` is the sum of these; ``rigid`` is the stiffness of
-        a section that stays plane.
+        ``wires`` is that of the wires about their own axes. ``friction``, ``glue`` and ``conduit``
+        are those of friction, glue and conduit. ``initial`` is the sum of these four. ``rigid`` is
+        the stiffness of wires whose common section stays plane.
         """
         wires = sum(number * law.stiffness for number, law in _list_laws(self))
         layout = lay_wires(self)
-        rigid, outer = np.sum(layout.stiffness), np.sum(layout.stiffness * layout.is_outer)
+        axial = np.sum(layout.bending_stiffness)
+        outer = np.sum(layout.bending_stiffness * layout.is_outer)
         stiffnesses = {
             "wires": float(wires),
-            "friction": self.friction_share * float(rigid),
+            "friction": self.friction_share * float(axial),
             "glue": self.glue_share * float(outer),
             "conduit": self.conduit_stiffness,
         }
-        stiffnesses |= {"initial": sum(stiffnesses.values()), "rigid": float(wires + rigid)}
+        stiffnesses |= {"initial": sum(stiffnesses.values()), "rigid": float(wires + axial)}
         return {name: self.factor * stiffness for name, stiffness in stiffnesses.items()}
 
     def describe(self) -> dict[str, object]:
         """Describe the bundle as the block ``bundle`` of a test sheet.
 
-        Positions are stated only for several types of wires.
+        Positions are stated only if the wires are of several types.
         """
-        sizes = {name: {"number": n, "diameter": WIRES[name].diameter} for name, n in self.wires}
-        block = {"wires": sizes, "number": self.number, "arrangement": self.arrangement}
+        types = {name: {"number": n, "diameter": WIRES[name].diameter} for name, n in self.wires}
+        n_wires = sum(number for _, number in self.wires)
+        block = {"wires": types, "number": n_wires, "arrangement": self.arrangement}
         if len(self.wires) > 1:
             layout = lay_wires(self)
             positions = zip(layout.x, layout.y, strict=True)
             block["positions"] = [[f"{1e3 * x:.4f} mm", f"{1e3 * y:.4f} mm"] for x, y in positions]
-        covers = {"tape": self.tape, "taping": self.taping, "conduit": self.conduit}
-        block |= {key: value for key, value in covers.items() if value != NONE}
-        if self.conduit_bore is not None:
-            block["conduit_bore"] = self.conduit_bore
-        return block
+        covers: dict[str, object] = {"tape": self.tape, "taping": self.taping}
+        covers |= {"conduit": self.conduit, "conduit_bore": self.conduit_bore}
+        return block | {key: value for key, value in covers.items() if value not in (NONE, None)}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WirePositions:
-    """Positions of the wires of a bundle; arrays are (wires,), in the order of its types.
+    """Positions of the wires of a bundle; arrays are (wires,), in the order of the wire types.
 
     Parameters
     ----------
     x, y : centre of each wire relative to the neutral axis of the bundle, m; y is the direction of
         bending
     diameter : diameter of each wire, m
-    axial : axial stiffness EA of the copper of each wire, N
+    axial_stiffness : axial stiffness EA of the copper of each wire, N
     is_outer : whether the tape touches the wire
     """
 
     x: Floats
     y: Floats
     diameter: Floats
-    axial: Floats
+    axial_stiffness: Floats
     is_outer: Flags
 
     @property
-    def stiffness(self) -> Floats:
+    def bending_stiffness(self) -> Floats:
         """Return the bending stiffness EA y^2 of each wire about the neutral axis, N m^2."""
-        return self.axial * self.y**2
+        return self.axial_stiffness * self.y**2
 
 
 def lay_wires(bundle: BundleModel) -> WirePositions:
-    """Lay the wires in shells of the densest lattice, around a wire or around a gap.
+    """Lay the wires in shells of a hexagonal lattice, around a wire or around a gap.
 
     Parameters
     ----------
@@ -405,33 +401,35 @@ def lay_wires(bundle: BundleModel) -> WirePositions:
     wires = [WIRES[name] for name, number in bundle.wires for _ in range(number)]
     diameter = np.array([wire.diameter for wire in wires])
     copper_area = np.array([wire.n_strands * 0.25 * np.pi * wire.strand**2 for wire in wires])
-    axial = ANNEALED_COPPER.modulus * copper_area
-    positions, is_outer = _fill_shells(bundle.number)
-    order = _order_by_kind(positions, bundle)
-    x, y = np.max(diameter) * positions[order].T
-    neutral_x, neutral_y = (float(axial @ coordinate / np.sum(axial)) for coordinate in (x, y))
-    return WirePositions(x - neutral_x, y - neutral_y, diameter, axial, is_outer[order])
+    axial_stiffness = ANNEALED_COPPER.modulus * copper_area
+    lattice_positions, is_outer = _fill_shells(len(wires))
+    order = _order_by_type(lattice_positions, bundle)
+    total_stiffness = np.sum(axial_stiffness)
+    x, y = np.max(diameter) * lattice_positions[order].T
+    x -= axial_stiffness @ x / total_stiffness
+    y -= axial_stiffness @ y / total_stiffness
+    return WirePositions(x, y, diameter, axial_stiffness, is_outer=is_outer[order])
 
 
-def _fill_shells(number: int) -> tuple[Floats, Flags]:
-    """Find the positions of full shells, shape (number, 2), in pitches, and which are outer."""
-    for centre in (np.zeros(2), np.array([0.5, 0.5 / np.sqrt(3.0)])):
+def _fill_shells(n_wires: int) -> tuple[Floats, Flags]:
+    """Compute the positions of full shells, shape (wires, 2), in pitches, and which are outer."""
+    for centre in (np.zeros(2), np.array([0.5, 0.5 / np.sqrt(3.0)])):  # a wire, a gap
         i, j = np.meshgrid(np.arange(-9, 10), np.arange(-9, 10))
         lattice = np.column_stack([(i + 0.5 * j).ravel(), (0.5 * np.sqrt(3.0) * j).ravel()])
         positions = lattice - centre
         distance = np.hypot(*positions.T)
         order = np.lexsort((np.arctan2(positions[:, 1], positions[:, 0]), np.round(distance, 6)))
-        last_inside, first_outside = distance[order[number - 1 : number + 1]]
+        last_inside, first_outside = distance[order[n_wires - 1 : n_wires + 1]]
         if first_outside - last_inside > _SHELL_TOLERANCE:
-            filled = positions[order[:number]]
-            distances = np.hypot(*(filled[:, None, :] - filled).transpose(2, 0, 1))
+            positions = positions[order[:n_wires]]
+            distances = np.hypot(*(positions[:, None, :] - positions).transpose(2, 0, 1))
             n_neighbours = np.sum(np.abs(distances - 1.0) < _SHELL_TOLERANCE, axis=1)
-            return filled, n_neighbours < 6
-    raise ValueError(format_sentence("virtual_lab.open_shell", number=number))
+            return positions, n_neighbours < 6
+    raise ValueError(format_sentence("virtual_lab.open_shell", number=n_wires))
 
 
-def _order_by_kind(positions: Floats, bundle: BundleModel) -> Ints:
-    """Order the positions: those for wires of the first type, then those for the second type."""
+def _order_by_type(positions: Floats, bundle: BundleModel) -> Ints:
+    """Order positions: indices of those for the first type of wire, then for the second type."""
     n_first = bundle.wires[0][1]
     order = np.argsort(positions[:, 1] + 1e-3 * positions[:, 0], kind="stable")
     if len(bundle.wires) == 1 or bundle.arrangement == _ASYMMETRIC:
@@ -443,44 +441,44 @@ def _order_by_kind(positions: Floats, bundle: BundleModel) -> Ints:
 
 
 def _list_laws(bundle: BundleModel) -> list[tuple[int, PlayLaw]]:
-    """List the number of wires and the law of first loading of each type."""
+    """List the number of wires, and the law of first loading of a wire, for each type."""
     return [(n, replace(WIRES[name], n_plays=24).build_loading_law()) for name, n in bundle.wires]
 
 
 @lru_cache(maxsize=64)
 def _build_law(bundle: BundleModel) -> PlayLaw:
     """Build the law of the first cycle, a polygon with the corners of all wires and sliders."""
-    limits, stiffnesses = _build_sliders(bundle)
+    slip_curvatures, stiffnesses = _compute_sliders(bundle)
     laws = [(number, *find_corners(law)) for number, law in _list_laws(bundle)]
     last = min(WIRES[name].largest_curvature for name, _ in bundle.wires)
     min_relative_distance = 1e-6  # between two corners
-    corners = np.concatenate([*(curvature for _, _, curvature, _ in laws), limits, [last]])
+    corners = np.concatenate([*(curvature for _, _, curvature, _ in laws), slip_curvatures, [last]])
     corners = np.unique(corners[(corners > 0.0) & (corners <= last)])
     knots = corners[np.diff(corners, prepend=0.0) > min_relative_distance * corners]
     moment_sum = bundle.conduit_stiffness * knots
-    for number, moment, curvature, slopes in laws:
-        extrapolated = np.maximum(knots - curvature[-1], 0.0) / slopes[-1]
+    for number, moment, curvature, compliances in laws:
+        extrapolated = np.maximum(knots - curvature[-1], 0.0) / compliances[-1]
         moment_sum += number * (np.interp(knots, curvature, moment) + extrapolated)
-    moment_sum += np.minimum(knots[:, None], limits) @ stiffnesses
+    moment_sum += np.minimum(knots[:, None], slip_curvatures) @ stiffnesses
     return make_polygon_law(knots, moment_sum)
 
 
-def _build_sliders(bundle: BundleModel) -> tuple[Floats, Floats]:
-    """Compute the slip curvatures of the sliders, 1/m, and their stiffnesses, N m^2."""
+def _compute_sliders(bundle: BundleModel) -> tuple[Floats, Floats]:
+    """Compute the slip curvatures, 1/m, and the stiffnesses, N m^2, of friction and glue."""
     layout = lay_wires(bundle)
     is_off_axis = np.abs(layout.y) > _SHELL_TOLERANCE * np.max(layout.diameter)
     distance = np.abs(layout.y[is_off_axis])
-    limits = bundle.slip_curvature * float(np.sqrt(np.mean(distance**2))) / distance
+    friction_limits = bundle.slip_curvature * float(np.sqrt(np.mean(distance**2))) / distance
     glue_limit = np.inf if bundle.glue_strain is None else bundle.glue_strain / bundle.radius
-    stiffnesses = bundle.friction_share * layout.stiffness[is_off_axis]
-    glue_stiffness = bundle.glue_share * float(np.sum(layout.stiffness * layout.is_outer))
-    return np.append(limits, glue_limit), np.append(stiffnesses, glue_stiffness)
+    stiffnesses = bundle.friction_share * layout.bending_stiffness[is_off_axis]
+    glue_stiffness = bundle.glue_share * float(np.sum(layout.bending_stiffness * layout.is_outer))
+    return np.append(friction_limits, glue_limit), np.append(stiffnesses, glue_stiffness)
 
 
-def _read_bundles(kind: str) -> dict[str, BundleModel]:
-    """Build the bundles of the catalog; the values of a group apply to all of its bundles."""
+def _build_bundles(catalog_key: str) -> dict[str, BundleModel]:
+    """Build the bundles of a part of the catalog; a group has values for all of its bundles."""
     bundles = {}
-    for group in read_catalog()[kind]:
+    for group in read_catalog()[catalog_key]:
         for name, values in group["types"].items():
             bundle = BundleModel(**(group["all"] | values))
             wires = tuple((wire, number) for wire, number in values["wires"])
@@ -489,8 +487,8 @@ def _read_bundles(kind: str) -> dict[str, BundleModel]:
     return bundles
 
 
-TAPED_TYPES = _read_bundles("taped")
+TAPED_TYPES = _build_bundles("taped")
 """Taped bundle of each type of Table 4.1 of [1]_; PET tape never slides."""
-CONDUIT_TYPES = _read_bundles("conduits")
+CONDUIT_TYPES = _build_bundles("conduits")
 """Bundle in a conduit of each type of Table 4.2 of [1]_. Wires in a tube are taped only at their
 ends, so that friction and glue hold them less; tape on the conduit has almost no effect."""

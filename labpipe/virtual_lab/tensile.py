@@ -1,11 +1,11 @@
 """Simulate tensile tests: settings, samples, force over time, record, and true values.
 
 All numbers are in SI units. Displacement is that of the crosshead from its position before the
-test, and force is the tension in the specimen. The specimen is slack at first. Its *foot* is the
-displacement at which its first straight region, extrapolated, reaches zero force.
+test, and force is the tension in the specimen. The specimen is slack at first. The *foot* of its
+curve is the displacement at which the first straight region, extrapolated, reaches zero force.
 
 Sizes, speeds and the stiffness of the twist tubes are from sections 2.2 and 2.3 and from Table 2.3
-of [1]_. Forces that [1]_ does not state are plausible values.
+of [1]_. Forces that [1]_ does not state are assumed.
 
 True displacement and force are continuous in time. The crosshead starts at time zero.
 
@@ -23,7 +23,6 @@ References
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field, replace
-from itertools import accumulate
 from typing import Any, ClassVar
 
 import numpy as np
@@ -34,8 +33,9 @@ from labpipe.virtual_lab.cantilever_scenarios import Truth
 from labpipe.virtual_lab.instruments import ExportLayout, FrameRecord, Setting, TensionRecord
 from labpipe.virtual_lab.specimens import read_catalog
 
-_TABLE_POINTS = 200_001
-"""Number of points of the table for specimen and machine in series; its error is below 1e-7 N."""
+_N_TABLE_POINTS = 200_001
+"""Number of points of a force table, from which forces are interpolated with an error below 1e-7 N.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +74,7 @@ class BilinearLaw:
 
         Parameters
         ----------
-        distance : shape (n,), m, relative displacement of its ends
+        distance : shape (n,), m, relative displacement of the ends of the specimen
 
         Returns
         -------
@@ -110,22 +110,23 @@ class BilinearLaw:
         """
         if compliance == 0.0:
             return self.compute_force(displacement)
-        distance = np.linspace(0.0, float(np.max(displacement, initial=0.0)), _TABLE_POINTS)
+        distance = np.linspace(0.0, float(np.max(displacement, initial=0.0)), _N_TABLE_POINTS)
         force = self.compute_force(distance)
         return np.interp(displacement, distance + compliance * force, force)
 
 
 def compute_ramp(distance: Floats, width: float) -> Floats:
-    """Compute a ramp: zero, then slope 1, with a corner rounded over `width`.
+    """Compute a ramp, which is zero and then has slope 1, with a corner rounded over `width`.
 
     Parameters
     ----------
     distance : shape (n,), m, distance from the corner
-    width : length over which the slope increases linearly, half of it on either side, m
+    width : length over which the slope increases linearly, half of it on either side of the corner,
+        m; 0 for a sharp corner
 
     Returns
     -------
-    Integral of the slope, shape (n,), m.
+    Height of the ramp, shape (n,), m.
     """
     ramp = np.maximum(distance, 0.0)
     if width == 0.0:
@@ -136,7 +137,7 @@ def compute_ramp(distance: Floats, width: float) -> Floats:
 
 @dataclass(frozen=True, slots=True)
 class GripSlip:
-    """One slip of the specimen in its grips.
+    """Slip of the specimen in its grips.
 
     Parameters
     ----------
@@ -201,12 +202,12 @@ class FrameInstruments:
     slow_noise : rms noise of the force that is correlated over `correlation_time`, N
     correlation_time : lag at which the correlation is 1/e, s
     displacement_noise : rms white noise of the displacement, m
-    displacement_step : resolution of the displacement, m; 0 for an infinite resolution
-    force_step : resolution of the force, N; 0 for an infinite resolution
+    displacement_step : resolution of the displacement, m; 0 for no rounding
+    force_step : resolution of the force, N; 0 for no rounding
     tare : reading of the load cell without load, N
-    displacement_tare : reading of the crosshead before the test, m
-    gain_error : true relative error of the load cell
-    gain_uncertainty : relative standard uncertainty on its certificate
+    displacement_tare : reading of the displacement before the test, m
+    gain_error : true relative error of the gain of the load cell
+    gain_uncertainty : relative standard uncertainty of the gain on the certificate
     """
 
     rate: float
@@ -223,12 +224,12 @@ class FrameInstruments:
     gain_error: float = 0.0
     gain_uncertainty: float = 0.005
 
-    def compute_sample_times(self, end: float) -> Floats:
-        """Compute the sample times, s, evenly spaced except the last one, and not after `end`.
+    def compute_sample_times(self, end_time: float) -> Floats:
+        """Compute the sample times, s, which are evenly spaced except for the last one.
 
         Parameters
         ----------
-        end : time at which the machine stops recording, s
+        end_time : time at which the machine stops recording, s; no sample is later
 
         Raises
         ------
@@ -237,14 +238,12 @@ class FrameInstruments:
         """
         step = 1.0 / self.rate
         last_step = self.last_step * step
-        count = int(np.floor((end - last_step - self.first_sample) / step)) + 1
-        if count < 2:
-            message = format_sentence(
-                "virtual_lab.few_samples", rate=self.rate, count=count + 1, end=end
-            )
-            raise ValueError(message)
-        grid = self.first_sample + step * np.arange(count)
-        return np.append(grid, grid[-1] + last_step)
+        n_even = int(np.floor((end_time - last_step - self.first_sample) / step)) + 1
+        if n_even < 2:
+            facts = {"rate": self.rate, "count": n_even + 1, "end": end_time}
+            raise ValueError(format_sentence("virtual_lab.few_samples", **facts))
+        even_times = self.first_sample + step * np.arange(n_even)
+        return np.append(even_times, even_times[-1] + last_step)
 
     def draw_slow_noise(self, time: Floats, random: np.random.Generator) -> Floats:
         """Draw correlated noise at given times, N.
@@ -261,34 +260,32 @@ class FrameInstruments:
         """
         correlation = np.exp(-np.diff(time, prepend=-np.inf) / self.correlation_time)
         shocks = np.sqrt(1.0 - correlation**2) * random.standard_normal(len(time))
-        levels = accumulate(
-            zip(correlation, shocks, strict=True),
-            lambda level, step: step[0] * level + step[1],
-            initial=0.0,
-        )
-        return self.slow_noise * np.array(list(levels)[1:])
+        levels = [0.0]
+        for factor, shock in zip(correlation, shocks, strict=True):
+            levels.append(factor * levels[-1] + shock)
+        return self.slow_noise * np.array(levels[1:])
 
 
 @dataclass(frozen=True, slots=True)
 class TensileScenario:
-    """Complete virtual tensile test, from specimen to test sheet.
+    """Virtual tensile test: specimen, machine, instruments, and entries of the test sheet.
 
     Parameters
     ----------
     name : name of the test and of its folder
-    protocol : name of the protocol on the test sheet
-    specimen_type, spool, sample : specimen type, spool and sample for the test sheet
+    protocol : name of the protocol in the test sheet
+    specimen_type, spool, sample : specimen type, spool and sample in the test sheet
     length : gauge length between the grips, m
-    law : law of the specimen
-    frame : motion of the machine
-    instruments : instruments of the machine
-    slips : slips in the grips, before the end of the test
+    law : force of the specimen against displacement
+    frame : motion and compliance of the machine
+    instruments : sampling, noise and errors of the machine's controller
+    slips : slips in the grips, before the end of loading
     failure : failure of the specimen; None if it does not fail
     export : layout of the export
     section : name and size, m, of each dimension of the section that differs from the protocol
     date : ISO date for the test sheet and the exports
-    labels, observed : name and text of each entry of the test sheet on the specimen, and on what
-        was observed at the tested sample
+    labels, observed : name and text of each entry of the blocks ``labels`` (specimen) and
+        ``observed`` (sample after the test) of the test sheet
     """
 
     name: str
@@ -309,47 +306,47 @@ class TensileScenario:
     observed: tuple[tuple[str, str], ...] = ()
 
     @property
-    def last_displacement(self) -> float:
-        """Return the displacement at which the specimen fails or the crosshead stops, m."""
+    def final_displacement(self) -> float:
+        """Return the displacement at the end of loading: at failure or full stroke, m."""
         return self.frame.stroke if self.failure is None else self.failure.displacement
 
     @property
-    def last_time(self) -> float:
-        """Return the time at which the failure begins or full stroke is reached, s."""
-        return self.last_displacement / self.frame.speed
+    def loading_time(self) -> float:
+        """Return the time at the end of loading: at failure or full stroke, s."""
+        return self.final_displacement / self.frame.speed
 
     @property
-    def end(self) -> float:
+    def end_time(self) -> float:
         """Return the time at which the machine stops recording, s."""
         return_time = self.frame.stroke / self.frame.speed if self.frame.unloads else 0.0
-        return self.last_time + self.frame.overrun + return_time
+        return self.loading_time + self.frame.overrun + return_time
 
     def compute_displacement(self, time: Floats) -> Floats:
         """Compute the displacement of the crosshead, m, at given times, s."""
         frame = self.frame
         if self.failure is not None:
-            return frame.speed * np.clip(time, 0.0, self.end)
-        reversal_time = self.last_time + frame.overrun
+            return frame.speed * np.clip(time, 0.0, self.end_time)
+        reversal_time = self.loading_time + frame.overrun
         return_travel = frame.speed * np.maximum(time - reversal_time, 0.0) * frame.unloads
-        outward_travel = frame.speed * np.clip(time, 0.0, self.last_time)
+        outward_travel = frame.speed * np.clip(time, 0.0, self.loading_time)
         return np.maximum(outward_travel - return_travel, 0.0)
 
     def compute_force(self, time: Floats) -> Floats:
         """Compute the tension in the specimen, N, at given times, s."""
-        force = self._compute_loading_force(np.minimum(time, self.last_time))
+        force = self._compute_loading_force(np.minimum(time, self.loading_time))
         if self.failure is not None:
-            failure, elapsed = self.failure, np.maximum(time - self.last_time, 0.0)
-            drop = 1.0 - np.clip(elapsed / failure.duration, 0.0, 1.0)
+            failure, elapsed = self.failure, np.maximum(time - self.loading_time, 0.0)
+            unbroken_fraction = 1.0 - np.clip(elapsed / failure.duration, 0.0, 1.0)
             decay = np.exp(-elapsed / failure.tail)
-            return force * ((1.0 - failure.residue) * drop + failure.residue * decay)
+            return force * ((1.0 - failure.residue) * unbroken_fraction + failure.residue * decay)
         if not self.frame.unloads:
             return force
-        is_returning = time > self.last_time + self.frame.overrun
+        is_returning = time > self.loading_time + self.frame.overrun
         unloading_force = self._compute_unloading_force(self.compute_displacement(time))
         return np.where(is_returning, unloading_force, force)
 
     def _compute_loading_force(self, time: Floats) -> Floats:
-        """Compute the tension, N, until the specimen fails or the crosshead stops."""
+        """Compute the tension, N, at times, s, until the specimen fails or the crosshead stops."""
         displacement = self.compute_displacement(time)
         force = self.law.compute_series_force(displacement, self.frame.compliance)
         for slip in self.slips:
@@ -358,22 +355,22 @@ class TensileScenario:
         return np.maximum(force, 0.0)
 
     def _compute_unloading_force(self, displacement: Floats) -> Floats:
-        """Compute the force on unloading by Masing's rule, until the specimen is slack again.
+        """Compute the tension, N, on unloading by Masing's rule; it is zero when slack.
 
-        The unloading curve is the loading curve without slack and toe, inverted and enlarged by a
-        factor of two: F = F_peak - 2 S((d_peak - d) / 2).
+        The unloading curve of the specimen is the loading curve S without slack and toe, inverted
+        and enlarged by a factor of two: F = F_peak - 2 S((d_peak - d) / 2).
         """
-        peak = float(self._compute_loading_force(np.array([self.last_time]))[0])
-        distances = np.linspace(0.0, self.frame.stroke, _TABLE_POINTS)
-        decreases = 2.0 * replace(self.law, slack=0.0, toe=0.0).compute_force(0.5 * distances)
-        crosshead_distances = distances + self.frame.compliance * decreases
-        decrease = np.interp(self.frame.stroke - displacement, crosshead_distances, decreases)
-        return np.maximum(peak - decrease, 0.0)
+        peak_force = float(self._compute_loading_force(np.array([self.loading_time]))[0])
+        distance = np.linspace(0.0, self.frame.stroke, _N_TABLE_POINTS)
+        force_decrease = 2.0 * replace(self.law, slack=0.0, toe=0.0).compute_force(0.5 * distance)
+        crosshead_distance = distance + self.frame.compliance * force_decrease
+        decrease = np.interp(self.frame.stroke - displacement, crosshead_distance, force_decrease)
+        return np.maximum(peak_force - decrease, 0.0)
 
     def record(self, seed: int) -> tuple[dict[str, Any], Truth]:
-        """Simulate the record of the load frame, keyed by its role, and list the true values."""
+        """Simulate the record ``frame`` with a seed of its noise, and list the true values."""
         random, instruments = np.random.default_rng(seed), self.instruments
-        time = instruments.compute_sample_times(self.end)
+        time = instruments.compute_sample_times(self.end_time)
         force = (1.0 + instruments.gain_error) * self.compute_force(time) + instruments.tare
         force += instruments.white_noise * random.standard_normal(len(time))
         force += instruments.draw_slow_noise(time, random)
@@ -392,17 +389,17 @@ class TensileScenario:
         ``stiffness_second``, N/m, include the compliance of the machine, as in a measurement
         without compliance correction. ``foot`` is the displacement at which the first straight line
         has zero force. ``break_point`` is the displacement at which the two lines intersect; None
-        if the test ends before. ``failure_displacement`` is the displacement at which the force
-        begins to drop, and ``energy_to_break`` the work up to it, J; None without a failure.
+        if loading ends before. ``failure_displacement`` is the displacement at which the force
+        begins to drop, and ``energy_to_break`` is the work up to it, J; None without a failure.
         """
         law, compliance = self.law, self.frame.compliance
-        fine_time = np.linspace(0.0, self.last_time, 100_001)
+        fine_time = np.linspace(0.0, self.loading_time, 100_001)
         fine_displacement = self.compute_displacement(fine_time)
         fine_force = self.compute_force(fine_time)
-        peak = int(np.argmax(fine_force))
+        peak_index = int(np.argmax(fine_force))
         break_force = law.stiffness_first * law.break_point
         break_distance = law.break_point + compliance * break_force
-        has_break_point = law.foot + break_distance < self.last_displacement
+        has_break_point = law.foot + break_distance < self.final_displacement
         has_failure = self.failure is not None
         energy = float(np.trapezoid(fine_force, fine_displacement))
         stiffnesses = np.array([law.stiffness_first, law.stiffness_second])
@@ -419,34 +416,31 @@ class TensileScenario:
             "break_point": law.foot + break_distance if has_break_point else None,
             "break_point_from_foot": break_distance if has_break_point else None,
             "break_force": break_force if has_break_point else None,
-            "peak_force": float(fine_force[peak]),
-            "peak_displacement": float(fine_displacement[peak]),
-            "failure_displacement": self.last_displacement if has_failure else None,
+            "peak_force": float(fine_force[peak_index]),
+            "peak_displacement": float(fine_displacement[peak_index]),
+            "failure_displacement": self.final_displacement if has_failure else None,
             "failure_force": float(fine_force[-1]) if has_failure else None,
             "energy_to_break": energy if has_failure else None,
             "slips": [asdict(slip) for slip in self.slips],
         }
 
     def describe_specimen(self) -> dict[str, object]:
-        """Describe the specimen as entries of the block ``specimen`` of the test sheet, in m."""
+        """List entries of the block ``specimen`` of the test sheet; a float is a length, m."""
         blocks = {"labels": dict(self.labels), "observed": dict(self.observed)}
         return {"length": self.length} | {name: block for name, block in blocks.items() if block}
 
     def list_settings(self) -> list[Setting]:
         """List settings that override the protocol: load-cell uncertainty and sizes of a tube."""
         key = "sources.frame.channels.force.scale_uncertainty"
-        certificate = f"{100.0 * self.instruments.gain_uncertainty:.10g} %"
-        return [
-            Setting(key, certificate, "certificate of the load cell"),
-            *(
-                Setting(f"specimen.section.{name}", size, "a tube of another size")
-                for name, size in self.section
-            ),
-        ]
+        uncertainty = f"{100.0 * self.instruments.gain_uncertainty:.10g} %"
+        settings = [Setting(key, uncertainty, "certificate of the load cell")]
+        for name, size in self.section:
+            settings.append(Setting(f"specimen.section.{name}", size, "a tube of another size"))
+        return settings
 
 
 def _quantise(values: Floats, step: float) -> Floats:
-    """Round values to a resolution; 0 is an infinite resolution."""
+    """Round values to multiples of a step; with a step of 0, return them unchanged."""
     return values if step == 0.0 else step * np.rint(values / step)
 
 
@@ -465,9 +459,9 @@ _COMPONENTS = {
 
 
 def _read_scenario(protocol: str, *, gain_error: float, **values: Any) -> TensileScenario:
-    """Build a test from the catalog, with `values` in place of those of the catalog."""
+    """Build a test from the catalog; `values` are fields that differ from the catalog."""
     table = read_catalog()["tensile"][protocol]
-    components = {key: make(**table[key]) for key, make in _COMPONENTS.items() if key in table}
+    components = {key: build(**table[key]) for key, build in _COMPONENTS.items() if key in table}
     scenario = TensileScenario(**({"protocol": protocol} | table | components | values))
     return replace(scenario, instruments=replace(scenario.instruments, gain_error=gain_error))
 
@@ -475,17 +469,17 @@ def _read_scenario(protocol: str, *, gain_error: float, **values: Any) -> Tensil
 def build_corrugated_tube(
     name: str, *, factor: float = 1.0, gain_error: float = 0.0
 ) -> TensileScenario:
-    """Build a test of a 10 mm corrugated tube to 50 mm, without slip or failure.
+    """Build a test of a 10 mm corrugated tube, stretched by 50 mm without slip or failure.
 
     Parameters
     ----------
     name : type and number of the sample, such as ``CT-10-slit-1``
-    factor : factor on the forces of the slit tube
-    gain_error : relative error of the load cell
+    factor : ratio of the forces to those of the slit tube of the catalog
+    gain_error : relative error of the gain of the load cell
     """
-    kind, _, sample = name.rpartition("-")
-    names = {"name": name, "specimen_type": kind, "spool": f"{kind}-s1", "sample": sample}
-    tube = _read_scenario("corrugated-tube", gain_error=gain_error, **names)
+    tube_type, _, sample = name.rpartition("-")
+    entries = {"specimen_type": tube_type, "spool": f"{tube_type}-s1", "sample": sample}
+    tube = _read_scenario("corrugated-tube", gain_error=gain_error, name=name, **entries)
     return replace(tube, law=tube.law.scale(factor))
 
 
@@ -501,33 +495,34 @@ def build_twist_tube(
 
     Parameters
     ----------
-    sample : sample of the table
+    sample : key of `TABLE_2_3`, such as ``2b``
     peak_force : force at failure, N
     slack : displacement without force, m
     break_point : displacement of the crosshead from the foot to the break point, m
-    gain_error : relative error of the load cell
+    gain_error : relative error of the gain of the load cell
 
     Notes
     -----
-    The stiffnesses n1 and n2 of the table include the compliance of the frame. The displacement d
-    at failure, from the foot, follows from 1 = n1 b + n2 (d - b), where b is the break point.
+    The stiffnesses n1 and n2 of the table, relative to the peak force, include the compliance of
+    the frame. The displacement d at failure, from the foot, follows from 1 = n1 b + n2 (d - b),
+    where b is the break point.
     """
-    names = {"name": f"twist-tube-{sample}", "spool": f"twist-tube-s{sample[0]}", "sample": sample}
-    tube = _read_scenario("twist-tube", gain_error=gain_error, **names)
+    entries = {"name": f"twist-tube-{sample}", "spool": f"twist-tube-s{sample[0]}"}
+    tube = _read_scenario("twist-tube", gain_error=gain_error, sample=sample, **entries)
     compliance = tube.frame.compliance
-    first, second = TABLE_2_3[sample]
+    n1, n2 = TABLE_2_3[sample]
     law = replace(
         tube.law,
-        stiffness_first=first * peak_force / (1.0 - compliance * (first * peak_force)),
-        stiffness_second=second * peak_force / (1.0 - compliance * (second * peak_force)),
-        break_point=break_point * (1.0 - compliance * first * peak_force),
+        stiffness_first=n1 * peak_force / (1.0 - compliance * (n1 * peak_force)),
+        stiffness_second=n2 * peak_force / (1.0 - compliance * (n2 * peak_force)),
+        break_point=break_point * (1.0 - compliance * n1 * peak_force),
         slack=slack,
     )
-    failure_displacement = law.foot + break_point + (1.0 - first * break_point) / second
-    return _fail_at(replace(tube, law=law), failure_displacement)
+    failure_displacement = law.foot + break_point + (1.0 - n1 * break_point) / n2
+    return _move_failure(replace(tube, law=law), failure_displacement)
 
 
-def _fail_at(scenario: TensileScenario, displacement: float) -> TensileScenario:
+def _move_failure(scenario: TensileScenario, displacement: float) -> TensileScenario:
     """Move the failure of a test to a displacement, m."""
     assert scenario.failure is not None
     return replace(scenario, failure=replace(scenario.failure, displacement=displacement))
@@ -544,15 +539,15 @@ def build_pet_tape(
 
     Parameters
     ----------
-    sample : number of the sample: 1 to 3 are from the first spool, 4 and 5 from the second
-    factor : factor on the forces
+    sample : number of the sample; samples 1 to 3 are from the first spool, others from the second
+    factor : ratio of the forces to those of the catalog
     failure_displacement : displacement at failure, m
-    gain_error : relative error of the load cell
+    gain_error : relative error of the gain of the load cell
     """
     spool = "pet-tape-s1" if int(sample) <= 3 else "pet-tape-s2"
-    names = {"name": f"pet-tape-{sample}", "spool": spool, "sample": sample}
-    tape = _read_scenario("pet-tape", gain_error=gain_error, **names)
-    return _fail_at(replace(tape, law=tape.law.scale(factor)), failure_displacement)
+    entries = {"name": f"pet-tape-{sample}", "spool": spool, "sample": sample}
+    tape = _read_scenario("pet-tape", gain_error=gain_error, **entries)
+    return _move_failure(replace(tape, law=tape.law.scale(factor)), failure_displacement)
 
 
 def build_crimp_pull(
@@ -568,18 +563,19 @@ def build_crimp_pull(
 
     Parameters
     ----------
-    specimen_type, sample : specimen type and sample for the test sheet
+    specimen_type, sample : specimen type, and number of the sample, in the test sheet
     strength : largest force, 2.3 mm after the start, N
-    conductor : section of the conductor, as the test sheet states it
-    separation : kind of separation, empty if it is not observed. In a ``slip`` the force decreases
-        over 3 mm
-    gain_error : relative error of the load cell
+    conductor : cross-section of the conductor, as text of the test sheet
+    separation : kind of separation, empty if it is not observed. After a ``slip``, the force
+        decreases over 3 mm
+    gain_error : relative error of the gain of the load cell
     """
-    names = {"name": f"{specimen_type}-{sample}", "sample": str(sample)}
-    facts = {"labels": (("conductor", conductor),), "specimen_type": specimen_type}
-    observed = (("separation", separation),) if separation else ()
-    pull = _read_scenario("crimp-pull", gain_error=gain_error, observed=observed, **names, **facts)
-    pull = _fail_at(replace(pull, law=pull.law.scale(strength)), pull.law.foot + 2.0e-3)
+    entries = {"specimen_type": specimen_type, "labels": (("conductor", conductor),)}
+    entries |= {"name": f"{specimen_type}-{sample}", "sample": str(sample)}
+    if separation:
+        entries["observed"] = (("separation", separation),)
+    pull = _read_scenario("crimp-pull", gain_error=gain_error, **entries)
+    pull = _move_failure(replace(pull, law=pull.law.scale(strength)), pull.law.foot + 2.0e-3)
     if separation != "slip" or pull.failure is None:
         return pull
     return replace(pull, failure=replace(pull.failure, duration=3e-3 / pull.frame.speed))
@@ -590,7 +586,7 @@ def build_stiff_bar(*, gain_error: float = 0.0) -> TensileScenario:
 
     Parameters
     ----------
-    gain_error : relative error of the load cell
+    gain_error : relative error of the gain of the load cell
     """
     return _read_scenario("stiff-bar", gain_error=gain_error)
 
@@ -604,15 +600,15 @@ class MetalTension:
     name : name of the test and of its folder
     modulus : Young's modulus E, Pa
     proof_stress : proof stress Rp0.2, Pa
-    hardening : exponent n of the law
+    hardening : exponent n of the law of Ramberg and Osgood
     diameter : diameter of the specimen, m
     gauge_length : gauge length of the extensometer, m
-    uniform_strain, last_strain : strain at the largest force, and at the break
+    uniform_strain, last_strain : strains at the largest force and at the break
     last_share : force at the break divided by the largest force
-    extensometer_off : strain at which the extensometer is removed; None if it is not removed
+    extensometer_off : strain above which the extensometer is removed; None if it is not removed
     rate : sampling rate, Hz
-    strain_rates : strain rates up to a strain of 0.4 %, and above, 1/s
-    force_noise, extension_noise : standard deviations of the white noise, N and m
+    strain_rates : strain rate up to a strain of 0.4 %, and strain rate above, 1/s
+    force_noise, extension_noise : rms white noise of force, N, and of extension, m
     frame_compliance : compliance of machine and grips, m/N
     preload : force at the start, N
     """
@@ -641,7 +637,7 @@ class MetalTension:
 
     @property
     def area(self) -> float:
-        """Return the original area, m^2."""
+        """Return the original area of the cross-section, m^2."""
         return 0.25 * np.pi * self.diameter**2
 
     def compute_stress(self, strain: Floats) -> Floats:
@@ -653,8 +649,8 @@ class MetalTension:
     def compute_force(self, strain: Floats) -> Floats:
         """Compute the force, N, at strains of any shape, including necking."""
         uniform_force = self.area * self.compute_stress(np.minimum(strain, self.uniform_strain))
-        necking = (strain - self.uniform_strain) / (self.last_strain - self.uniform_strain)
-        return uniform_force * (1.0 - (1.0 - self.last_share) * np.maximum(necking, 0.0) ** 2)
+        neck_fraction = (strain - self.uniform_strain) / (self.last_strain - self.uniform_strain)
+        return uniform_force * (1.0 - (1.0 - self.last_share) * np.maximum(neck_fraction, 0.0) ** 2)
 
     def compute_truth(self) -> dict[str, float]:
         """Compute the true values of the results of the protocol ``iso-6892``, in SI units."""
@@ -663,7 +659,7 @@ class MetalTension:
         return {
             "elastic_modulus": self.modulus,
             "proof_stress_0_2": self.proof_stress,
-            "proof_stress_1": self.proof_stress * 5.0 ** (1.0 / self.hardening),
+            "proof_stress_1": self.proof_stress * (0.01 / 0.002) ** (1.0 / self.hardening),
             "tensile_strength": strength,
             "elongation_at_maximum_force": self.uniform_strain,
             "plastic_elongation_at_maximum_force": self.uniform_strain - strength / self.modulus,
@@ -672,18 +668,19 @@ class MetalTension:
         }
 
     def record(self, seed: int) -> tuple[dict[str, Any], Truth]:
-        """Simulate the record of the machine, keyed by its role, and list the true values."""
+        """Simulate the record ``frame`` with a seed of its noise, and list the true values."""
         random = np.random.default_rng([seed, 68])
-        slow, fast = self.strain_rates
-        start = self.preload / (self.area * self.modulus)
-        speed_change_strain = 0.004  # strain up to which the test is slow
-        speed_change_time = (speed_change_strain - start) / slow
-        end = speed_change_time + (self.last_strain - speed_change_strain) / fast
-        time = np.arange(int(end * self.rate)) / self.rate
-        slow_time = np.minimum(time, speed_change_time)
-        fast_time = np.maximum(time - speed_change_time, 0.0)
-        strain = start + slow * slow_time + fast * fast_time
-        force, extension = self.compute_force(strain), self.gauge_length * (strain - start)
+        slow_rate, fast_rate = self.strain_rates
+        start_strain = self.preload / (self.area * self.modulus)
+        rate_change_strain = 0.004
+        rate_change_time = (rate_change_strain - start_strain) / slow_rate
+        end_time = rate_change_time + (self.last_strain - rate_change_strain) / fast_rate
+        time = np.arange(int(end_time * self.rate)) / self.rate
+        slow_strain = slow_rate * np.minimum(time, rate_change_time)
+        fast_strain = fast_rate * np.maximum(time - rate_change_time, 0.0)
+        strain = start_strain + slow_strain + fast_strain
+        force, extension = self.compute_force(strain), self.gauge_length * (strain - start_strain)
+        # The free length of the specimen is 1.2 gauge lengths.
         travel = 1.2 * extension + self.frame_compliance * force
         noisy_extension = extension + random.normal(0.0, self.extension_noise, len(time))
         if self.extensometer_off is not None:
@@ -692,9 +689,8 @@ class MetalTension:
         return {"frame": TensionRecord(time, force, travel, noisy_extension)}, self.compute_truth()
 
     def describe_specimen(self) -> dict[str, object]:
-        """Describe the specimen as entries of the block ``specimen`` of the test sheet, in m."""
-        section = {"outer_diameter": self.diameter}
-        return {"gauge_length": self.gauge_length, "section": section}
+        """List entries of the block ``specimen`` of the test sheet; a float is a length, m."""
+        return {"gauge_length": self.gauge_length, "section": {"outer_diameter": self.diameter}}
 
     def list_settings(self) -> list[Setting]:
         """Return no settings: the machine has those of the protocol."""

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from labpipe.mechanics.wire.first_loading import compute_end_load_path
-from labpipe.protocol.load import dump_protocol, load_protocol
+from labpipe.protocol.load import format_protocol, load_protocol
 from labpipe.records.curve import Branch, Curve, Direction
 from labpipe.records.result import Result, Specimen, TestResult
 from labpipe.virtual_lab.specimens import TAPED_TYPES
@@ -41,7 +41,7 @@ def bent_bundle() -> TestResult:
         test="TWB-1",
         specimen=Specimen("TWB", "s1", "1", {"length": LENGTH}, bundle=bundle(("B1", 7))),
         protocol="taped-bundle",
-        protocol_yaml=dump_protocol(_PROTOCOL),
+        protocol_yaml=format_protocol(_PROTOCOL),
         test_yaml="",
         labpipe_version="0",
         inputs=(),

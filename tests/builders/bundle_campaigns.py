@@ -91,11 +91,10 @@ def bundle_campaign(samples: Sequence[Sample], *by: str, alone: str = "") -> Cam
     groups = grouped(samples, *by)
     group_settings = {PROTOCOL: Groups(main=MAIN, margin=0.1)}
     settings: dict[str, dict[str, str]] = {sample.test: {} for sample in samples}
-    differences, n_hidden = find_differences(
-        groups, group_settings, settings, by or (TYPE,), only_field=alone
-    )
+    by = by or (TYPE,)
+    differences, n_hidden = find_differences(groups, group_settings, settings, by, only_field=alone)
     campaign = Campaign("Synthetic bundles", tuple(groups), differences, labpipe_version="0.0")
-    return replace(campaign, by=by or (TYPE,), compared=alone, pairs_not_shown=n_hidden)
+    return replace(campaign, grouping_fields=by, compared_field=alone, pairs_not_shown=n_hidden)
 
 
 def conduit_cases() -> list[Sample]:

@@ -180,7 +180,7 @@ def build_difference() -> Difference:
         p=0.001,
         p_equivalent=0.98,
         family="differences of types",
-        tests=1,
+        n_comparisons=1,
         interval=Interval(-0.31, -0.25),
         verdict=Verdict.DIFFERENT,
         verdict_reason="p = 0.001",

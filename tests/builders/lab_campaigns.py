@@ -15,7 +15,7 @@ from labpipe.campaign.executors import Outcome, Outcomes
 from labpipe.campaign.running import RunSummary, run_campaign
 from labpipe.errors import LabpipeError
 from labpipe.process.run import ProcessedTest, RefusedTest, Task
-from labpipe.protocol.load import dump_protocol, list_protocols, load_test_sheet, resolve_protocol
+from labpipe.protocol.load import format_protocol, list_protocols, load_test_sheet, resolve_protocol
 from labpipe.records.result import TestResult
 
 SHEET = """\
@@ -85,7 +85,7 @@ def _resolved(name: str, text: str, task: Task) -> str:
     """The resolved protocol: the sheets of these campaigns all change the same in it."""
     if (name, text) not in _RESOLVED:
         protocol = resolve_protocol(load_test_sheet(task.sheet), task.sheet)
-        _RESOLVED[name, text] = dump_protocol(protocol)
+        _RESOLVED[name, text] = format_protocol(protocol)
     return _RESOLVED[name, text]
 
 

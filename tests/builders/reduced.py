@@ -113,7 +113,7 @@ def recorded(
     ends = [time[end - 1] for branch in branches for end in (branch.start, branch.stop) if end]
     signals = Signals()
     for name, clock, unit, made, stamps, values in (
-        ("force", "force" if clocks.force else "one", "N", filters, at, force),
+        ("force", "force" if clocks.force_fit else "one", "N", filters, at, force),
         ("displacement", "one", "m", filters_of_displacement, time, displacement),
     ):
         raw = Signal(stamps, values, unit, clock)

@@ -87,7 +87,7 @@ def _as_read(record: ForceRecord | FrameRecord | Take) -> Recording:
             Channel(PORT, f"{path}/{PORT}", values, "HostService")
             for path, values in record.signals.items()
         )
-        return Recording("dspace-mat", "", "", (Clock("HostService", record.clock),), signals)
+        return Recording("dspace-mat", "", "", (Clock("HostService", record.clock_times),), signals)
     if isinstance(record, FrameRecord):
         travel, force = round_to_single(record.displacement), round_to_single(record.force)
         channels = (
@@ -101,7 +101,7 @@ def _as_read(record: ForceRecord | FrameRecord | Take) -> Recording:
     )
     frames = np.arange(float(len(record.time)))
     positions = record.positions.round(6)
-    tracks = MarkerTracks(record.time, frames, record.rate, record.names, positions, bodies)
+    tracks = MarkerTracks(record.time, frames, record.rate, record.labels, positions, bodies)
     return Recording("motive-csv", markers=tracks)
 
 

@@ -21,7 +21,7 @@ from labpipe.campaign.reporting import (
     rename_shared_spools,
 )
 from labpipe.errors import UsageError
-from labpipe.protocol.load import dump_protocol, find_protocol, load_protocol, parse_protocol
+from labpipe.protocol.load import find_protocol, format_protocol, load_protocol, parse_protocol
 from labpipe.protocol.schema import Groups, Protocol
 from labpipe.records.group import Verdict
 from tests.builders.bundle_campaigns import (
@@ -104,7 +104,7 @@ def test_differences_of_a_single_field_come_first_in_rising_order() -> None:
     questions = [item for item in differences if item.family == QUESTION_FAMILY]
     assert {item.name for item in questions} == {MAIN[0]}
     assert {item.name for item in differences if item.family == OTHER_FAMILY} == {MAIN[1]}
-    assert {item.tests for item in questions} == {len(questions)}
+    assert {item.n_comparisons for item in questions} == {len(questions)}
     assert fields == sorted(fields, key=list(dict.fromkeys(fields)).index)
     taping = [item.fields["taping"] for item in differences if item.single_field == "taping"]
     assert set(taping) == {("none", "coarse"), ("none", "half-lap"), ("coarse", "half-lap")}
@@ -154,7 +154,7 @@ def tube() -> Protocol:
 
 
 def changed(protocol: Protocol, old: str, new: str) -> Protocol:
-    text = dump_protocol(protocol)
+    text = format_protocol(protocol)
     assert old in text
     return parse_protocol(text.replace(old, new, 1), "synthetic")
 

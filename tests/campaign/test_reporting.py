@@ -82,7 +82,7 @@ def test_rejected_tests_are_left_out_with_reason(results: Path) -> None:
         str(files[2]): f"slipped <b>twice</b> {remark} (A. Tester, 2026-03-10)",
         str(files[3]): "slipped <b>twice</b> (A. Tester, 2026-03-10)",
     }
-    assert reported.campaign.left_out == {}
+    assert reported.campaign.failures == {}
     page = (reported.folder / "report.html").read_text("utf-8")
     assert "2 rejected" in page
     assert "lipped &lt;b&gt;twice&lt;/b&gt; (A. Tester, 2026-03-10)" in page
@@ -124,7 +124,7 @@ def labelled(results: Path) -> list[Path]:
 def test_main_results_come_first_and_are_compared(labelled: list[Path]) -> None:
     tests: list[str] = []
     campaign = make_campaign(read_tests(labelled, tests.append), "Pulls", ReportOptions())
-    assert (tests, campaign.title, campaign.left_out) == (sorted(KINDS), "Pulls", {})
+    assert (tests, campaign.title, campaign.failures) == (sorted(KINDS), "Pulls", {})
     assert [group.name for group in campaign.groups] == ["hose", "tube"]
     assert {group.protocol for group in campaign.groups} == {"tensile"}
     hose, tube = campaign.groups
@@ -143,7 +143,7 @@ def test_main_results_come_first_and_are_compared(labelled: list[Path]) -> None:
 def test_groups_by_a_field_of_the_sheets(labelled: list[Path]) -> None:
     by_cure = make_campaign(read_tests(labelled, str), "", ReportOptions(by=("cured",)))
     assert [group.name for group in by_cure.groups] == ["without cured", "cured 24 h", "cured 48 h"]
-    assert by_cure.by == ("cured",)
+    assert by_cure.grouping_fields == ("cured",)
     none, first, _ = by_cure.groups
     assert first.fields["cured"] == "24 h"
     assert none.notes[0].message == "the test sheets of these samples do not state cured"
@@ -156,7 +156,7 @@ def test_groups_by_a_field_of_the_sheets(labelled: list[Path]) -> None:
     names = [group.name for group in campaign.groups]
     assert names == ["hose, without cured", "tube, cured 24 h", "tube, cured 48 h"]
     assert {str(x.fields) for x in campaign.differences} == {"{'cured': ('24 h', '48 h')}"}
-    assert (campaign.compared, campaign.pairs_not_shown) == ("cured", 2)
+    assert (campaign.compared_field, campaign.pairs_not_shown) == ("cured", 2)
 
 
 def test_report_options_round_trip(results: Path, tmp_path: Path) -> None:
@@ -185,7 +185,7 @@ def test_copied_recordings_are_left_out(results: Path) -> None:
     shutil.copy(test / "result.h5", test / ".labpipe.new")
     campaign = make_campaign(read_tests(find_results([results]), str), "", ReportOptions())
     assert [len(group.samples) for group in campaign.groups] == [2, 2]
-    ((file, reason),) = campaign.left_out.items()
+    ((file, reason),) = campaign.failures.items()
     assert file == str(copy)
     assert f"found the same exports or samples as in {test / 'result.h5'}." in reason
 

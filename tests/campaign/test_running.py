@@ -165,7 +165,7 @@ def test_two_simultaneous_runs_share_the_tests(campaign: LabCampaign) -> None:
     summary = campaign.run()
     assert campaign.stand_in.processed == ["T1"]
     assert second_campaign.stand_in.processed == ["T2", "T3"]
-    assert summaries[0].claimed_elsewhere == ["T1"]
+    assert summaries[0].skipped_folders == ["T1"]
     assert summary.overview.counts == {OK: 1, DOUBTFUL: 1, FAILED: 1}
 
 
@@ -425,4 +425,4 @@ def test_test_in_use_is_tried_again(campaign: LabCampaign, monkeypatch: pytest.M
 
     campaign.stand_in.before = change_export
     ran = campaign.run()
-    assert (tries.count("T1"), ran.claimed_elsewhere, states(campaign)["T1"]) == (3, [], STALE)
+    assert (tries.count("T1"), ran.skipped_folders, states(campaign)["T1"]) == (3, [], STALE)

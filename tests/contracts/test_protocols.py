@@ -10,7 +10,7 @@ import yaml
 
 from docs.site.reference_pages import format_json_schema
 from labpipe.protocol.load import (
-    dump_protocol,
+    format_protocol,
     load_protocol,
     load_test_sheet,
     parse_protocol,
@@ -32,7 +32,7 @@ def test_it_loads_and_asks_for_what_can_be_shown(path: Path) -> None:
     protocol = load_protocol(path)
     assert protocol.name == path.stem
     assert protocol.about
-    assert parse_protocol(dump_protocol(protocol), "result.h5") == protocol
+    assert parse_protocol(format_protocol(protocol), "result.h5") == protocol
     names = [
         name
         for entry in protocol.results

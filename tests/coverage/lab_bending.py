@@ -21,17 +21,17 @@ from labpipe.records.arrays import Flags, Floats
 from labpipe.records.recording import Recording
 from labpipe.records.result import Result
 from labpipe.virtual_lab import WireCampaign, observe
-from labpipe.virtual_lab.campaigns import GROUPS, ConduitCampaign, TapedCampaign
+from labpipe.virtual_lab.campaigns import WIRE_GROUPS, ConduitCampaign, TapedCampaign
 from labpipe.virtual_lab.cantilever_scenarios import (
     KINK_WINDOW,
     CantileverScenario,
     MechanicalPath,
-    evaluate_taped,
+    evaluate_bundle,
     fit_slope,
     solve_path,
 )
 from labpipe.virtual_lab.instruments import FORCE_PATH, LoadCell
-from labpipe.virtual_lab.lab_files import Observation, write_sheet
+from labpipe.virtual_lab.lab_files import Observation, format_sheet
 from labpipe.virtual_lab.specimens import CONDUIT_TYPES, TAPED_TYPES
 from labpipe.virtual_lab.three_point import ConduitScenario, ThreePointTest, solve_three_point
 from tests.builders.bent_tests import law_moment
@@ -63,7 +63,7 @@ def wire(seed: int) -> CantileverScenario:
 
 def stranded_wire(seed: int) -> CantileverScenario:
     """One of the wires of the virtual campaign, by turns; they share their mechanics."""
-    group = GROUPS[seed % len(GROUPS)]
+    group = WIRE_GROUPS[seed % len(WIRE_GROUPS)]
     campaign = WireCampaign(groups=(group,), samples=1, scatter=0.0, has_mishaps=False)
     ((test, _),) = campaign.list_scenarios(seed)
     return _own_cell(test)
@@ -106,7 +106,7 @@ def on_a_string(
     All results, and what is true, by their names.
     """
     test, name = observe(scenario, seed), scenario.protocol
-    plan = _plan(write_sheet(_as_written(scenario, seed), ROLES), folder, protocols)
+    plan = _plan(format_sheet(_as_written(scenario, seed), ROLES), folder, protocols)
     seen = recordings_of(test)
     force = _wandering(seen["force"], scenario.load_cell, name, seed)
     results = _reduced({"force": force, "markers": _filmed(seen["markers"], name, seed)}, plan)
@@ -140,7 +140,7 @@ def on_two_supports(
         speed=told * scenario.speed,
         markers=replace(layout, centre_offset=layout.centre_offset + centre),
     )
-    sheet = write_sheet(said, {role: (f"{role}.mat",) for role in roles})
+    sheet = format_sheet(said, {role: (f"{role}.mat",) for role in roles})
     results = _reduced(roles, _plan(sheet, folder, protocols))
     truth = conduit_truth(test)
     for result in results:
@@ -234,7 +234,7 @@ def wire_truth(test: Observation[CantileverScenario]) -> Truth:
 def taped_truth(test: Observation[CantileverScenario]) -> Truth:
     """Every number that is known of a taped bundle, by the name of its result."""
     path = solve_path(test.scenario.mechanics)
-    told = evaluate_taped(path)
+    told = evaluate_bundle(path)
     truth = {**_of_cycles(test), **_of_loading(told["loading"], told["bending_stiffness"])}
     pairs = zip(told["loading_stiffness"], told["hardening"], strict=True)
     for cycle, (stiffness, hardening) in enumerate(pairs, start=1):

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from labpipe.mechanics.decks import DECKS
-from labpipe.mechanics.decks.lookup import write_sliders_csv, write_sliders_json
+from labpipe.mechanics.decks.lookup import format_sliders_csv, format_sliders_json
 from labpipe.mechanics.decks.mujoco_sliders import write_mujoco_plane_deck, write_mujoco_space_deck
 from labpipe.mechanics.law.thinning import make_concave_law
 from labpipe.mechanics.studies.wire_sheets import read_wire_sheet
@@ -191,12 +191,12 @@ def test_numbers_out_of_range(approved: Approve) -> None:
 def test_a_law_that_sliders_cannot_have() -> None:
     table = example("A2")
     stiff = replace(table, moment=table.moment * (1.0 + (table.curvature / 50.0) ** 2))
-    reason = "No sliders, and nothing to run: the law stiffens at curvature="
+    reason = "Sliders cannot be fitted, so that this deck has no model: the law stiffens at "
     for deck in (write_mujoco_plane_deck(stiff), write_mujoco_space_deck(stiff)):
         assert reason in deck
         assert "worldbody" not in deck
-    assert reason in write_sliders_csv(stiff)
-    assert json.loads(write_sliders_json(stiff))["reason"].startswith(reason)
+    assert reason in format_sliders_csv(stiff)
+    assert json.loads(format_sliders_json(stiff))["reason"].startswith(reason)
 
 
 def test_a_deck_has_all_its_sliders() -> None:

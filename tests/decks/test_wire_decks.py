@@ -17,12 +17,12 @@ from scipy.optimize import brentq
 from labpipe import __version__
 from labpipe.mechanics.decks import DECKS, make_deck_texts, write_decks
 from labpipe.mechanics.decks.beam_sections import (
-    MAX_POINTS,
+    MAX_ANSYS_POINTS,
     compute_shear_stiffness,
-    write_abaqus_deck,
-    write_ansys_deck,
+    format_abaqus_deck,
+    format_ansys_deck,
 )
-from labpipe.mechanics.decks.calculix import TIP_SET, BarMesh, mesh_half_bar, write_calculix_deck
+from labpipe.mechanics.decks.calculix import TIP_SET, BarMesh, format_calculix_deck, mesh_half_bar
 from labpipe.mechanics.decks.deck_law import (
     compute_skew_bending_error,
     find_linear_range,
@@ -34,17 +34,17 @@ from labpipe.mechanics.decks.deck_law import (
 )
 from labpipe.mechanics.decks.lookup import (
     LOOKUP_COLUMNS,
-    write_lookup_csv,
-    write_lookup_json,
-    write_sliders_csv,
-    write_sliders_json,
+    format_lookup_csv,
+    format_lookup_json,
+    format_sliders_csv,
+    format_sliders_json,
 )
-from labpipe.mechanics.decks.unloading import choose_bends, make_table_strands
+from labpipe.mechanics.decks.unloading import choose_bend_curvatures, make_table_strand_slider
 from labpipe.mechanics.law.loss_card import (
     fit_equivalent_material,
     fit_wire_sliders,
 )
-from labpipe.mechanics.law.sliders import make_unbent_rests, share_hardening, slide
+from labpipe.mechanics.law.sliders import make_unbent_history, slide, split_hardening
 from labpipe.mechanics.wire.bending_law import fit_play_law
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote, Severity
@@ -105,7 +105,7 @@ def test_what_decks_say(ending: str, approved: Approve) -> None:
 
 def test_a_section_of_abaqus() -> None:
     table = wire_table()
-    section, axial, _, _, torque = parse_blocks(write_abaqus_deck(table))
+    section, axial, _, _, torque = parse_blocks(format_abaqus_deck(table))
     density = float(section.parameters.pop("DENSITY"))
     assert section.parameters == {"SECTION": "NONLINEAR GENERAL", "ELSET": "A2"}
     assert axial.parameters == torque.parameters == {"LINEAR": ""}
@@ -122,7 +122,7 @@ def test_a_section_of_abaqus() -> None:
 @pytest.mark.parametrize("keyword", ["*M1", "*M2"])
 def test_the_law_is_kept_within_what_is_stated(keyword: str) -> None:
     table = wire_table()
-    text = write_abaqus_deck(table)
+    text = format_abaqus_deck(table)
     curvature, moment = get_law(parse_blocks(text), keyword)
     assert (curvature[0], moment[0]) == (0.0, 0.0)
     assert curvature[-1] == pytest.approx(table.curvature[-1], rel=1e-11)
@@ -138,12 +138,12 @@ def test_the_law_is_kept_within_what_is_stated(keyword: str) -> None:
 )
 def test_a_name_breaks_nothing(name: str, tmp_path: Path) -> None:
     plain_table, table = wire_table(), replace(wire_table(), name=name)
-    blocks = [block.data for block in parse_blocks(write_abaqus_deck(table))]
-    assert blocks == [block.data for block in parse_blocks(write_abaqus_deck(plain_table))]
-    first, *commands = parse_ansys(write_ansys_deck(table))
+    blocks = [block.data for block in parse_blocks(format_abaqus_deck(table))]
+    assert blocks == [block.data for block in parse_blocks(format_abaqus_deck(plain_table))]
+    first, *commands = parse_ansys(format_ansys_deck(table))
     assert first[1][:3] == ["1", "GENB", "PLASTIC"]
-    assert commands == parse_ansys(write_ansys_deck(plain_table))[1:]
-    frame = pd.read_csv(io.StringIO(write_lookup_csv(table)), comment="#")
+    assert commands == parse_ansys(format_ansys_deck(plain_table))[1:]
+    frame = pd.read_csv(io.StringIO(format_lookup_csv(table)), comment="#")
     assert frame.shape == (len(plain_table.curvature), len(LOOKUP_COLUMNS))
     files = write_decks([replace(table, name=f"../../{name}")], tmp_path)
     assert {path.parent for path in files} == {tmp_path / "decks"}
@@ -173,7 +173,7 @@ def read_ansys_law(text: str, component: str) -> tuple[Floats, Floats]:
 def test_a_section_of_ansys(wire: str) -> None:
     """By the rules of the program, and within the error that is stated with two digits."""
     table = wire_table(wire)
-    text = write_ansys_deck(table, section=7)
+    text = format_ansys_deck(table, section_number=7)
     first, *_, last = parse_ansys(text)
     assert first == ("SECTYPE", ["7", "GENB", "PLASTIC", wire])
     assert last[0] == "BSMD"
@@ -181,7 +181,7 @@ def test_a_section_of_ansys(wire: str) -> None:
     stated = float(text.partition("within ")[2].split()[0])
     for component in ("BSM1", "BSM2"):
         curvature, moment = read_ansys_law(text, component)
-        assert 2 <= len(curvature) - 1 <= MAX_POINTS
+        assert 2 <= len(curvature) - 1 <= MAX_ANSYS_POINTS
         assert np.all(np.diff(curvature) > 0.0)
         assert np.all(np.diff(np.diff(moment) / np.diff(curvature)) < 0.0)
         assert curvature[-1] == pytest.approx(table.curvature[-1], rel=1e-11)
@@ -225,7 +225,7 @@ def numbers(lines: list[str]) -> list[list[float]]:
 
 
 def test_nodes_and_elements_are_numbered_without_gaps() -> None:
-    blocks = dict(blocks_of(write_calculix_deck(wire_table(), n_bricks_along=3))[:6])
+    blocks = dict(blocks_of(format_calculix_deck(wire_table(), n_bricks_along=3))[:6])
     nodes = numbers(blocks["*NODE, NSET=ALL"])
     assert [row[0] for row in nodes] == list(range(1, len(nodes) + 1))
     lines = blocks["*ELEMENT, TYPE=C3D20R, ELSET=WIRE"]
@@ -239,7 +239,7 @@ def test_nodes_and_elements_are_numbered_without_gaps() -> None:
 
 def test_the_material() -> None:
     table = wire_table("A3")
-    blocks = dict(blocks_of(write_calculix_deck(table)))
+    blocks = dict(blocks_of(format_calculix_deck(table)))
     diameter = 2.0 * table.layout.wire_radius
     expected = fit_equivalent_material(table.curvature[1:], table.moment[1:], diameter)
     assert numbers(blocks["*ELASTIC"]) == [[pytest.approx(expected.modulus, rel=1e-8), 0.3]]
@@ -253,11 +253,11 @@ def test_the_material() -> None:
 
 def test_the_tip_goes_to_six_tenths_of_the_length_or_as_far_as_the_law() -> None:
     table = wire_table()
-    step = blocks_of(write_calculix_deck(table, n_steps=40))[-5:]
+    step = blocks_of(format_calculix_deck(table, n_steps=40))[-5:]
     assert numbers(step[0][1]) == [[0.025, 1.0, 1e-8, 0.025]]
     assert step[1][1] == [f"{TIP_SET}, 2, 2, 0.051"]
     short = replace(table, tip_deflection=table.tip_deflection[:20], tip_force=table.tip_force[:20])
-    text, reach = write_calculix_deck(short), table.tip_deflection[19]
+    text, reach = format_calculix_deck(short), table.tip_deflection[19]
     assert f"{TIP_SET}, 2, 2, {reach:.9g}" in text
     assert f"** Free length 0.085 m, tip deflection to {reach:.6g} m." in text
 
@@ -265,25 +265,25 @@ def test_the_tip_goes_to_six_tenths_of_the_length_or_as_far_as_the_law() -> None
 def test_a_wire_without_a_cantilever_gets_the_reason_alone() -> None:
     note = QualityNote("cantilever_cut", Severity.WARNING, "row 2", "no curve: the law stiffens")
     table = replace(wire_table(), tip_deflection=np.zeros(1), tip_force=np.zeros(1), notes=(note,))
-    text = write_calculix_deck(table)
+    text = format_calculix_deck(table)
     assert all(line.startswith("**") for line in text.splitlines())
     assert text.endswith("** No model:\n** no curve: the law stiffens\n")
-    silent = write_calculix_deck(replace(table, notes=()))
+    silent = format_calculix_deck(replace(table, notes=()))
     assert silent.endswith("** No model:\n** the table has no cantilever\n")
 
 
 def test_a_law_that_the_bar_cannot_follow_is_told() -> None:
     table = wire_table()
-    text = write_calculix_deck(replace(table, moment=1e-6 * table.curvature**2))
+    text = format_calculix_deck(replace(table, moment=1e-6 * table.curvature**2))
     assert "error on first loading up to 100 % of the moment from 0.25 1/m" in text
 
 
 def test_numbers_out_of_range(approved: Approve) -> None:
     table = wire_table()
     calls: list[Callable[[], object]] = [
-        lambda: write_ansys_deck(table, section=0),
-        lambda: write_calculix_deck(table, n_steps=0),
-        lambda: write_calculix_deck(table, n_bricks_along=0),
+        lambda: format_ansys_deck(table, section_number=0),
+        lambda: format_calculix_deck(table, n_steps=0),
+        lambda: format_calculix_deck(table, n_bricks_along=0),
         lambda: mesh_half_bar(0),
         lambda: make_deck_texts(replace(table, moment=table.moment[::-1])),
     ]
@@ -443,7 +443,7 @@ def test_shares_in_words() -> None:
 
 def test_the_csv_gives_the_whole_table_back_to_the_last_digit() -> None:
     table = wire_table()
-    frame = pd.read_csv(io.StringIO(write_lookup_csv(table)), comment="#")
+    frame = pd.read_csv(io.StringIO(format_lookup_csv(table)), comment="#")
     assert list(frame.columns) == [f"{name} [{unit}]" for name, unit in LOOKUP_COLUMNS.items()]
     for name, unit in LOOKUP_COLUMNS.items():
         assert np.array_equal(frame[f"{name} [{unit}]"].to_numpy(), getattr(table, name))
@@ -451,7 +451,7 @@ def test_the_csv_gives_the_whole_table_back_to_the_last_digit() -> None:
 
 def test_the_json_table() -> None:
     table = wire_table("A2")
-    content = json.loads(write_lookup_json(table))
+    content = json.loads(format_lookup_json(table))
     for name in (
         *("stick_stiffness", "axial_stiffness", "torsional_stiffness", "mass_per_length"),
         *("free_torsional_stiffness", "stretch_twist_coupling"),
@@ -466,12 +466,12 @@ def test_the_json_table() -> None:
     assert set(content["units"]) == set(content) - facts - {"loss_card"}
     card = loss_card(table.curvature, table.moment)
     losses = content["loss_card"]
-    assert losses == json.loads(write_sliders_json(table))["loss_card"]
-    assert losses["constant"]["error"] == card.constant
-    assert losses["sliders"]["12"] == dict(card.sliders)[12]
-    assert losses["directions"]["16"] == dict(card.directions)[16] < losses["directions"]["4"]
+    assert losses == json.loads(format_sliders_json(table))["loss_card"]
+    assert losses["constant"]["error"] == card.stiffness_error
+    assert losses["sliders"]["12"] == dict(card.slider_errors)[12]
+    assert losses["directions"]["16"] == dict(card.direction_errors)[16] < losses["directions"]["4"]
     stiff = replace(table, moment=table.moment * (1.0 + (table.curvature / 50.0) ** 2))
-    assert json.loads(write_lookup_json(stiff))["loss_card"]["reason"].startswith(
+    assert json.loads(format_lookup_json(stiff))["loss_card"]["reason"].startswith(
         "the law stiffens"
     )
 
@@ -481,7 +481,7 @@ def test_decks_state_what_they_keep_of_a_bend(share: float | None) -> None:
     """Against the law for moments as the input, and first slopes by hand."""
     table = wire_table("A2")
     table = replace(table, spec=replace(table.spec, isotropic_share=share))
-    numbers = json.loads(write_lookup_json(table))["loss_card"]["unloading"]
+    numbers = json.loads(format_lookup_json(table))["loss_card"]["unloading"]
     bends = np.array(numbers["released_from"])
     assert bends.tolist() == [5.0, 12.0, 23.5]
     assert numbers["isotropic_share"] == ([0.35, 1.0] if share is None else [share, share])
@@ -493,7 +493,7 @@ def test_decks_state_what_they_keep_of_a_bend(share: float | None) -> None:
         law = fit_play_law(
             section, contacts_of(section), isotropic_share=m, largest_curvature=table.curvature[-1]
         )
-        history = law.respond(moment, law.make_unbent_history(len(bends))).plays
+        history = law.respond(moment, law.make_unbent_history(len(bends))).history
         released = law.respond(np.zeros(len(bends)), history).curvature
         assert kept_share == pytest.approx(released / bends, abs=0.004)
     lowest, highest = np.array(numbers["wire"]["lost"]).T
@@ -504,15 +504,15 @@ def test_decks_state_what_they_keep_of_a_bend(share: float | None) -> None:
 
 
 def test_bends_that_a_table_does_not_reach() -> None:
-    assert choose_bends(wire_table("A2")).tolist() == [5.0, 12.0, 23.5]
-    assert choose_bends(make_table([0.0, 1.0, 9.0], [0.0, 1.0, 2.0])).tolist() == [5.0]
-    assert choose_bends(make_table([0.0, 1.0, 2.0], [0.0, 1.0, 2.0])).tolist() == [2.0]
+    assert choose_bend_curvatures(wire_table("A2")).tolist() == [5.0, 12.0, 23.5]
+    assert choose_bend_curvatures(make_table([0.0, 1.0, 9.0], [0.0, 1.0, 2.0])).tolist() == [5.0]
+    assert choose_bend_curvatures(make_table([0.0, 1.0, 2.0], [0.0, 1.0, 2.0])).tolist() == [2.0]
 
 
 def test_the_growing_slider_of_the_json() -> None:
     """By the words of its `use`: along a loop as the law, first loading as without it."""
     table = wire_table("A2")
-    content = json.loads(write_sliders_json(table))
+    content = json.loads(format_sliders_json(table))
     block, slips = content["growing"], np.array(content["slip_curvatures"])
     assert (block["isotropic_share"], block["share_interval"]) == (0.675, [0.35, 1.0])
     assert set(content["units"]) >= {"slid", "limits", "spring_beside", "sliders_beside"}
@@ -533,23 +533,23 @@ def test_the_growing_slider_of_the_json() -> None:
         stops = np.clip(stops + change, -slips, slips)
         moment = block["spring_beside"] * kappa + stops @ np.array(block["sliders_beside"])
         moments.append(moment + block["stiffness"] * (kappa - p))
-    law = share_hardening(fit_wire_sliders(table), make_table_strands(table), 0.675)
-    rests, expected = make_unbent_rests(law, 1), []
+    law = split_hardening(fit_wire_sliders(table), make_table_strand_slider(table), 0.675)
+    rests, expected = make_unbent_history(law, 1), []
     for kappa in path:
         step = slide(law, np.array([kappa]), rests)
-        rests = step.rests
+        rests = step.history
         expected.append(step.moment[0])
     assert moments == pytest.approx(expected, rel=1e-9)
     assert moments[:2] == pytest.approx(
         np.interp(path[:2], table.curvature, table.moment), rel=5e-3
     )
     masing = replace(table, spec=replace(table.spec, isotropic_share=0.0))
-    assert json.loads(write_sliders_json(masing))["growing"] is None
+    assert json.loads(format_sliders_json(masing))["growing"] is None
 
 
 def test_rows_of_the_csv_make_the_law() -> None:
     table = wire_table("A2")
-    lines = write_sliders_csv(table).splitlines()
+    lines = format_sliders_csv(table).splitlines()
     rows = [line for line in lines if not line.startswith("#")]
     assert rows[0] == "stiffness [N*m^2],slip_curvature [1/m],slip_moment [N*m]"
     numbers = np.array([row.split(",") for row in rows[1:]], dtype=np.float64)
@@ -564,8 +564,8 @@ def test_rows_of_the_csv_make_the_law() -> None:
 
 def test_numbers_of_the_json() -> None:
     table = wire_table("A2")
-    content, law = json.loads(write_sliders_json(table)), fit_wire_sliders(table)
-    assert content["stiffnesses"] == law.stiffnesses.tolist()
+    content, law = json.loads(format_sliders_json(table)), fit_wire_sliders(table)
+    assert content["stiffnesses"] == law.slider_stiffnesses.tolist()
     assert content["slip_curvatures"] == law.slip_curvatures.tolist()
     assert content["error"] == law.error < 0.003
     assert content["doubtful_beyond"] == table.doubtful_curvature == pytest.approx(37.5)

@@ -15,7 +15,7 @@ from scipy.integrate import solve_bvp
 from scipy.optimize import brentq
 from scipy.special import ellipe, ellipk
 
-from labpipe.mechanics.decks.mujoco_sliders import REST
+from labpipe.mechanics.decks.mujoco_sliders import N_SETTLING_STEPS
 from labpipe.records.arrays import Floats
 
 TOLERANCE = 1e-9
@@ -251,7 +251,7 @@ def tips(
     towards: float | Floats = 0.0,
     *,
     ramp: int = 400,
-    rest: int = REST,
+    rest: int = N_SETTLING_STEPS,
 ) -> Floats:
     """Where the tip comes to rest under each load, shape (loads, 3).
 

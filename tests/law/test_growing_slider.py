@@ -14,9 +14,9 @@ import pytest
 from labpipe.mechanics.law.sliders import (
     GrowingSlider,
     SliderLaw,
-    compute_slider_moment,
+    compute_first_loading,
     make_growing_slider,
-    make_unbent_rests,
+    make_unbent_history,
     slide,
     slide_vector,
 )
@@ -70,15 +70,15 @@ def law_of(bends: float, share: float, laminae: int = 1) -> SliderLaw:
     falls = -np.diff(slopes)
     keeps = falls > 0.0
     return SliderLaw(
-        float(slopes[-1]), falls[keeps], curvature[:-1][keeps], 0.0, bends, growing=growing
+        float(slopes[-1]), falls[keeps], curvature[:-1][keeps], 0.0, bends, growing_sliders=growing
     )
 
 
 def moments_of(law: SliderLaw, path: Floats) -> Floats:
-    rests, moments = make_unbent_rests(law, 1), []
+    rests, moments = make_unbent_history(law, 1), []
     for curvature in path:
         step = slide(law, np.array([curvature]), rests)
-        rests = step.rests
+        rests = step.history
         moments.append(float(step.moment[0]))
     return np.array(moments)
 
@@ -109,7 +109,7 @@ def test_laminae_follow_loops(laminae: int, limit: float) -> None:
 def test_first_loading_is_that_of_the_curve_for_every_share() -> None:
     curvature = np.linspace(0.0, 20.0, 400)[1:]
     laws = [law_of(20.0, share) for share in (0.2, 0.7, 1.0)]
-    first, *others = (compute_slider_moment(law, curvature) for law in laws)
+    first, *others = (compute_first_loading(law, curvature) for law in laws)
     for moment in others:
         assert np.abs(moment - first).max() <= 1e-12 * first.max()
     assert moments_of(laws[0], curvature) == pytest.approx(first, rel=1e-9)
@@ -118,18 +118,18 @@ def test_first_loading_is_that_of_the_curve_for_every_share() -> None:
 def test_vectors_in_one_plane_are_scalars_and_turn_with_it() -> None:
     law, path, turn = law_of(12.0, 0.65, 2), path_of(12.0, -6.0, 3.0), 0.7
     plane = np.array([np.cos(turn), np.sin(turn)])
-    rests, expected = make_unbent_rests(law, 1, is_vector=True), moments_of(law, path)
+    rests, expected = make_unbent_history(law, 1, is_vector=True), moments_of(law, path)
     for curvature, moment in zip(path, expected, strict=True):
         step = slide_vector(law, curvature * plane[None], rests)
         assert step.moment[0] == pytest.approx(moment * plane, abs=1e-9 * expected.max())
-        rests = step.rests
+        rests = step.history
 
 
 def test_stiffness_is_the_derivative_of_the_step() -> None:
     law = law_of(12.0, 0.5, 2)
     rests = slide_vector(
-        law, np.array([[8.0, 3.0]]), make_unbent_rests(law, 1, is_vector=True)
-    ).rests
+        law, np.array([[8.0, 3.0]]), make_unbent_history(law, 1, is_vector=True)
+    ).history
     for curvature in (np.array([9.0, 5.0]), np.array([2.0, -3.0])):
         step = slide_vector(law, curvature[None], rests)
         for axis in range(2):

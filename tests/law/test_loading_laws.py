@@ -41,7 +41,7 @@ def test_a_law_of_plays_is_met_exactly_also_beyond_its_last_corner() -> None:
 @pytest.mark.parametrize("rest", [-2.0, -0.3, 0.0, 1.7])
 def test_on_from_a_rest_as_plays_remember_it(rest: float) -> None:
     table, still = LoadingTable.of_plays(PLAYS_TABLE), np.array([rest])
-    plays = PLAYS_TABLE.respond(still, PLAYS_TABLE.make_unbent_history(1)).plays
+    plays = PLAYS_TABLE.respond(still, PLAYS_TABLE.make_unbent_history(1)).history
     for moment in np.linspace(rest, 5.0, 23):
         response = PLAYS_TABLE.respond(np.array([moment]), plays)
         curvature, slope = table.bend_from_rest(still, np.array([[moment]]))
@@ -190,8 +190,8 @@ def test_a_constant_stiffness_by_hand() -> None:
     """Secants from 3 to 1: 1.5 is half too low and half too high; from 1 to 2 1/m from 3 to 2."""
     curvature, moment = np.array([0.0, 1.0, 2.0, 6.0]), np.array([0.0, 3.0, 4.0, 6.0])
     card = loss_card(curvature, moment, counts=(2,))
-    assert (card.stiffness, card.constant) == pytest.approx((1.5, 0.5))
-    assert card.sliders[0] == pytest.approx((2, 0.0), abs=1e-12)
+    assert (card.stiffness, card.stiffness_error) == pytest.approx((1.5, 0.5))
+    assert card.slider_errors[0] == pytest.approx((2, 0.0), abs=1e-12)
     part = loss_card(curvature[:3], moment[:3], counts=(2,))
-    assert (part.first, part.last) == (1.0, 2.0)
-    assert (part.stiffness, part.constant) == pytest.approx((2.4, 0.2))
+    assert (part.min_curvature, part.max_curvature) == (1.0, 2.0)
+    assert (part.stiffness, part.stiffness_error) == pytest.approx((2.4, 0.2))

@@ -43,7 +43,7 @@ def drive(law: PlayLaw, moments: list[float]) -> Floats:
     plays, curvatures = law.make_unbent_history(1), []
     for moment in moments:
         answer = law.respond(np.array([moment]), plays)
-        plays = answer.plays
+        plays = answer.history
         curvatures.append(float(answer.curvature[0]))
     return np.array(curvatures)
 
@@ -82,7 +82,7 @@ def test_rate_independent_halfway_stops_change_nothing(way: list[float], goal: f
 def test_compliance_is_the_slope_of_the_step(way: list[float]) -> None:
     plays = WIRE.make_unbent_history(1)
     for moment in way[:-1]:
-        plays = WIRE.respond(np.array([moment]), plays).plays
+        plays = WIRE.respond(np.array([moment]), plays).history
     moments, tiny = np.array([way[-1]]), 1e-9
     response = WIRE.respond(moments, plays)
     sides = [

@@ -11,18 +11,17 @@ from hypothesis import strategies as st
 
 from labpipe.mechanics.law.loss_card import DEFAULT_SLIDERS, fit_wire_sliders, make_table_card
 from labpipe.mechanics.law.sliders import (
-    TURNS,
+    ROTATIONS,
     SliderLaw,
-    compute_slider_moment,
-    compute_slip_moments,
+    average_rotations,
+    compute_first_loading,
     convert_to_plays,
     fit_directions,
     fit_sliders,
     make_linear_law,
-    make_unbent_rests,
+    make_unbent_history,
     slide,
     slide_vector,
-    turn_directions,
 )
 from labpipe.mechanics.law.thinning import thin_law
 from labpipe.records.arrays import Floats
@@ -42,15 +41,14 @@ def smooth(curvature: Floats) -> Floats:
 def test_first_loading_by_hand() -> None:
     by_hand = [0.25 * 12.0, 2.0 + 3.0 + 3.0 + 1.0, 6.0 + 3.0 + 6.0 + 3.0, 10.0 + 3.0 + 6.0 + 4.0]
     bent = np.array([0.25, 1.0, 3.0, 5.0])
-    assert compute_slider_moment(LAW, bent) == pytest.approx(by_hand)
-    assert compute_slider_moment(LAW, -bent) == pytest.approx(-np.array(by_hand))
+    assert compute_first_loading(LAW, bent) == pytest.approx(by_hand)
+    assert compute_first_loading(LAW, -bent) == pytest.approx(-np.array(by_hand))
     assert LAW.first_stiffness == 12.0
-    assert compute_slip_moments(LAW).tolist() == [3.0, 6.0, 4.0]
 
 
 def test_a_loop_by_hand() -> None:
     """To 3 1/m and back: everything holds at first, the first slider lets go after 1 1/m."""
-    rests = make_unbent_rests(LAW, 1)
+    rests = make_unbent_history(LAW, 1)
     for bent, moment, stiffness in (
         (3.0, 18.0, 3.0),
         (2.5, 18.0 - 0.5 * 12.0, 12.0),
@@ -59,7 +57,7 @@ def test_a_loop_by_hand() -> None:
     ):
         answer = slide(LAW, np.array([bent]), rests)
         assert (answer.moment[0], answer.stiffness[0]) == pytest.approx((moment, stiffness))
-        rests = answer.rests
+        rests = answer.history
 
 
 @settings(max_examples=30, deadline=None)
@@ -67,31 +65,31 @@ def test_a_loop_by_hand() -> None:
 def test_masing_against_plays(turns: list[float]) -> None:
     """The dual form: what the sliders answer bends the plays by what bent the sliders."""
     plays = convert_to_plays(LAW)
-    rests, history = make_unbent_rests(LAW, 1), plays.make_unbent_history(1)
+    rests, history = make_unbent_history(LAW, 1), plays.make_unbent_history(1)
     for turn in turns:
         response = slide(LAW, np.array([turn]), rests)
         answer = plays.respond(response.moment, history)
         assert answer.curvature == pytest.approx(turn, abs=1e-9)
-        rests, history = response.rests, answer.plays
+        rests, history = response.history, answer.history
 
 
 @settings(max_examples=20, deadline=None)
 @given(turn=st.floats(-np.pi, np.pi), turns=st.lists(st.floats(-9.0, 9.0), min_size=1, max_size=4))
 def test_vector_sliders_in_a_plane_are_plain_ones(turn: float, turns: list[float]) -> None:
     towards = np.array([np.cos(turn), np.sin(turn)])
-    scalar, vector = make_unbent_rests(LAW, 1), make_unbent_rests(LAW, 1, is_vector=True)
+    scalar, vector = make_unbent_history(LAW, 1), make_unbent_history(LAW, 1, is_vector=True)
     for bent in turns:
         planar = slide(LAW, np.array([bent]), scalar)
         spatial = slide_vector(LAW, bent * towards[None], vector)
         assert spatial.moment[0] == pytest.approx(planar.moment[0] * towards, abs=1e-9)
-        scalar, vector = planar.rests, spatial.rests
+        scalar, vector = planar.history, spatial.history
 
 
 @settings(max_examples=20, deadline=None)
 @given(seed=st.integers(0, 10**6))
 def test_tangent_against_differences(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    rests = slide_vector(LAW, rng.normal(scale=3.0, size=(1, 2)), np.zeros((1, 3, 2))).rests
+    rests = slide_vector(LAW, rng.normal(scale=3.0, size=(1, 2)), np.zeros((1, 3, 2))).history
     bent = rng.normal(scale=3.0, size=(1, 2))
     stiffness = slide_vector(LAW, bent, rests).stiffness[0]
     step = 1e-6
@@ -100,17 +98,17 @@ def test_tangent_against_differences(seed: int) -> None:
         up, down = (slide_vector(LAW, bent + sign * h, rests).moment[0] for sign in (1.0, -1.0))
         assert stiffness[:, axis] == pytest.approx((up - down) / (2.0 * step), abs=2e-5)
     assert stiffness == pytest.approx(stiffness.T)
-    assert np.all(np.linalg.eigvalsh(stiffness) >= LAW.stiffness - 1e-12)
+    assert np.all(np.linalg.eigvalsh(stiffness) >= LAW.spring_stiffness - 1e-12)
 
 
 def test_a_closed_path_in_space_loses_work_and_never_gains_any() -> None:
     angle = np.linspace(0.0, 4.0 * np.pi, 2401)
     path = np.column_stack([3.0 * np.cos(angle), 3.0 * np.sin(angle)])
-    rests = slide_vector(LAW, path[:1], make_unbent_rests(LAW, 1, is_vector=True)).rests
+    rests = slide_vector(LAW, path[:1], make_unbent_history(LAW, 1, is_vector=True)).history
     moments = []
     for bent in path:
         response = slide_vector(LAW, bent[None], rests)
-        rests = response.rests
+        rests = response.history
         moments.append(response.moment[0])
     steps = np.diff(path, axis=0)
     work = np.cumsum(np.sum(0.5 * (np.array(moments)[1:] + np.array(moments)[:-1]) * steps, axis=1))
@@ -125,24 +123,24 @@ def test_a_closed_path_in_space_loses_work_and_never_gains_any() -> None:
 def test_errors_of_a_smooth_law(number: int) -> None:
     law = fit_sliders(CURVATURE, smooth(CURVATURE), number)
     fine = np.linspace(CURVATURE[1], 10.0, 5000)
-    errors = compute_slider_moment(law, fine) / np.interp(fine, CURVATURE, smooth(CURVATURE)) - 1.0
+    errors = compute_first_loading(law, fine) / np.interp(fine, CURVATURE, smooth(CURVATURE)) - 1.0
     assert np.max(np.abs(errors)) == pytest.approx(law.error, rel=1e-3)
-    assert len(law.stiffnesses) == number
+    assert len(law.slider_stiffnesses) == number
     assert errors.max() == pytest.approx(-errors.min(), rel=1e-3)  # as much above as below
 
 
 def test_a_law_with_fewer_corners_is_met() -> None:
     x = np.array([0.0, 1.0, 3.0, 10.0])
     law = fit_sliders(x, np.array([0.0, 3.0, 5.0, 6.0]), 8)
-    assert len(law.stiffnesses) == 2
+    assert len(law.slider_stiffnesses) == 2
     assert law.error < 1e-12
     assert law.slip_curvatures.tolist() == [1.0, 3.0]
 
 
 def test_a_constant_stiffness_has_no_sliders() -> None:
     law = make_linear_law(0.5, 10.0)
-    assert compute_slider_moment(law, np.array([2.0])).tolist() == [1.0]
-    response = slide(law, np.array([2.0]), make_unbent_rests(law, 1))
+    assert compute_first_loading(law, np.array([2.0])).tolist() == [1.0]
+    response = slide(law, np.array([2.0]), make_unbent_history(law, 1))
     assert (response.moment.tolist(), response.stiffness.tolist()) == ([1.0], [0.5])
     plays = convert_to_plays(law)
     answer = plays.respond(np.array([1.0]), plays.make_unbent_history(1))
@@ -153,18 +151,18 @@ def test_a_spring_and_one_slider_that_slides_all_along() -> None:
     """Four directions: the moment of sliders that all slide goes from 0.98 to 1.05 of the mean."""
     law = SliderLaw(0.0, np.array([1.0]), np.array([1.0]), 50.0, 100.0)
     fitted = fit_directions(law, 4)
-    moments = fitted.stiffnesses * fitted.slip_curvatures
+    moments = fitted.slider_stiffnesses * fitted.slip_curvatures
     extremes = moments.sum() * np.array(
         [1.0 + 2.0**0.5, 2.0 / np.cos(np.pi / 8.0) * (0.5 + 0.5**0.5)]
     )
     assert fitted.error == pytest.approx(np.max(np.abs(extremes - 1.0)))
-    assert fitted.compute_normals(0.5)[0] == pytest.approx(
+    assert fitted.compute_unit_vectors(0.5)[0] == pytest.approx(
         [np.cos(np.pi / 8.0), np.sin(np.pi / 8.0)]
     )
     assert moments.sum() == pytest.approx(np.pi / 8.0, rel=0.03)  # pi K kappa_j / 2 D
     spring = fit_directions(SliderLaw(0.5, np.zeros(0), np.zeros(0), 0.0, 10.0), 3)
-    assert max(spring.error, spring.sideways) < 1e-12
-    assert spring.stiffness == pytest.approx(2.0 * 0.5 / 3.0)
+    assert max(spring.error, spring.transverse_ratio) < 1e-12
+    assert spring.spring_stiffness == pytest.approx(2.0 * 0.5 / 3.0)
 
 
 @pytest.mark.parametrize("name", ["A2", "C5"])
@@ -173,33 +171,34 @@ def test_errors_by_the_sliders_themselves(name: str) -> None:
     table = wire_table(name)
     law = fit_sliders(table.curvature, table.moment, 8)
     node = fit_directions(law, 4)
-    turned = turn_directions(law, node)
-    assert len(node.stiffnesses) <= 16
-    assert turned.directions == 16
+    turned = average_rotations(law, node)
+    assert len(node.slider_stiffnesses) <= 16
+    assert turned.n_directions == 16
     assert turned.error < node.error < 0.06
-    assert turned.sideways < 0.2 * node.sideways
-    flat = SliderLaw(node.stiffness, node.stiffnesses, node.slip_curvatures, 0.1, 10.0)
-    for stated, shares in ((node, (0.0,)), (turned, TURNS)):
+    assert turned.transverse_ratio < 0.2 * node.transverse_ratio
+    stiffnesses = node.slider_stiffnesses
+    flat = SliderLaw(node.spring_stiffness, stiffnesses, node.slip_curvatures, 0.1, 10.0)
+    for stated, shares in ((node, (0.0,)), (turned, ROTATIONS)):
         for angle, size in product((0.0, 0.2, np.pi / 8.0, 1.0, 1.5), (0.2, 5.0, 40.0)):
             towards = np.array([np.cos(angle), np.sin(angle)])
             moment = np.zeros(2)
             for share in shares:
-                normals = node.compute_normals(share)
-                step = slide(flat, size * normals @ towards, np.zeros((4, len(flat.stiffnesses))))
+                normals = node.compute_unit_vectors(share)
+                step = slide(flat, size * normals @ towards, np.zeros((4, len(stiffnesses))))
                 moment += step.moment @ normals / len(shares)
-            expected = compute_slider_moment(law, np.array([size]))[0]
+            expected = compute_first_loading(law, np.array([size]))[0]
             assert moment @ towards == pytest.approx(expected, rel=1.05 * stated.error)
             aside = abs(moment[1] * towards[0] - moment[0] * towards[1])
-            assert aside <= 1.1 * stated.sideways * expected + 1e-12
+            assert aside <= 1.1 * stated.transverse_ratio * expected + 1e-12
 
 
 def test_sliders_follow_the_table_and_their_card_says_how_well() -> None:
     table = wire_table("A2")
     law, bent = fit_wire_sliders(table), table.curvature[1:]
-    errors = np.abs(compute_slider_moment(law, bent) / table.moment[1:] - 1.0)
-    assert len(law.stiffnesses) == DEFAULT_SLIDERS
+    errors = np.abs(compute_first_loading(law, bent) / table.moment[1:] - 1.0)
+    assert len(law.slider_stiffnesses) == DEFAULT_SLIDERS
     assert float(errors.max()) == pytest.approx(
-        dict(make_table_card(table).sliders)[DEFAULT_SLIDERS], rel=1e-6
+        dict(make_table_card(table).slider_errors)[DEFAULT_SLIDERS], rel=1e-6
     )
     assert fit_wire_sliders(table) is law  # fitted once
 

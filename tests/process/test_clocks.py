@@ -311,7 +311,7 @@ SEEN = {
 @pytest.mark.parametrize("name", SEEN)
 def test_what_is_doubted(name: str, approved: Approve) -> None:
     joined = aligned(SEEN[name])
-    blocked = joined.findings.blocked
+    blocked = joined.findings.blocking_reason
     approved(
         [*(f"{key}: {why}" for key, why in joined.doubted.items()), *([blocked] if blocked else [])]
     )

@@ -94,7 +94,7 @@ def test_corrections_of_a_curve(name: str) -> None:
     np.testing.assert_allclose(curve.displacement, expected_path, atol=2e-5)
     np.testing.assert_allclose(curve.force, expected_force, atol=0.2)
     if block == GIVES:  # 11 um/N in place of 10 um/N
-        moved = test.displacement.perturbed[COMPLIANCE] - test.displacement.values
+        moved = test.displacement.variants[COMPLIANCE] - test.displacement.values
         np.testing.assert_allclose(moved, -1e-6 * PULL, atol=1e-15)
 
 

@@ -87,7 +87,7 @@ def test_travel_and_deflection(
         assert prepared.signals.raw[name].relative_error == 5e-4
     deflection = prepared.signals.filtered["deflection"]
     assert 0.0 < deflection.zero_error < 5e-5
-    assert 0.0 < np.nanmax(np.abs(deflection.perturbed[SHAPE] - deflection.values)) < 1e-3
+    assert 0.0 < np.nanmax(np.abs(deflection.variants[SHAPE] - deflection.values)) < 1e-3
     assert {"specimen_frame", "shape_fit"} <= {note.code for note in findings.notes}
     assert not doubted(findings.entries)
 
@@ -99,15 +99,15 @@ def test_offsets_move_the_deflection_and_not_its_zero(
     prepared, _ = done(tracks, protocol, offset_uncertainty=1e-4, centre_uncertainty=5e-5)
     signal, rest = prepared.signals.raw["deflection"], prepared.take.is_at_rest
     assert rest is not None
-    assert set(signal.perturbed) == {GRIP, PULL, CENTRE, SHAPE}
-    for moved in signal.perturbed.values():
+    assert set(signal.variants) == {GRIP, PULL, CENTRE, SHAPE}
+    for moved in signal.variants.values():
         assert np.nanmean(moved[rest]) == pytest.approx(0.0, abs=1e-12)
     longer, _ = done(tracks, protocol, pull_offset=words(protocol).pull_offset + 1e-4)
     np.testing.assert_allclose(
-        signal.perturbed[PULL], longer.signals.raw["deflection"].values, atol=1e-8
+        signal.variants[PULL], longer.signals.raw["deflection"].values, atol=1e-8
     )
     exact, _ = done(tracks, protocol, offset_uncertainty=0.0, centre_uncertainty=0.0)
-    assert set(exact.signals.raw["deflection"].perturbed) == {SHAPE}
+    assert set(exact.signals.raw["deflection"].variants) == {SHAPE}
 
 
 def blank(tracks: MarkerTracks) -> MarkerTracks:
@@ -204,7 +204,7 @@ def test_numbers_and_shape_of_a_rod_on_two_supports() -> None:
         interval = results[name].interval
         assert interval is not None
         assert interval.lower <= true <= interval.upper
-    assert test.clocks.others["markers"].offset == pytest.approx(3.2, abs=0.01)
+    assert test.clocks.other_fits["markers"].offset == pytest.approx(3.2, abs=0.01)
     assert test.aligned is not None
     camera, frame = (test.aligned.series[name].values for name in ("mid_span", "displacement"))
     assert np.nanmax(np.abs(camera - frame)) < 3e-4

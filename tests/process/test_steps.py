@@ -165,13 +165,13 @@ def test_a_travel_made_from_the_speed_of_the_rig() -> None:
     assert peak.interval is not None
     assert peak.interval.upper / STROKE - 1.0 == pytest.approx(0.01, abs=0.005)  # speed, 0.5 %
     assert {result.status for result in results.values()} == {Status.OK}
-    assert test.clocks.force is None
+    assert test.clocks.force_fit is None
     (note,) = (note for note in test.findings.notes if note.code == "displacement_from_speed")
     assert note.severity is Severity.INFO
     assert "0.5 mm/s over 58.8 s up to the corner of the force at 61.8" in note.message
     way = test.displacement
-    np.testing.assert_allclose(way.perturbed[SPEED_CAUSE], 1.005 * way.values)
-    later = way.perturbed[TURN] - way.values
+    np.testing.assert_allclose(way.variants[SPEED_CAUSE], 1.005 * way.values)
+    later = way.variants[TURN] - way.values
     top = int(np.argmax(way.values))
     assert np.median(later[100 : top - 100]) < 0.0 < np.median(later[top + 100 :])
     assert np.ptp(later) < 1e-4

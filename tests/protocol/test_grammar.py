@@ -95,7 +95,7 @@ def test_places_of_values_and_of_faults(tmp_path: Path) -> None:
     path.write_text("a:\n  - b\n  - {c: d}\n", encoding="utf-8-sig")
     document = parse_yaml(read_text(path), "x.yaml")
     location, _ = document.find_location(("a", 1, "c"))
-    assert (location.file, location.key, location.value) == ("x.yaml", (3, 6), (3, 9))
+    assert (location.file, location.key_mark, location.value_mark) == ("x.yaml", (3, 6), (3, 9))
     assert document.get_value(("a", 1, "c")) == "d"
     assert document.data == {"a": ["b", {"c": "d"}]}
     *_, text = document.place(Fault(("a", 1, "z"), "this", "that"), "(Remark.)")

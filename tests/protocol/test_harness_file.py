@@ -16,7 +16,7 @@ from labpipe.protocol.model_files import (
     Grip,
     HarnessFile,
     Plane,
-    find_line_start,
+    get_line_start,
 )
 
 WHOLE = """\
@@ -107,14 +107,14 @@ boundaries:
 
 
 def test_a_line_begins_where_its_first_clip_is(tmp_path: Path) -> None:
-    assert find_line_start(load(tmp_path, BETWEEN_CLIPS)) == ((0.01, 0.0, 0.0), (0.0, 1.0, 0.0))
+    assert get_line_start(load(tmp_path, BETWEEN_CLIPS)) == ((0.01, 0.0, 0.0), (0.0, 1.0, 0.0))
     own = BETWEEN_CLIPS.replace(
         "  section:", "  start: [1 mm, 0 mm, 0 mm]\n  direction: [0, 0, 1]\n  section:"
     )
-    assert find_line_start(load(tmp_path, own)) == ((0.001, 0.0, 0.0), (0.0, 0.0, 1.0))
+    assert get_line_start(load(tmp_path, own)) == ((0.001, 0.0, 0.0), (0.0, 0.0, 1.0))
     assert load(tmp_path, BETWEEN_CLIPS.replace("250 mm", "300 mm")), "straight between clips"
     at_the_end = BETWEEN_CLIPS.replace("at: start", "at: 1 mm")
-    assert find_line_start(load(tmp_path, at_the_end)) == ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0))
+    assert get_line_start(load(tmp_path, at_the_end)) == ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0))
 
 
 def test_what_lets_go_holds_no_more(tmp_path: Path) -> None:

@@ -12,8 +12,8 @@ import pytest
 
 from labpipe.errors import ProtocolError
 from labpipe.protocol.load import (
-    dump_protocol,
     find_missing_curve_sources,
+    format_protocol,
     load_protocol,
     load_test_sheet,
     parse_protocol,
@@ -68,7 +68,7 @@ def test_a_test_puts_its_own_values_into_its_protocol(resolved: Resolved) -> Non
     assert protocol.specimen.length == 0.080
     assert protocol.channels["force"].gain == 0.0411
     assert protocol.rig.stroke == 0.020
-    dumped = dump_protocol(protocol)
+    dumped = format_protocol(protocol)
     for line in ("centre_offset: 1 mm", "span: 51 samples", "max_jump: 9 mm", "clamp: Clamp"):
         assert line in dumped
 
@@ -220,13 +220,14 @@ def test_what_is_left_without_a_file() -> None:
     assert (reduced.align, reduced.steps[0].key) == (AlignNone(), "steps.3")
     assert "clock" not in [result.result for result in reduced.results]
     assert list(find_missing_curve_sources(reduced, full_protocol)) == []
-    without_speed = re.sub(".*crosshead_speed.*\n", "", dump_protocol(reduced))
+    without_speed = re.sub(".*crosshead_speed.*\n", "", format_protocol(reduced))
     with pytest.raises(ProtocolError, match=r"expected 'rig\.crosshead_speed' for 'travel-from-sp"):
         parse_protocol(without_speed, "p.yaml")
     for roles in (["force", "frame"], ["force", "markers"]):
         reduced = remove_absent_sources(full_protocol, roles)
-        parsed_again = parse_protocol(dump_protocol(reduced), "result.h5")
-        assert dump_protocol(parsed_again) == dump_protocol(reduced)  # its steps know other numbers
+        parsed_again = parse_protocol(format_protocol(reduced), "result.h5")
+        # The steps of the two protocols know other numbers.
+        assert format_protocol(parsed_again) == format_protocol(reduced)
         assert [step.key for step in reduced.steps] == [
             f"steps.{full_protocol.steps.index(step)}" for step in reduced.steps
         ]
@@ -316,7 +317,7 @@ def test_a_test_or_a_protocol_widens_a_range(resolved: Resolved, ends: str) -> N
     assert protocol.specimen.length == 1e5
     assert protocol.plausible["length"].start == "1 mm"
     assert protocol.plausible["span"].stop == PLAUSIBLE_RANGES["span"][2]
-    assert parse_protocol(dump_protocol(protocol), "result.h5") == protocol
+    assert parse_protocol(format_protocol(protocol), "result.h5") == protocol
 
     change = ("version: 1\n", f"version: 1\nplausible: {{length: {ends}}}\n")
     assert resolved(sheet=long_sheet, change=change).specimen.length == 1e5
@@ -331,7 +332,7 @@ FORCE = "unit: V\n"
 
 def read_again(protocol: Protocol) -> Protocol:
     """The same, written and read again."""
-    parsed = parse_protocol(dump_protocol(protocol), "again.yaml")
+    parsed = parse_protocol(format_protocol(protocol), "again.yaml")
     assert parsed == protocol
     return parsed
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from labpipe.errors import Fault, UsageError
 from labpipe.protocol.load import validate_document
-from labpipe.protocol.sheet_grammar import SheetBundle, TestSheet, parse_bundle, write_test_sheet
+from labpipe.protocol.sheet_grammar import SheetBundle, TestSheet, format_test_sheet, parse_bundle
 from labpipe.protocol.yaml_text import parse_yaml
 from labpipe.records.harness_bundle import Bundle, BundleWire
 from labpipe.records.result import Specimen
@@ -56,7 +56,7 @@ DATA: dict[str, object] = {
 
 def test_a_sheet_is_written_with_comments() -> None:
     assert (
-        write_test_sheet(DATA)
+        format_test_sheet(DATA)
         == """\
 # One test: what was tested, and which exports belong to it.
 test: '0333'
@@ -94,7 +94,7 @@ def test_a_sheet_written_reads_back(protocol: str, sample: str, value: str) -> N
     overrides = {"rig.cycles": {"value": value, "because": "x"}}
     data = DATA | {"protocol": protocol, "specimen": specimen, "overrides": overrides}
 
-    sheet = read(write_test_sheet(data))
+    sheet = read(format_test_sheet(data))
     assert (sheet.protocol, sheet.specimen.sample) == (protocol, sample)
     assert sheet.overrides["rig.cycles"].value == value
 

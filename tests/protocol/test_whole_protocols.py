@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 
 from labpipe.errors import Fault, ProtocolError
 from labpipe.protocol.load import (
-    dump_protocol,
     find_protocol,
     find_shipped_folder,
+    format_protocol,
     list_protocol_folders,
     list_protocols,
     parse_protocol,
@@ -223,10 +223,10 @@ def _tensile_protocols(draw: st.DrawFn) -> dict[str, Any]:
 @given(st.one_of(_protocols(), _tensile_protocols()))
 def test_a_protocol_written_reads_back_equal(data: dict[str, Any]) -> None:
     protocol = parse_protocol(yaml.safe_dump(data, allow_unicode=True), "p.yaml")
-    dumped = dump_protocol(protocol)
+    dumped = format_protocol(protocol)
     again = parse_protocol(dumped, "result.h5")
     assert again == protocol
-    assert dump_protocol(again) == dumped
+    assert format_protocol(again) == dumped
 
 
 def test_folders_of_protocols(

@@ -34,7 +34,7 @@ def test_the_example_is_in_the_range_and_the_shown_unit_fits(quantity: Quantity)
 
     assert get_conversion_factor(quantity.display_unit, quantity.unit) > 0.0
     assert quantity.minimum <= example <= quantity.maximum
-    assert quantity.above is None or example > quantity.above
+    assert quantity.lower_bound is None or example > quantity.lower_bound
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -50,8 +50,8 @@ def test_what_a_kind_of_result_is_called_and_rests_on() -> None:
     assert list_references(Ratio, "stiffness") == ("of",)
     assert list_references(Ratio, "channel") == ("channel",)
     assert list_defaults(Ratio) == {"of": "stiffness", "name": "ratio"}
-    assert Output("{of}_{name}", "1").name_in(Ratio, {"name": "x"}) == "stiffness_x"
-    assert Output("{name}", "1", first=2).name_in(Ratio, {"name": 3}) == "3.2"
+    assert Output("{of}_{name}", "1").format_name(Ratio, {"name": "x"}) == "stiffness_x"
+    assert Output("{name}", "1", first=2).format_name(Ratio, {"name": 3}) == "3.2"
 
 
 def test_a_step_knows_its_place_which_is_no_setting() -> None:

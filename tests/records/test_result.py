@@ -18,7 +18,7 @@ from labpipe.records.quality import (
     QualityNote,
     Reason,
     Severity,
-    doubt_stretches,
+    make_stretch_finding,
 )
 from labpipe.records.result import Contribution, Result, Specimen, Status
 
@@ -43,11 +43,11 @@ def test_results_that_contradict_themselves(
 def test_shares_of_the_variance() -> None:
     budget = (Contribution("noise", 1.0), Contribution("scale of the force", -2.0, is_common=True))
     result = Result("energy.1", 1.0, "J", budget=(*budget, Contribution("slack", 2.0)))
-    assert result.shares == pytest.approx((1 / 9, 4 / 9, 4 / 9))
-    assert result.largest_share == ("scale of the force", result.shares[1])
+    assert result.fractions == pytest.approx((1 / 9, 4 / 9, 4 / 9))
+    assert result.largest_cause == ("scale of the force", result.fractions[1])
     without_variance = Result("energy.1", 1.0, "J", budget=(Contribution("noise", 0.0),))
-    assert (without_variance.shares, without_variance.largest_share) == ((0.0,), None)
-    assert Result("energy.1", 1.0, "J").largest_share is None
+    assert (without_variance.fractions, without_variance.largest_cause) == ((0.0,), None)
+    assert Result("energy.1", 1.0, "J").largest_cause is None
 
 
 @pytest.mark.parametrize(
@@ -93,7 +93,7 @@ def test_doubts_of_stretches(count: int, period: list[tuple[float, float] | None
     """Of all of it, of each, and of one long stretch where there are too many."""
     stretches = ((0.0, 1.0), (4.0, 5.0), (7.0, 8.0))[:count]
     note = QualityNote("gap", Severity.INFO, "force", "missing", stretches)
-    finding = doubt_stretches("force", note, "recorder", max_stretches=2)
+    finding = make_stretch_finding("force", note, "recorder", max_stretches=2)
     assert finding.note.severity is Severity.WARNING
     assert [doubt.period for doubt in finding.doubts] == period
     assert {(doubt.quantity, doubt.clock) for doubt in finding.doubts} == {("force", "recorder")}
@@ -112,11 +112,11 @@ def test_findings_that_are_left_out_and_the_first_that_blocks() -> None:
     assert (len(all_findings.entries), all_findings.notes) == (3, (of_force.note,))
     assert [doubt.quantity for doubt in all_findings.doubts] == ["force", "clock"]
     error = Finding(note("x"))
-    assert Findings((error,)).blocked is None
+    assert Findings((error,)).blocking_reason is None
     several = Findings((Finding(note("a")), Finding(note("b")), Finding(note("a", "again"))))
     assert [finding.code for finding in several.remove_code("a").entries] == ["b"]
     findings = Findings((Finding(note("b")), Finding(note("c", "three"), blocks=True)))
-    assert (findings + iter([replace(error, blocks=True)])).blocked == Reason("c", "three")
+    assert (findings + iter([replace(error, blocks=True)])).blocking_reason == Reason("c", "three")
 
 
 def test_what_tests_of_a_rig_share() -> None:

@@ -57,12 +57,12 @@ def test_a_level_is_taken_off_raw_and_filtered() -> None:
 
 
 def test_what_is_done_to_a_signal_is_done_to_all_that_it_may_have_been() -> None:
-    signal = replace(WAY, perturbed={GRIP: WAY.values + 1e-3})
+    signal = replace(WAY, variants={GRIP: WAY.values + 1e-3})
     doubled = signal.map_values(lambda values: 2.0 * values)
     np.testing.assert_allclose(doubled.values, 2e-3 * TIME)
-    np.testing.assert_allclose(doubled.perturbed[GRIP], 2e-3 * TIME + 2e-3)
+    np.testing.assert_allclose(doubled.variants[GRIP], 2e-3 * TIME + 2e-3)
     zeroed = Signals().add_signal("way", signal).subtract_level("way", 5e-4, 0.0)
-    np.testing.assert_allclose(zeroed.raw["way"].perturbed[GRIP], 1e-3 * TIME + 5e-4)
+    np.testing.assert_allclose(zeroed.raw["way"].variants[GRIP], 1e-3 * TIME + 5e-4)
 
 
 @pytest.mark.parametrize("event_count", [1, 4])
@@ -73,16 +73,16 @@ def test_times_go_from_clock_to_clock_and_back(event_count: int) -> None:
     for clock, time in (("force", 102.1), ("markers", 95.0), ("", 100.0), ("frame", 100.0)):
         assert clocks.from_curve(100.0, clock) == pytest.approx(time)
         assert clocks.to_curve(time, clock) == pytest.approx(100.0)
-    assert clocks.error == pytest.approx(0.1 / np.sqrt(event_count))
+    assert clocks.offset_error == pytest.approx(0.1 / np.sqrt(event_count))
     nothing = replace(joined, drift_interval=Interval(np.nan, np.nan))
-    assert list(Clocks("frame", nothing).perturbed) == [CLOCK_OFFSET]
+    assert list(Clocks("frame", nothing).variants) == [CLOCK_OFFSET]
 
 
 @pytest.mark.parametrize("clocks", [Clocks(), Clocks("frame")])
 def test_one_clock_needs_no_joining(clocks: Clocks) -> None:
     for clock in ("frame", "force"):
         assert clocks.to_curve(3.0, clock) == clocks.from_curve(3.0, clock) == 3.0
-    assert (clocks.error, clocks.perturbed) == (0.0, {})
+    assert (clocks.offset_error, clocks.variants) == (0.0, {})
     assert Clocks("frame").interpolate(WAY, TIME) is WAY.values
 
 
@@ -102,13 +102,13 @@ def test_clocks_moved_by_what_is_not_known_of_them() -> None:
     events, errors = np.array([0.0, 100.0, 400.0]), np.array([0.1, 0.1, 0.2])
     joined = ClockFit(2.0, 1e-3, known, known, 0.0, events, np.zeros(3), errors, "")
     clocks = Clocks("frame", joined)
-    assert clocks.middle == pytest.approx((4.0 * 100.0 + 400.0) / 9.0)
-    assert clocks.error == pytest.approx(0.2 / 3.0)
+    assert clocks.mean_event_time == pytest.approx((4.0 * 100.0 + 400.0) / 9.0)
+    assert clocks.offset_error == pytest.approx(0.2 / 3.0)
     assert clocks.drift_error == pytest.approx(2e-5)
-    assert list(clocks.perturbed) == [CLOCK_OFFSET, CLOCK_DRIFT]
+    assert list(clocks.variants) == [CLOCK_OFFSET, CLOCK_DRIFT]
     for at in (0.0, 100.0, 1000.0):
         usual = clocks.from_curve(at, "force")
-        later = clocks.perturbed[CLOCK_OFFSET].from_curve(at, "force")
-        faster = clocks.perturbed[CLOCK_DRIFT].from_curve(at, "force")
+        later = clocks.variants[CLOCK_OFFSET].from_curve(at, "force")
+        faster = clocks.variants[CLOCK_DRIFT].from_curve(at, "force")
         assert later - usual == pytest.approx(0.2 / 3.0)
         assert faster - usual == pytest.approx(2e-5 * (at - 800.0 / 9.0), abs=1e-12)

@@ -36,7 +36,7 @@ def test_slip_at_once_is_told_from_slip_beyond_the_range(
 ) -> None:
     table = replace(wire_table("A2"), slip_onsets=np.array(onsets, dtype=np.float64))
     assert (table.find_slip_onset(0), table.find_slip_onset(-1)) == (first, last)
-    assert table.slips_at_once == (0.0 in onsets)
+    assert table.slips_immediately == (0.0 in onsets)
 
 
 def test_a_single_strand_has_nothing_to_slip_on() -> None:

@@ -14,6 +14,8 @@ from labpipe.report.calibration_report import (
     BentShape,
     CalibrationReport,
     describe_calibration,
+    format_intervals,
+    format_parameter,
     group_external_curves,
     make_bent_shapes_page,
     make_calibration_page,
@@ -22,7 +24,6 @@ from labpipe.report.calibration_report import (
     make_residual_plot,
     make_tables,
     make_validation_page,
-    write_parameter,
 )
 from labpipe.report.figure_page import draw_page, use_style
 from labpipe.report.table_records import Table
@@ -176,7 +177,7 @@ def test_agreement_of_each_wire_and_length() -> None:
         "wire": "A2", "length (mm)": pytest.approx(85.0), "samples": 2, "points": errors.n,
         "SSE (N²)": errors.sse, "RMSE (N)": errors.rmse, "reason": "",
         "RMSE over the largest force (%)": pytest.approx(100.0 * errors.rmse_share),
-        "points inside the band (%)": pytest.approx(100.0 * errors.inside),
+        "points inside the band (%)": pytest.approx(100.0 * errors.coverage),
         "model is": "calibrated by these samples",
     })  # fmt: skip
     holds(single, {"model is": "predicted", "samples": 1})
@@ -209,9 +210,9 @@ def test_a_row_for_each_solution(approved: Approve) -> None:
     assert second["rise of the objective"] == pytest.approx(calibration.solutions[1].rise)
     modulus = next(head for head in second if head.endswith("(MPa)"))
     assert second[modulus] == pytest.approx(1e-6 * calibration.solutions[1].values[1])
-    texts = write_parameter(calibration.get_parameter("copper_scale"))
-    assert [" to " in part for part in texts[2].split(" or ")] == [True, True]
-    assert texts[4] == "two solutions"
+    factor = calibration.get_parameter("copper_scale")
+    assert format_parameter(factor).endswith("), two solutions")
+    assert [" to " in part for part in format_intervals(factor).split(" or ")] == [True, True]
     approved(map(without_digits, describe_calibration(calibration)))
 
 

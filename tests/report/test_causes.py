@@ -33,7 +33,7 @@ def test_numbers_without_interval_and_samples_left_out() -> None:
     bare = replace(sample.results[0], interval=None, reasons=(Reason("one_point", "a point."),))
     group = build_group("A", [replace(sample, results=(bare, *sample.results[1:]))])
     left_out = {"tt-s1a": (Reason("no_result", "no such result."),)}
-    number = replace(group.numbers[1], left_out=left_out)
+    number = replace(group.numbers[1], exclusions=left_out)
     group = replace(group, numbers=(number,), notes=(warning("short_overlap", "curves"),))
     issues = find_issues(campaign_of(group))
     assert [(issue.kind, issue.tests, issue.topic) for issue in issues] == [
@@ -105,7 +105,7 @@ def test_a_rejected_test_is_named_and_ranked_as_decided() -> None:
 def test_the_largest_effect_comes_first_and_the_unknown_last() -> None:
     small = group_of({**TEN, "d": 12}, "d", warning("dimensions_differ", "group"))
     failed = group_of({"e": None, "f": None}, name="B")
-    causes = find_causes(replace(campaign_of(small, failed), left_out={"x.h5": "x.h5: no result"}))[
+    causes = find_causes(replace(campaign_of(small, failed), failures={"x.h5": "x.h5: no result"}))[
         0
     ]
     kinds = [Kind.UNREADABLE, Kind.FAILED, Kind.DOUBTFUL, Kind.WARNING]

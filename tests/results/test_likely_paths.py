@@ -287,7 +287,7 @@ def test_what_an_offset_changes_frame_by_frame_has_no_noise(cause: str, spread: 
     """A tenth more of the displacement, seen in noise of 10 um: what cameras see is made smooth."""
     test = straight()
     signal, noise = test.displacement, RNG(5).normal(0.0, 1e-5, 800)
-    path = replace(signal, perturbed={cause: 1.1 * signal.values + noise})
+    path = replace(signal, variants={cause: 1.1 * signal.values + noise})
     replicates = curves(replace(test, signals=test.signals.add_signal("displacement", path)))
     (quantity,), trace = [x for x in replicates.inputs if x.cause == cause], replicates.smooth_trace
     change = quantity.perturb(trace, 1.0).displacement - trace.displacement
@@ -335,7 +335,7 @@ def test_other_displacements(count: int, rate: float) -> None:
     """Of an offset normal, of another shape rectangular; of a long record averaged, too."""
     test = straight(count, rate)
     signal = test.displacement
-    changed = replace(signal, perturbed={GRIP: signal.values + 1e-6, SHAPE: 1.01 * signal.values})
+    changed = replace(signal, variants={GRIP: signal.values + 1e-6, SHAPE: 1.01 * signal.values})
     test = replace(test, signals=test.signals.replace_filtered("displacement", changed))
     by_cause, trace = inputs(test), curves(test).smooth_trace
     assert (by_cause[GRIP].distribution, by_cause[SHAPE].distribution) == ("normal", "uniform")

@@ -375,7 +375,7 @@ def page(done: Reduction) -> Iterator[str]:
         yield from (f"  {reason.code}: {reason.message}" for reason in result.reasons)
         parts = (
             f"{part.cause} {part.change:.3g}" if share > 1e-4 else part.cause
-            for part, share in zip(result.budget, result.shares, strict=True)
+            for part, share in zip(result.budget, result.fractions, strict=True)
         )
         yield f"  {', '.join(parts) or 'no budget'}"
     for line in done.lines:

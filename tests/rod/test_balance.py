@@ -173,7 +173,7 @@ def test_a_cell_that_slides_loses_what_its_sliders_carry() -> None:
     curvature = float(path.last.bending_curvatures[0])
     ring_stations = np.maximum(curvature - SLIDING.slip_curvatures, 0.0)
     assert np.all(ring_stations > 0.0)
-    lost = SLIDING.stiffnesses * SLIDING.slip_curvatures @ ring_stations
+    lost = SLIDING.slider_stiffnesses * SLIDING.slip_curvatures @ ring_stations
     assert path.lost_energy[-1] == pytest.approx(0.01 * lost, rel=1e-9)
 
 
@@ -282,7 +282,7 @@ def test_the_bend_at_a_clamp_is_of_second_order() -> None:
     for elements in (10, 20, 40):
         line = straight_line(LENGTH, elements, section)
         state = walked(line, [clamp(line), Gravity()], 1).last
-        curvature = np.linalg.norm(state.reaction_moments[0]) / section.law.stiffness
+        curvature = np.linalg.norm(state.reaction_moments[0]) / section.law.spring_stiffness
         assert int(np.argmax(state.bending_curvatures)) == 0
         errors.append(abs(state.bending_curvatures[0] / curvature - 1.0))
     assert errors[0] < 0.01

@@ -43,16 +43,16 @@ BELIEF = join_distributions(
 def pushed(inputs: Mapping[str, float]) -> RodPath:
     """A cantilever under its weight, loaded at its end and unloaded again."""
     factor = float(np.exp(inputs.get("law_factor", 0.0)))
-    law = replace(LAW, stiffness=factor * LAW.stiffness, stiffnesses=factor * LAW.stiffnesses)
+    spring, sliders = factor * LAW.spring_stiffness, factor * LAW.slider_stiffnesses
+    law = replace(LAW, spring_stiffness=spring, slider_stiffnesses=sliders)
     section = Section(law, 3e-4, mass_per_length=0.006)
     length = LENGTH * float(np.exp(inputs.get("length_factor", 0.0)))
     line = straight_line(length, NODES, section)
     rest_curvature = np.tile([0.0, inputs.get("free_curvature", 0.0), 0.0], (NODES - 1, 1))
     line = Line(line.lengths, section, line.positions, line.frames, rest_curvature)
     share = np.interp(np.arange(STEPS + 1), [0, 4, STEPS], [0.0, 1.0, 0.0])
-    force = share[:, None] * np.array([0.0, 0.0, -0.025])
-    grip = Held(0, np.zeros(3), line.frames[0])
-    return follow(line, (grip, Load(-1, force), Gravity()), steps=STEPS)
+    load = Load(-1, share[:, None] * np.array([0.0, 0.0, -0.025]))
+    return follow(line, (Held(0, np.zeros(3), line.frames[0]), load, Gravity()), steps=STEPS)
 
 
 @pytest.mark.slow

@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from labpipe.mechanics.law.sliders import find_current_sliders, make_linear_law
+from labpipe.mechanics.law.sliders import get_current_sliders, make_linear_law
 from labpipe.mechanics.rod.assembly import Assembly, Balance, ImposedValues, LineHistory, Shape
 from labpipe.mechanics.rod.boundaries import (
     Boundary,
@@ -114,9 +114,9 @@ def work_and_energy(path: RodPath) -> tuple[float, float]:
         work += 0.5 * (old.reaction_moments + new.reaction_moments)[1] @ turns[step]
         gravity = section.mass_per_length * weight.vector[[step, step + 1]].mean(axis=0)
         work += sides.sum(axis=1) @ moves @ gravity
-    curvatures, sliders = path.last.curvatures, find_current_sliders(section.law, path.last.rests)
-    strained = np.sum((curvatures[:, :, None, :2] - sliders.rests) ** 2, axis=3)
-    moduli = np.array([*2 * [section.law.stiffness], section.torsional_stiffness])
+    curvatures, sliders = path.last.curvatures, get_current_sliders(section.law, path.last.rests)
+    strained = np.sum((curvatures[:, :, None, :2] - sliders.rest_curvatures) ** 2, axis=3)
+    moduli = np.array([*2 * [section.law.spring_stiffness], section.torsional_stiffness])
     density = strained @ sliders.stiffnesses + curvatures**2 @ moduli
     return float(work), 0.5 * float(np.sum(sides * density))
 

@@ -44,7 +44,7 @@ def test_numbers_and_band_of_two_spools() -> None:
     assert (number.name, number.unit, len(number.values)) == ("stiffness", "N/m", 6)
     assert number.mean is not None
     assert number.mean.chosen.mean == pytest.approx(52.28)
-    assert not number.left_out
+    assert not number.exclusions
     assert (group.band.n, group.band.members) == (2, "spool means")
     np.testing.assert_allclose(group.band.mean, 52.28 * group.band.displacement)
     assert "not pooled over 6 samples" in said(group)["curve_pooling"]
@@ -66,7 +66,7 @@ def test_what_is_left_out_says_why() -> None:
     failed = [replace(make("s1", index, 50.0), results=own) for index, own in enumerate(results)]
     number = built([make("s0", 1, 50.0), *failed]).numbers[0]
     assert list(number.values) == ["s0-1"]
-    assert {test: join_reasons(reasons) for test, reasons in number.left_out.items()} == {
+    assert {test: join_reasons(reasons) for test, reasons in number.exclusions.items()} == {
         "s1-0": "too_few_samples: 3 samples",
         "s1-1": "other_unit: in N/mm; the first sample is in N/m",
         "s1-2": "no_result: the test has no stiffness",
@@ -257,7 +257,7 @@ def test_what_was_made_over_another_window_is_not_in_the_mean() -> None:
     assert (note.code, note.severity, note.where) == ("protocols_differ", Severity.WARNING, "k")
     assert note.message == f"not in the mean, since the method differs: b ({reason.message})"
     (number,) = build_group("A", "p", mixed).numbers
-    assert (list(number.values), number.left_out) == (["a", "c"], {"b": (reason,)})
+    assert (list(number.values), number.exclusions) == (["a", "c"], {"b": (reason,)})
 
 
 FORCE = "scale of the force"

@@ -92,17 +92,17 @@ def test_three_curves_have_intervals_at_three_displacements() -> None:
     """A quarter, half, all of 20 mm; over three t is 4.303."""
     group = built(samples()[:3])
     band = group.band
-    assert band.n == 3
-    assert not band.has_area
-    assert (1e3 * band.displacement[band.marks]).tolist() == pytest.approx([5.0, 10.0, 20.0])
+    assert (band.n, band.has_band) == (3, False)
+    shown = 1e3 * band.displacement[band.interval_indices]
+    assert shown.tolist() == pytest.approx([5.0, 10.0, 20.0])
     force = np.array([sample.loading[0].force for sample in group.samples])
     rows = [int(np.argmin(abs(group.samples[0].loading[0].displacement - x))) for x in (0.01,)]
     half = 4.302653 * force[:, rows].std(axis=0, ddof=1) / np.sqrt(3)
-    middle = band.marks[1]
+    middle = band.interval_indices[1]
     assert 0.5 * (band.upper - band.lower)[middle] == pytest.approx(float(half[0]), rel=0.05)
     assert np.isnan(band.lower_all).all()
     band = built([make("s1", rows, 50.0 + rows) for rows in range(6)]).band
-    assert (band.reason, band.has_area, len(band.marks)) == (None, True, 0)
+    assert (band.reason, band.has_band, len(band.interval_indices)) == (None, True, 0)
     assert np.isfinite(band.upper_all).all()
 
 

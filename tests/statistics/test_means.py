@@ -213,5 +213,5 @@ def test_equivalence_where_the_interval_ends(change: float) -> None:
     for margin, p in [(1.0 + half, 0.05), (1.0 - half, 0.95)]:
         assert compute_equivalence_p(replace(contrast, margin=margin)) == pytest.approx(p)
     assert compute_equivalence_p(replace(contrast, margin=1e9)) < 1e-6
-    assert contrast.degrees == degrees
+    assert contrast.freedom == degrees
     assert compute_difference_p(replace(contrast, difference=half)) == pytest.approx(0.1)

@@ -90,7 +90,7 @@ def test_a_ratio_by_hand() -> None:
     assert contrast.margin == pytest.approx(log1p(0.1))
     squares = 0.057735**2, 0.048113**2
     degrees = sum(squares) ** 2 / sum(square**2 / 2.0 for square in squares)
-    assert contrast.degrees == pytest.approx(degrees, rel=1e-4)
+    assert contrast.freedom == pytest.approx(degrees, rel=1e-4)
     assert difference.change == pytest.approx(0.2)
     half = float(stats.t.ppf(0.975, degrees)) * 0.075154
     judged = alone(difference)
@@ -137,7 +137,7 @@ def test_many_comparisons_are_corrected() -> None:
     assert single.verdict is Verdict.NOT_ASKED
     family = judge_family("family", [single, *[compared(FIRST, NEAR)] * 9])
     assert family[0].verdict is Verdict.CANNOT_TELL
-    assert (family[0].tests, family[0].family) == (10, "family")
+    assert (family[0].n_comparisons, family[0].family) == (10, "family")
     assert family[0].interval is not None
     assert family[0].interval.level == pytest.approx(0.995)
     assert family[0].interval.lower < 0.0 < family[0].interval.upper
@@ -160,7 +160,7 @@ def test_how_many_samples_would_tell() -> None:
 @pytest.mark.parametrize(("sigmas", "chance"), [(5.0, 2.0 * stats.norm.sf(5.0)), (9.0, 0.0)])
 def test_beyond_eight_standard_errors_there_is_no_chance(sigmas: float, chance: float) -> None:
     """Of a doubt of 1000 that dwarfs the scatter."""
-    contrast = Contrast(1000.0 * sigmas, errors=(1.0, 1.0), counts=(8, 8), shared=1000.0)
+    contrast = Contrast(1000.0 * sigmas, errors=(1.0, 1.0), counts=(8, 8), common_error=1000.0)
     assert compute_difference_p(contrast) == pytest.approx(chance, rel=0.01, abs=0.0)
 
 

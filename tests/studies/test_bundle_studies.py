@@ -17,7 +17,7 @@ from labpipe.mechanics.studies.bundle_bounds import (
 )
 from labpipe.mechanics.studies.wire_sheets import read_wire_sheet
 from labpipe.mechanics.wire.bundle_model import compute_bundle_model
-from labpipe.protocol.load import dump_protocol, parse_protocol
+from labpipe.protocol.load import format_protocol, parse_protocol
 from labpipe.records.harness_bundle import Bundle
 from labpipe.records.quality import Reason, join_reasons
 from labpipe.records.result import Result, Status, TestResult
@@ -236,7 +236,7 @@ def test_a_span_is_two_cantilevers_and_a_cantilever_weighs_what_its_sheet_says()
     assert gap.deflection.min() > 1e-3 * LENGTH
     protocol = parse_protocol(bent.protocol_yaml, "p.yaml")
     specimen = protocol.specimen.model_copy(update={"mass_per_length": 0.0758})
-    text = dump_protocol(protocol.model_copy(update={"specimen": specimen}))
+    text = format_protocol(protocol.model_copy(update={"specimen": specimen}))
     assert cantilever.self_weight == 0.0
     assert extract_loop(replace(bent, protocol_yaml=text)).self_weight == pytest.approx(
         0.0758 * GRAVITY

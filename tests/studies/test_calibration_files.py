@@ -27,7 +27,7 @@ from labpipe.mechanics.studies.first_loadings import FirstLoading
 from labpipe.mechanics.studies.model_comparisons import (
     compare_external_curves,
     compare_tests,
-    note_misfits,
+    make_misfit_notes,
     read_external_curves,
 )
 from labpipe.mechanics.studies.wire_sheets import WireSheet, read_wire_sheet
@@ -169,7 +169,7 @@ def test_held_against_tests_and_model(calibration: Calibration) -> None:
         assert test.errors.n == 16
         assert test.errors.rmse_share < 0.03  # scatter of three samples of 3 %
     assert compared.model.errors is not None
-    assert compared.model.errors.inside == 1.0
+    assert compared.model.errors.coverage == 1.0
     assert compared.prediction is not None
     assert compared.prediction.deflection[-1] == pytest.approx(0.05, abs=1e-3)  # as far as tests
     assert not compared.notes
@@ -198,7 +198,7 @@ def test_what_lies_beyond_is_left_out_and_told(calibration: Calibration) -> None
     """Units mistaken leave nothing to compare_tests."""
     comparison = held(calibration, third(deepest=0.08))
     assert comparison.tests is not None
-    assert (comparison.tests.left_out, comparison.model.left_out) == (6, 5)
+    assert (comparison.tests.n_excluded, comparison.model.n_excluded) == (6, 5)
     assert [note.code for note in comparison.notes] == ["external_curve_cut", "external_curve_cut"]
     tests, model = (note.message for note in comparison.notes)
     assert tests.startswith("6 of 16 points left out, outside of 0.")
@@ -276,7 +276,7 @@ def test_groups_are_by_wire_and_length_the_own_first(groups: tuple[ValidationGro
     for group in groups:
         assert group.errors is not None
         assert group.errors.rmse_share < 0.05
-        assert group.errors.inside > 0.9
+        assert group.errors.coverage > 0.9
         assert group.band.n == 3
     group = groups[0]
     assert group.errors is not None
@@ -291,16 +291,16 @@ def test_groups_are_by_wire_and_length_the_own_first(groups: tuple[ValidationGro
 def test_tests_that_the_model_does_not_follow_are_said(calibration: Calibration) -> None:
     """A wave of 10 mN in the force, as no wire has, beside what the wire does."""
     (right,) = compare_tests(calibration, WIRES, loadings("A2"))
-    assert not note_misfits([right])
+    assert not make_misfit_notes([right])
     waves = [replace(c, force=c.force + 0.01 * np.sin(c.deflection / 0.008)) for c in CURVES]
     outcome = calibrate(wire_of("A2"), waves, Settings())
     assert isinstance(outcome, Calibration)
     tests = [FirstLoading(curve, 0.0, ()) for curve in waves]
     (wrong,) = compare_tests(outcome, WIRES, tests)
-    [note] = note_misfits([wrong])
+    [note] = make_misfit_notes([wrong])
     assert (note.code, note.where) == ("model_misses_tests", "A2, 85 mm")
     assert 65 <= int(note.message.partition(" % of the points of the calibrating tests")[0]) <= 75
-    assert not note_misfits([replace(wrong, is_calibrated=False)])
+    assert not make_misfit_notes([replace(wrong, is_calibrated=False)])
 
 
 def test_what_cannot_be_predicted_says_why(calibration: Calibration) -> None:

@@ -9,13 +9,13 @@ import pytest
 from scipy.optimize import minimize
 
 from labpipe.errors import LabpipeError
-from labpipe.mechanics.decks.lookup import write_sliders_json
+from labpipe.mechanics.decks.lookup import format_sliders_json
 from labpipe.mechanics.decks.unloading import compute_release
 from labpipe.mechanics.law.sliders import (
     SliderLaw,
-    compute_slider_moment,
+    compute_first_loading,
     make_linear_law,
-    make_unbent_rests,
+    make_unbent_history,
     slide_vector,
 )
 from labpipe.mechanics.rod import boundaries as rod
@@ -188,7 +188,7 @@ def test_a_wire_has_the_law_of_its_sheet(tmp_path: Path) -> None:
     wire = material(tmp_path, "{wire: A2}")
     table = tabulate_wire(next(spec for spec in read_wire_sheet(SHEET).specs if spec.name == "A2"))
     section = wire.sections[0]({})
-    moments = compute_slider_moment(section.law, table.curvature[1:])
+    moments = compute_first_loading(section.law, table.curvature[1:])
     assert moments == pytest.approx(table.moment[1:], rel=0.01)
     assert section.mass_per_length == pytest.approx(table.mass_per_length)
     assert section.torsional_stiffness == pytest.approx(table.torsional_stiffness)
@@ -204,10 +204,10 @@ def test_a_wire_has_the_law_of_its_sheet(tmp_path: Path) -> None:
         "X,1.6,7,0.32,0.3,12\n"
     )
     assert material(tmp_path, "{wire: X}", wires=sheet).name == "X"
-    (tmp_path / "A2.sliders.json").write_text(write_sliders_json(table), encoding="utf-8")
+    (tmp_path / "A2.sliders.json").write_text(format_sliders_json(table), encoding="utf-8")
     deck = material(tmp_path, "{sliders: A2.sliders.json, diameter: 1.6 mm}")
     of_deck = deck.sections[0]({})
-    assert of_deck.law.stiffnesses == pytest.approx(section.law.stiffnesses, rel=1e-6)
+    assert of_deck.law.slider_stiffnesses == pytest.approx(section.law.slider_stiffnesses, rel=1e-6)
     assert of_deck.mass_per_length == pytest.approx(section.mass_per_length)
     assert (deck.name, deck.limit_source) == ("A2", wire.limit_source)
     assert deck.curvature_limit == pytest.approx(wire.curvature_limit)
@@ -220,15 +220,15 @@ def test_a_wire_has_the_law_of_its_sheet(tmp_path: Path) -> None:
         )
         assert computed == pytest.approx(expected, rel=1e-6)
     stated = replace(table, spec=replace(table.spec, isotropic_share=0.5))
-    (tmp_path / "known.json").write_text(write_sliders_json(stated), encoding="utf-8")
+    (tmp_path / "known.json").write_text(format_sliders_json(stated), encoding="utf-8")
     of_known = material(tmp_path, "{sliders: known.json, diameter: 1.6 mm}")
     assert not of_known.distributions
-    assert of_known.sections[0]({}).law.growing[0].stiffness == pytest.approx(
-        deck.sections[0]({"isotropic_share": 0.5}).law.growing[0].stiffness
+    assert of_known.sections[0]({}).law.growing_sliders[0].stiffness == pytest.approx(
+        deck.sections[0]({"isotropic_share": 0.5}).law.growing_sliders[0].stiffness
     )
     stiffer = deck.sections[0]({"law_factor": np.log(2.0), "mass_factor": np.log(3.0)})
-    assert stiffer.law.stiffnesses == pytest.approx(2.0 * of_deck.law.stiffnesses)
-    assert stiffer.law.stiffness == pytest.approx(2.0 * of_deck.law.stiffness)
+    assert stiffer.law.slider_stiffnesses == pytest.approx(2.0 * of_deck.law.slider_stiffnesses)
+    assert stiffer.law.spring_stiffness == pytest.approx(2.0 * of_deck.law.spring_stiffness)
     assert stiffer.mass_per_length == pytest.approx(3.0 * of_deck.mass_per_length)
     assert stiffer.torsional_stiffness == of_deck.torsional_stiffness
 
@@ -246,7 +246,7 @@ def test_a_calibrated_wire_has_the_strength_of_its_copper_once(tmp_path: Path) -
     table = tabulate_wire(set_parameters(spec, values))
     is_bent = table.curvature > 1.0
     law = wire.sections[0]({**wire.best_inputs, "isotropic_share": 0.0}).law
-    moments = compute_slider_moment(law, table.curvature[is_bent])
+    moments = compute_first_loading(law, table.curvature[is_bent])
     assert moments == pytest.approx(table.moment[is_bent], rel=0.01)
 
 
@@ -254,7 +254,7 @@ def test_what_the_file_states_is_believed(tmp_path: Path) -> None:
     curl = "  spool: {curvature: 2 1/m, spread: 0.4 1/m}\n"
     section = STIFFNESS.replace("}", ", stiffness_uncertainty: 10 %}")
     stated = material(tmp_path, section, line=curl)
-    assert stated.sections[0]({}).law.stiffness == pytest.approx(150e-6)
+    assert stated.sections[0]({}).law.spring_stiffness == pytest.approx(150e-6)
     assert np.isinf(stated.sections[0]({}).axial_stiffness)
     assert stated.curvature_limit == 80.0
     assert stated.limit_source == "'largest_curvature' of the file"
@@ -293,9 +293,9 @@ SOME = SliderLaw(0.5, np.array([9.0, 3.0, 1.0]), np.array([0.5, 2.0, 5.0]), 0.0,
 
 def bent(law: SliderLaw, path: list[tuple[float, float]]) -> Floats:
     """Where the sliders of one station rest after some curvatures."""
-    rests = make_unbent_rests(law, 1, is_vector=True)
+    rests = make_unbent_history(law, 1, is_vector=True)
     for curvature in path:
-        rests = slide_vector(law, np.array([curvature]), rests).rests
+        rests = slide_vector(law, np.array([curvature]), rests).history
     return rests
 
 
@@ -306,7 +306,7 @@ def test_one_slider() -> None:
         (ONE, 1.5, 1.5 - (2.0 * 1.5 + 6.0) / 8.0),  # 0.375: back without sliding
         (ONE, 2.5, 2.5 - (2.0 * 2.5 + 6.0) / 8.0),  # 1.125: back by 1.375
         (ONE, 5.0, 3.0),  # back by 2, then it slides the other way until 2 k = 6
-        (replace(ONE, stiffness=0.0), 3.0, 2.0),  # without a spring back by 1
+        (replace(ONE, spring_stiffness=0.0), 3.0, 2.0),  # without a spring back by 1
     ):
         released = compute_released_curvature(law, bent(law, [(to, 0.0)]))[0]
         assert released == pytest.approx([residual, 0.0], abs=1e-8)
@@ -318,10 +318,10 @@ def test_a_way_that_turned_ends_where_the_energy_is_least() -> None:
     rests = bent(SOME, [(3.0, 0.0), (4.0, 4.0), (-1.0, 6.0)])
 
     def energy(curvature: Floats) -> float:
-        size = np.linalg.norm(curvature - rests[0], axis=1)
-        slips = SOME.slip_curvatures
+        size, slips = np.linalg.norm(curvature - rests[0], axis=1), SOME.slip_curvatures
         work = np.where(size < slips, 0.5 * size**2, slips * size - 0.5 * slips**2)
-        return 0.5 * SOME.stiffness * float(curvature @ curvature) + float(SOME.stiffnesses @ work)
+        energy = 0.5 * SOME.spring_stiffness * float(curvature @ curvature)
+        return energy + float(SOME.slider_stiffnesses @ work)
 
     optimum = minimize(
         energy, np.zeros(2), method="Nelder-Mead", options={"xatol": 1e-9, "fatol": 1e-14}
@@ -338,10 +338,8 @@ def test_a_laid_line_keeps_what_its_own_law_says() -> None:
     law = path.line.section.law
     doubt = find_unloading_doubt(path)
     assert doubt is not None
-    assert (
-        "85 mm from the start the residual curvature is 1.49 1/m by the rule"
-        in doubt.reason.message
-    )
+    message = "85 mm from the start the residual curvature is 1.49 1/m by the rule"
+    assert message in doubt.reason.message
     residual = compute_residual_curvature(path.last, law)
     largest = bound_residual_curvature(path, law)
     bends = np.array([state.bending_curvatures for state in path.states])
@@ -351,7 +349,8 @@ def test_a_laid_line_keeps_what_its_own_law_says() -> None:
     # by hand: from the sharpest bend, back by the moment there over the first stiffness
     sharp = path.states[int(np.argmax(bends[:, node]))]
     curvature = sharp.curvatures[node, 0, :2]
-    moment = law.stiffness * curvature + law.stiffnesses @ (curvature - sharp.rests[node, 0])
+    moment = law.spring_stiffness * curvature
+    moment = moment + law.slider_stiffnesses @ (curvature - sharp.rests[node, 0])
     released = np.linalg.norm(curvature - moment / law.first_stiffness)
     assert largest[node] == pytest.approx(float(released), rel=1e-9)
     assert compute_unbending(path) == pytest.approx(

@@ -289,7 +289,7 @@ def test_moments_and_tension_are_those_of_the_forces() -> None:
     """EI times the curvature is the bending moment; the pull of the clip is that in the line."""
     _, _, path = followed(NAMED)
     columns = compute_columns(path.last, path.line)
-    stiffness = path.line.section.law.stiffness
+    stiffness = path.line.section.law.spring_stiffness
     moment, curvature = columns["bending_moment [N*m]"], columns["curvature [1/m]"]
     assert moment[1:-1] == pytest.approx(stiffness * curvature[1:-1], rel=0.01)
     pull = -path.last.reaction_forces[0]

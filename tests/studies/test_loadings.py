@@ -10,11 +10,11 @@ from labpipe.mechanics.studies.first_loadings import (
     FirstLoading,
     NotUsableError,
     estimate_force_zero_error,
+    estimate_offset_error,
     estimate_scale_errors,
-    estimate_shift_error,
     estimate_zero_error,
     extract_first_loading,
-    note_sheet_weight,
+    make_sheet_weight_notes,
     read_first_loadings,
     set_self_weight,
 )
@@ -78,7 +78,7 @@ def protocol(repository: Path) -> Protocol:
 def taken(
     protocol: Protocol, result: TestResult | None = None, up_to: float | None = None
 ) -> FirstLoading:
-    return extract_first_loading(result or result_of(), protocol, points=200, up_to=up_to)
+    return extract_first_loading(result or result_of(), protocol, 200, max_deflection=up_to)
 
 
 def test_points_are_means_of_the_first_loading_alone(protocol: Protocol) -> None:
@@ -108,7 +108,7 @@ def test_noise_of_the_deflection_is_in_that_of_the_force(protocol: Protocol) -> 
 
 def test_rig_and_gain_are_those_of_the_protocol(protocol: Protocol) -> None:
     loading = taken(protocol)
-    assert loading.gain == pytest.approx(0.002)
+    assert loading.gain_uncertainty == pytest.approx(0.002)
     rig = loading.curve.rig
     assert rig is not None
     assert rig.string_length == rig.anchor_height == pytest.approx(0.76)
@@ -187,7 +187,7 @@ def test_files_that_cannot_be_used_are_named(tmp_path: Path) -> None:
     broken = tmp_path / "result.h5"
     broken.write_bytes(b"none")
     names: list[str] = []
-    loadings, left_out = read_first_loadings([broken], points=200, say=names.append)
+    loadings, left_out = read_first_loadings([broken], min_points=200, report_name=names.append)
     assert (loadings, names) == ([], [tmp_path.name])
     assert str(broken) in left_out[str(broken)]
 
@@ -208,11 +208,11 @@ def test_the_mass_of_the_test_or_of_the_sheet_of_wires(
     alike = weighing(9.0, light)
     assert set_self_weight(alike, sheet) is alike
     assert set_self_weight(light, sheet).curve.self_weight == sheet
-    assert not [*note_sheet_weight([alike], sheet)]
+    assert not [*make_sheet_weight_notes([alike], "A2", sheet)]
     notes = [
         contradicted.notes[-1],
-        *note_sheet_weight([light], sheet),
-        *note_sheet_weight([light, alike], sheet),
+        *make_sheet_weight_notes([light], "A2", sheet),
+        *make_sheet_weight_notes([light, alike], "A2", sheet),
     ]
     approved(f"{note.code}, {note.where}: {note.message}" for note in notes)
 
@@ -292,13 +292,13 @@ def test_zeros_are_as_good_as_the_mean_over_their_part(protocol: Protocol) -> No
 
 
 def test_a_clock_that_is_off_moves_the_deflection(protocol: Protocol) -> None:
-    alone = estimate_shift_error(result(), protocol, curve(), FIRST)
+    alone = estimate_offset_error(result(), protocol, curve(), FIRST)
     assert alone == pytest.approx(BLUR / np.sqrt(2.0 * RATE), rel=0.3)
-    both = estimate_shift_error(result(joined(0.02)), protocol, curve(), FIRST)
+    both = estimate_offset_error(result(joined(0.02)), protocol, curve(), FIRST)
     assert both == pytest.approx(np.hypot(alone, 0.02 * SPEED), rel=1e-3)
-    assert estimate_shift_error(result(joined(np.nan)), protocol, curve(), FIRST) == alone
+    assert estimate_offset_error(result(joined(np.nan)), protocol, curve(), FIRST) == alone
     short = replace(FIRST, stop=FIRST.start + 1)
-    assert estimate_shift_error(result(joined(0.02)), protocol, curve(), short) == alone, (
+    assert estimate_offset_error(result(joined(0.02)), protocol, curve(), short) == alone, (
         "has no speed"
     )
 

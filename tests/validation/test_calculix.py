@@ -24,7 +24,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labpipe.mechanics.decks.calculix import write_calculix_deck
+from labpipe.mechanics.decks.calculix import format_calculix_deck
 from labpipe.mechanics.law.plays import make_elastic_law
 from labpipe.mechanics.law.thinning import make_concave_law
 from labpipe.mechanics.wire.first_loading import compute_end_load_path
@@ -45,7 +45,7 @@ CLOSE = 0.02
 def pushed(table: WireTable, folder: Path, *, n_steps: int = 80) -> tuple[Floats, Floats]:
     """Tip deflection and end load, m and N, as the program finds them."""
     (folder / "wire.inp").write_text(
-        write_calculix_deck(table, n_bricks_along=N_ALONG, n_steps=n_steps)
+        format_calculix_deck(table, n_bricks_along=N_ALONG, n_steps=n_steps)
     )
     environment = {**os.environ, "OMP_NUM_THREADS": "1"}
     subprocess.run(["ccx", "-i", "wire"], cwd=folder, env=environment, check=True, timeout=300)

@@ -18,9 +18,9 @@ import pytest
 from labpipe.mechanics.law.sliders import (
     SliderLaw,
     make_growing_slider,
-    make_unbent_rests,
-    share_hardening,
+    make_unbent_history,
     slide,
+    split_hardening,
 )
 from labpipe.records.arrays import Floats
 
@@ -44,14 +44,14 @@ Points = list[tuple[float, float]]
 def law_of(share: float) -> SliderLaw:
     """The material as sliders, strains in place of curvatures."""
     masing = SliderLaw(SLOPES[-1], -np.diff(SLOPES), STRAIN[:-1], 0.0, STRAIN[-1])
-    return share_hardening(masing, make_growing_slider(STRAIN, STRESS, 1.0), share)
+    return split_hardening(masing, make_growing_slider(STRAIN, STRESS, 1.0), share)
 
 
 def stresses_of(law: SliderLaw) -> Floats:
-    rests, stresses = make_unbent_rests(law, 1), []
+    rests, stresses = make_unbent_history(law, 1), []
     for strain in PATH:
         step = slide(law, np.array([strain]), rests)
-        rests = step.rests
+        rests = step.history
         stresses.append(step.moment[0])
     return np.array(stresses)
 
@@ -66,13 +66,14 @@ def material(*keywords: tuple[str, Points], modulus: float, poisson: float) -> l
 def laminae(law: SliderLaw) -> list[list[str]]:
     parts = [
         material(("*PLASTIC", [(k * e, 0.0), (1.0001 * k * e, 1.0)]), modulus=k, poisson=0.49)
-        for k, e in zip(law.stiffnesses, law.slip_curvatures, strict=True)
+        for k, e in zip(law.slider_stiffnesses, law.slip_curvatures, strict=True)
     ]
-    for slider in law.growing:
-        slid = np.append(slider.slid, 0.1)  # beyond its table the program would harden no more
+    for slider in law.growing_sliders:
+        # Beyond its table, the program would harden no more.
+        slid = np.append(slider.slid_curvatures, 0.1)
         points = list(zip(slider.compute_limit(slid), slid, strict=True))
         parts.append(material(("*PLASTIC", points), modulus=slider.stiffness, poisson=0.49))
-    spring = law.stiffness  # none with an isotropic share of 1
+    spring = law.spring_stiffness  # none with an isotropic share of 1
     return [*parts, material(modulus=spring, poisson=0.49)] if spring > 0.0 else parts
 
 

@@ -141,7 +141,7 @@ def test_two_spools_of_three_samples() -> None:
     """Means of spools, scatter within and between, pooled and not; they are not pooled."""
     found = compute_nested_mean(FIRST_REGION)
     assert [found.spool_means[key].mean for key in "12"] == pytest.approx([57.44, 47.12], abs=5e-3)
-    assert (found.within, found.between_spools) == pytest.approx((1.05, 7.27), abs=0.005)
+    assert (found.within_spools, found.between_spools) == pytest.approx((1.05, 7.27), abs=0.005)
     pooled = compute_mean([value for values in FIRST_REGION.values() for value in values])
     assert pooled.interval is not None
     assert found.chosen.interval is not None

@@ -46,7 +46,7 @@ def test_a_node_there_and_back_follows_masing() -> None:
     plays, expected = PLAYS.make_unbent_history(1), []
     for moment in moments:
         response = PLAYS.respond(np.array([moment]), plays)
-        plays = response.plays
+        plays = response.history
         expected.append(float(response.curvature[0]))
     assert np.ptp(expected) > 20.0
     np.testing.assert_allclose(found, expected, atol=1e-10 * np.ptp(expected))

@@ -29,7 +29,7 @@ def exact(scenario: CantileverScenario) -> Observation[CantileverScenario]:
 def wire(observation: Observation[CantileverScenario]) -> Floats:
     """Positions of the wire markers from the clamp on, turned back into the specimen frame."""
     take, pose = observation.records["markers"], observation.scenario.pose
-    columns = [take.names.index(label) for label in take.labels]
+    columns = [take.labels.index(label) for label in take.specimen_labels]
     positions: Floats = (take.positions[:, columns] - pose.origin) @ pose.compute_rotation()
     return positions
 
@@ -57,7 +57,7 @@ def test_noise_of_markers_and_clamp(
     clean: Observation[CantileverScenario], exact: Observation[CantileverScenario]
 ) -> None:
     columns = [
-        exact.records["markers"].names.index(name) for name in clean.records["markers"].names
+        exact.records["markers"].labels.index(name) for name in clean.records["markers"].labels
     ]
     noise = clean.records["markers"].positions - exact.records["markers"].positions[:, columns]
     np.testing.assert_allclose(np.std(noise, axis=0), 3e-5, rtol=0.05)
@@ -73,7 +73,7 @@ def test_gaps_and_swapped_markers(scenario: CantileverScenario) -> None:
     """Against the same take without mishaps: its noise is the same, so that all else is equal."""
     quick = replace(scenario, clocks=replace(scenario.clocks, rate=50.0))
     clean = observe(replace(quick, mishaps=NO_MISHAPS), 5).records["markers"]
-    names = [clean.names.index(label) for label in clean.labels]
+    names = [clean.labels.index(label) for label in clean.specimen_labels]
     for mishaps in (
         replace(NO_MISHAPS, n_gaps=6, long_gap=1.2),
         replace(NO_MISHAPS, switch=MarkerInterval(2, 0.4, 0.6)),
@@ -81,7 +81,7 @@ def test_gaps_and_swapped_markers(scenario: CantileverScenario) -> None:
     ):
         take = observe(replace(quick, mishaps=mishaps), 5).records["markers"]
         expected = clean.positions.copy()
-        for event in take.log:
+        for event in take.mishap_events:
             period, columns = slice(event.start, event.stop), [names[n] for n in event.markers]
             if mishaps.switch:
                 assert event.markers == (2, 3)
@@ -89,5 +89,5 @@ def test_gaps_and_swapped_markers(scenario: CantileverScenario) -> None:
                 expected[period, columns] = clean.positions[period, columns[::-1]]
             else:
                 expected[period, columns] = np.nan
-        assert take.log
+        assert take.mishap_events
         np.testing.assert_array_equal(take.positions, expected)

@@ -34,7 +34,7 @@ def test_repeated_cycles_equal_solved_ones() -> None:
     """The third cycle is a copy of the second; solving it says the same."""
     test = MechanicalTest(cycles=3, steps_per_branch=40)
     path, law = solve_path(test), test.wire.build_law()
-    shape = path.rest
+    shape = path.rest_shape
     for segment in path.segments:
         for travel, tension, tip in zip(
             segment.travel, segment.tension, segment.y[:, -1], strict=True
@@ -59,7 +59,7 @@ def test_cycles_agree_with_the_arrays(observation: Observation[CantileverScenari
 def test_shapes_start_at_the_clamp_and_end_at_the_pull_point(
     observation: Observation[CantileverScenario],
 ) -> None:
-    truth, rest = observation.truth, solve_path(observation.scenario.mechanics).rest
+    truth, rest = observation.truth, solve_path(observation.scenario.mechanics).rest_shape
     assert len(truth["shapes"]) == 21
     for shape in truth["shapes"]:
         assert (shape["x"][0], shape["y"][0]) == pytest.approx((0.0, 0.0), abs=1e-12)
@@ -86,7 +86,7 @@ def test_truth(observation: Observation[CantileverScenario], tmp_path: Path) -> 
     assert truth["cycles"][0]["peak_force"] == observation.truth["cycles"][0]["peak_force"]
     assert {event["kind"] for event in truth["mishaps"]} == {"gap", "switch", "unlabelled"}
     assert [marker["label"] for marker in truth["markers"]] == list(
-        observation.records["markers"].labels
+        observation.records["markers"].specimen_labels
     )
     law = truth["first_loading"]
     assert np.interp(1e-3, law["moment"], law["curvature"]) == pytest.approx(1e-3 / 5e-3)

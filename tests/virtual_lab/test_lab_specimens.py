@@ -12,7 +12,7 @@ from labpipe.mechanics.law.plays import find_corners
 from labpipe.mechanics.wire.bending_law import compute_moment_curve, compute_stick_stiffness
 from labpipe.virtual_lab.cantilever_scenarios import (
     build_taped_scenario,
-    evaluate_taped,
+    evaluate_bundle,
     find_kink,
     solve_path,
 )
@@ -38,7 +38,7 @@ def test_unloading_is_that_of_sliders_and_kinematic_plasticity(wire: StrandedWir
     loading, unloading = np.linspace(0.3, 29.0, 97), np.linspace(29.0, -5.0, 140)[1:]
     path = bend_along(section, contacts, np.concatenate([loading, unloading]))
     top, down = path[len(loading) - 1], path[len(loading) :]
-    history = law.respond(np.array([top]), law.make_unbent_history(1)).plays
+    history = law.respond(np.array([top]), law.make_unbent_history(1)).history
     curvatures = law.respond(down, np.repeat(history, len(down), axis=0)).curvature
     moment = np.interp(unloading[::-1], curvatures[::-1], down[::-1])[::-1]
     assert np.max(np.abs(moment - down)) < 1e-3 * top
@@ -80,7 +80,7 @@ def test_wires_do_not_overlap_and_balance(arrangement: str) -> None:
     touching = 0.5 * np.add.outer(layout.diameter, layout.diameter)
     np.fill_diagonal(gaps, 1.0)
     assert np.all(gaps >= touching - 1e-9)
-    assert layout.axial @ layout.y == pytest.approx(0.0, abs=1e-9)
+    assert layout.axial_stiffness @ layout.y == pytest.approx(0.0, abs=1e-9)
     assert np.sum(layout.diameter == 1.1e-3) == 10
 
 
@@ -111,7 +111,7 @@ def test_two_lines_are_found_where_they_join() -> None:
 def test_a_bundle_in_the_rig() -> None:
     bundle = TAPED_TYPES["TWB-B1-19-PVC"]
     test = build_taped_scenario("TWB-B1-19-PVC", cycles=2).mechanics
-    truth = evaluate_taped(solve_path(test))
+    truth = evaluate_bundle(solve_path(test))
     # A straight elastic beam: 3 EI / L^3; the counterweight's string adds next to nothing.
     linear = 3.0 * bundle.build_law().stiffness / test.length**3
     assert truth["loading"]["tangent_at_zero"] == pytest.approx(linear, rel=0.01)

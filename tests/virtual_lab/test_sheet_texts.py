@@ -14,7 +14,7 @@ from labpipe.mechanics.wire.wire_table import build_wire
 from labpipe.virtual_lab import write_wire_sheet
 from labpipe.virtual_lab.cantilever_scenarios import CantileverScenario, MarkerLayout
 from labpipe.virtual_lab.instruments import LoadCell
-from labpipe.virtual_lab.lab_files import write_sheet
+from labpipe.virtual_lab.lab_files import format_sheet
 from labpipe.virtual_lab.specimens import WIRES
 from labpipe.virtual_lab.three_point import build_conduit_scenario
 
@@ -33,7 +33,7 @@ def test_what_differs_is_overridden_with_a_reason() -> None:
         load_cell=LoadCell(gain=0.0411),
         markers=MarkerLayout(pull_offset=0.005),
     )
-    sheet = yaml.safe_load(write_sheet(scenario, {}))
+    sheet = yaml.safe_load(format_sheet(scenario, {}))
     assert sheet["specimen"]["length"] == "100 mm"
     assert read_overrides(sheet) == {
         "sources.force.calibration.gain": "0.0411 N/V",
@@ -43,7 +43,7 @@ def test_what_differs_is_overridden_with_a_reason() -> None:
         "markers.pull_offset": "5 mm",
     }
     files = {"force": ["force.mat"], "frame": ["DAQ- Crosshead, … - (Timed).txt"]}
-    sheet = yaml.safe_load(write_sheet(build_conduit_scenario("CWB-2b"), files))
+    sheet = yaml.safe_load(format_sheet(build_conduit_scenario("CWB-2b"), files))
     assert sheet["protocol"] == "conduit-bundle"
     assert sheet["specimen"]["span"] == "152.4 mm"
     assert sheet["specimen"]["bundle"]["taping"] == "coarse"

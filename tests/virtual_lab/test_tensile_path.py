@@ -24,7 +24,7 @@ def test_slip_goes_on_parallel_and_lower() -> None:
     tube = build_corrugated_tube("CT-10-slit-1")
     slips = (GripSlip(18.75e-3, 0.47, 0.05), GripSlip(30.85e-3, 0.81, 0.1))
     whole, slipped = tube, replace(tube, slips=slips)
-    time = np.linspace(0.0, whole.last_time, 100_001)
+    time = np.linspace(0.0, whole.loading_time, 100_001)
     lost = whole.compute_force(time) - slipped.compute_force(time)
     displacement = whole.compute_displacement(time)
     np.testing.assert_allclose(lost[displacement < 18.75e-3], 0.0, atol=1e-12)
@@ -35,22 +35,22 @@ def test_slip_goes_on_parallel_and_lower() -> None:
 
 def test_failure_takes_its_time_and_leaves_fibres() -> None:
     path = build_pet_tape("1", failure_displacement=60e-3)
-    first, second, third = path.compute_force(path.last_time + np.array([-1e-9, 0.15, 2.3]))
-    at_failure = path.compute_force(np.array([path.last_time]))[0]
+    first, second, third = path.compute_force(path.loading_time + np.array([-1e-9, 0.15, 2.3]))
+    at_failure = path.compute_force(np.array([path.loading_time]))[0]
     assert first == pytest.approx(at_failure, rel=1e-6)
     assert second == pytest.approx(0.06 * at_failure * np.exp(-0.15 / 1.2))
     assert 0.0 < third < 0.01 * at_failure
-    period = path.compute_force(path.last_time + np.linspace(0.0, 2.3, 500))
+    period = path.compute_force(path.loading_time + np.linspace(0.0, 2.3, 500))
     assert np.all(np.diff(period) < 0.0)
 
 
 def test_unloading_starts_at_the_peak_with_the_first_stiffness_and_ends_slack() -> None:
     tube = build_corrugated_tube("CT-10-3")
     path = replace(tube, frame=replace(tube.frame, unloads=True))
-    turn = path.last_time + tube.frame.overrun
-    time = np.linspace(turn, path.end, 20_001)
+    turn = path.loading_time + tube.frame.overrun
+    time = np.linspace(turn, path.end_time, 20_001)
     force, displacement = path.compute_force(time), path.compute_displacement(time)
-    assert force[0] == pytest.approx(path.compute_force(np.array([path.last_time]))[0])
+    assert force[0] == pytest.approx(path.compute_force(np.array([path.loading_time]))[0])
     assert displacement[-1] == pytest.approx(0.0, abs=1e-12)
     assert np.all(np.diff(force) <= 1e-12)
     slope = (force[0] - force[100]) / (displacement[0] - displacement[100])

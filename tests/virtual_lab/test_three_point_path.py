@@ -25,7 +25,7 @@ BAR = ElasticModel(0.1)
 
 
 def outer_work(path: ThreePointPath) -> float:
-    halves = [*path.loading, *path.unloading[1:]]
+    halves = [*path.loading_shapes, *path.unloading_shapes[1:]]
     forces = [half.force for half in halves]
     return float(np.trapezoid(forces, [half.displacement for half in halves]))
 
@@ -37,7 +37,7 @@ def test_work_is_stored_or_dissipated_in_bending() -> None:
     weights[[0, -1]] *= 0.5
     inner = 2.0 * sum(
         float(weights @ (0.5 * (a.moment + b.moment) * (b.curvature - a.curvature)))
-        for a, b in pairwise([*path.loading, *path.unloading[1:]])
+        for a, b in pairwise([*path.loading_shapes, *path.unloading_shapes[1:]])
     )
     assert outer_work(path) == pytest.approx(inner, rel=1e-3)
     assert outer_work(path) > 0.05
@@ -46,7 +46,7 @@ def test_work_is_stored_or_dissipated_in_bending() -> None:
 def test_an_elastic_bar_gives_everything_back() -> None:
     path = solve_three_point(ThreePointTest(BAR, friction=0.0))
     forces = path.compute_force(np.linspace(0.0, 0.0588, 99))
-    assert path.residual == pytest.approx(0.0, abs=1e-9)
+    assert path.residual_displacement == pytest.approx(0.0, abs=1e-9)
     assert forces == pytest.approx(forces[::-1], abs=1e-4)
     with pytest.raises(ValueError, match=r"displacement=.*: no equilibrium beyond 0\.0"):
         solve_three_point(ThreePointTest(BAR, stroke=0.3))
@@ -54,18 +54,18 @@ def test_an_elastic_bar_gives_everything_back() -> None:
 
 def test_the_roller_leaves_a_bent_bundle() -> None:
     path = solve_three_point(ThreePointTest(BUNDLE, friction=0.2))
-    assert 5e-3 < path.residual < 0.015
-    progress = np.linspace(0.0588 - 0.9 * path.residual, 0.0588, 20)
+    assert 5e-3 < path.residual_displacement < 0.015
+    progress = np.linspace(0.0588 - 0.9 * path.residual_displacement, 0.0588, 20)
     assert path.compute_force(progress) == pytest.approx(0.0, abs=1e-12)
     displacement, moment, _ = path.compute_mid_span(progress)
-    assert displacement == pytest.approx(path.residual, abs=1e-12)
+    assert displacement == pytest.approx(path.residual_displacement, abs=1e-12)
     assert moment == pytest.approx(0.0, abs=1e-12)
     assert path.compute_displacement(progress)[-1] == 0.0
 
 
 def shoot(test: ThreePointTest, displacement: float) -> float:
     """Force of an elastic bar by shooting from mid-span: EI theta'' = - F . normal, N."""
-    friction, reach = test.friction, test.reach
+    friction, reach = test.friction, test.axis_distance
     assert isinstance(test.bundle, ElasticModel)
     stiffness = test.bundle.stiffness
 
@@ -106,7 +106,7 @@ def shoot(test: ThreePointTest, displacement: float) -> float:
 )
 def test_large_deflections_agree_with_shooting(friction: float, displacement: float) -> None:
     test = ThreePointTest(BAR, friction=friction, build_up=1e-5, stroke=displacement)
-    force = solve_three_point(test).loading[-1].force
+    force = solve_three_point(test).loading_shapes[-1].force
     assert force == pytest.approx(shoot(test, displacement), rel=3e-4)
 
 
@@ -118,12 +118,12 @@ def test_truth_and_volts_of_a_bundle() -> None:
     path, plan = solve_three_point(scenario.test), scenario.plan_schedule()
     test = observe(scenario, 1)
     truth, record = test.truth, test.records["force"]
-    assert truth["peak_force"] == pytest.approx(1.1 * path.loading[-1].force, rel=1e-3)
-    assert truth["residual_displacement"] == path.residual
+    assert truth["peak_force"] == pytest.approx(1.1 * path.loading_shapes[-1].force, rel=1e-3)
+    assert truth["residual_displacement"] == path.residual_displacement
     assert truth["energy"] == pytest.approx(1.1 * outer_work(path), rel=2e-3)
-    force = -0.21082 * record.volts + 0.002846
-    times = record.clock / (1.0 + 20e-6) + 6e-3
+    force = -0.21082 * record.signals["Model Root/Load Cell"] + 0.002846
+    times = record.clock_times / (1.0 + 20e-6) + 6e-3
     expected = 1.1 * path.compute_force(plan.compute_progress(times))
     assert force == pytest.approx(expected, abs=0.21082 * 200.0 / 2**16)
-    assert np.min(record.volts) < -20.0
+    assert np.min(record.signals["Model Root/Load Cell"]) < -20.0
     assert list(record.signals) == ["Model Root/Load Cell", "Model Root/Trigger"]

@@ -14,7 +14,7 @@ from scipy.io import loadmat, whosmat
 
 from labpipe.records.arrays import Floats
 from labpipe.virtual_lab.cantilever_scenarios import CantileverScenario, solve_path
-from labpipe.virtual_lab.instruments import ExportLayout, FrameRecord
+from labpipe.virtual_lab.instruments import FORCE_PATH, ExportLayout, FrameRecord
 from labpipe.virtual_lab.lab_files import (
     Observation,
     Run,
@@ -39,8 +39,8 @@ def test_control_desk_is_exact_and_whole_numbers_are_small(
     assert head[124:] == b"\x00\x01IM\x0e\x00\x00\x00"  # not compressed, as in real exports
     assert whosmat(file) == [("force", (1, 1), "struct")]
     content = loadmat(file, struct_as_record=False, squeeze_me=True)["force"]
-    np.testing.assert_array_equal(content.X.Data, record.clock)
-    signals = (record.volts, *list(record.signals.values())[1:])
+    np.testing.assert_array_equal(content.X.Data, record.clock_times)
+    signals = (record.signals[FORCE_PATH], *list(record.signals.values())[1:])
     for channel, values in zip(content.Y, signals, strict=True):
         np.testing.assert_array_equal(channel.Data, values)
     assert [channel.Data.dtype for channel in content.Y] == [np.float64, np.uint8, np.uint16]
@@ -130,7 +130,7 @@ def test_volts_times_true_gain_are_the_tension_and_white_noise(
     record, scenario = observation.records["force"], observation.scenario
     path, schedule = solve_path(scenario.mechanics), scenario.plan_schedule()
     tension = path.compute_tension(schedule.compute_progress(schedule.force_times))
-    noise = (record.volts - scenario.load_cell.offset) * record.true_gain - tension
+    noise = (record.signals[FORCE_PATH] - scenario.load_cell.offset) * record.true_gain - tension
     assert np.std(noise) == pytest.approx(4e-3, rel=0.01)
     assert abs(np.mean(noise)) < 5e-5
     assert abs(np.corrcoef(noise[1:], noise[:-1])[0, 1]) < 0.01

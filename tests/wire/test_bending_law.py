@@ -201,7 +201,7 @@ def test_plays_follow_first_loading_and_unload_as_strands_do(name: str) -> None:
     path = np.concatenate([np.linspace(0.1, 20.0, 80), np.linspace(20.0, -20.0, 81)])
     moment = bend_along(section, contacts, path)
     peak = law.respond(moment[79:80], law.make_unbent_history(1))
-    back = law.respond(moment[120:121], peak.plays)
+    back = law.respond(moment[120:121], peak.history)
     # Friction differs by 7 % between the sides: a small part of a small part of the moment.
     assert back.curvature[0] == pytest.approx(path[120], abs=0.01 * 20.0)
 

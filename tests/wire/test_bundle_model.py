@@ -91,7 +91,7 @@ def test_loops_follow_masing() -> None:
     top = compute_friction_moment(np.array([8.0]), model, tables, friction)
     loaded = law.respond(top, law.make_unbent_history(1))
     for share in (0.3, 0.9, 1.4):
-        back = law.respond((1.0 - share) * top, loaded.plays)
+        back = law.respond((1.0 - share) * top, loaded.history)
         half = compute_first_curvature(law, 0.5 * share * top)
         assert back.curvature == pytest.approx(loaded.curvature - 2.0 * half, rel=1e-9)
 

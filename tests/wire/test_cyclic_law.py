@@ -88,7 +88,7 @@ def test_curvature_kept_after_a_bend(share: float, kept: tuple[float, ...]) -> N
     law, bent = law_of_a2(share), np.array([5.0, 12.0, 23.5, 37.5])
     section = wire("A2")
     moment = compute_moment_curve(section, contacts_of(section), bent).moment
-    history = law.respond(moment, law.make_unbent_history(len(bent))).plays
+    history = law.respond(moment, law.make_unbent_history(len(bent))).history
     after = law.respond(np.zeros(len(bent)), history).curvature
     assert after / bent == pytest.approx(kept, abs=0.011)
 
@@ -125,6 +125,6 @@ def test_springback_of_bare_winding_wires(
             largest_curvature=1.5 * float(bent[0]),
         )
         moment = compute_moment_curve(section, contacts_of(section), bent).moment
-        history = law.respond(moment, law.make_unbent_history(1)).plays
+        history = law.respond(moment, law.make_unbent_history(1)).history
         after = law.respond(np.zeros(1), history).curvature
         assert 360.0 * (1.0 - float((after / bent)[0])) == pytest.approx(springback, abs=tolerance)

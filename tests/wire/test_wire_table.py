@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from labpipe.mechanics.law.loss_card import fit_wire_sliders
-from labpipe.mechanics.law.sliders import compute_slider_moment
+from labpipe.mechanics.law.sliders import compute_first_loading
 from labpipe.mechanics.law.thinning import make_concave_law
 from labpipe.mechanics.studies.harness_line import (
     LAW_FACTOR,
@@ -133,8 +133,8 @@ NAMES = ("A2", "C5")
 def test_its_own_numbers_give_the_law_it_was_made_from(name: str) -> None:
     table = table_of(name)
     own, base = make_section_function(table.spec, {})({}), fit_wire_sliders(table)
-    assert own.law.stiffness == pytest.approx(base.stiffness, rel=1e-9)
-    assert own.law.stiffnesses == pytest.approx(base.stiffnesses, rel=1e-6)
+    assert own.law.spring_stiffness == pytest.approx(base.spring_stiffness, rel=1e-9)
+    assert own.law.slider_stiffnesses == pytest.approx(base.slider_stiffnesses, rel=1e-6)
     numbers = (own.torsional_stiffness, own.axial_stiffness, own.coupling, own.mass_per_length)
     assert numbers == (
         table.torsional_stiffness,
@@ -155,7 +155,7 @@ def test_other_numbers_give_the_law_of_their_wire(name: str, values: dict[str, f
     assert law.slip_curvatures == pytest.approx(fit_wire_sliders(own).slip_curvatures, rel=0.0)
     table = tabulate_wire(set_parameters(own.spec, values))
     inside = table.curvature > 1.0
-    moment = compute_slider_moment(law, table.curvature[inside])
+    moment = compute_first_loading(law, table.curvature[inside])
     assert np.max(np.abs(moment / table.moment[inside] - 1.0)) < 0.015
 
 
@@ -246,7 +246,7 @@ def test_numbers_that_the_notes_name() -> None:
 @pytest.mark.parametrize(("force", "sticks"), [(0.0, False), (1e-9, False), (1e6, True)])
 def test_strands_slip_at_once_or_not_within_the_range(force: float, sticks: bool) -> None:
     table = tabulate_wire(replace(A2, radial_force=force))
-    assert table.slips_at_once != sticks
+    assert table.slips_immediately != sticks
     assert ("slips_at_once" in codes(table)) != sticks
     stiffness = table.stick_stiffness if sticks else table.slip_stiffness
     assert table.secant_stiffness[1] == pytest.approx(stiffness, rel=1e-2)
@@ -303,8 +303,8 @@ def test_factors_multiply_moment_torsion_mass_and_tables() -> None:
     build_section = make_section_function(table_of("A2").spec, {})
     plain = build_section({})
     made = build_section({LAW_FACTOR: 0.1, TORSION_FACTOR: -0.2, MASS_FACTOR: 0.05})
-    assert made.law.stiffnesses == pytest.approx(np.exp(0.1) * plain.law.stiffnesses)
-    assert made.law.stiffness == pytest.approx(np.exp(0.1) * plain.law.stiffness)
+    assert made.law.slider_stiffnesses == pytest.approx(np.exp(0.1) * plain.law.slider_stiffnesses)
+    assert made.law.spring_stiffness == pytest.approx(np.exp(0.1) * plain.law.spring_stiffness)
     assert made.torsional_stiffness == pytest.approx(np.exp(-0.2) * plain.torsional_stiffness)
     assert made.mass_per_length == pytest.approx(np.exp(0.05) * plain.mass_per_length)
     spec = replace(table_of("A2").spec, insulation_table=((0.01, 0.1), (10e6, 50e6)))

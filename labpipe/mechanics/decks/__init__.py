@@ -1,6 +1,6 @@
-"""Write input files of simulation programs ("decks") for the law of a wire.
+"""Write the law of a wire as input files of simulation programs ("decks").
 
-Each deck with a law states the range of curvature in which it is valid.
+Each deck that contains a law states the range of curvature in which the law is valid.
 """
 
 from __future__ import annotations
@@ -8,14 +8,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
-from labpipe.mechanics.decks.beam_sections import write_abaqus_deck, write_ansys_deck
-from labpipe.mechanics.decks.calculix import write_calculix_deck
+from labpipe.mechanics.decks.beam_sections import format_abaqus_deck, format_ansys_deck
+from labpipe.mechanics.decks.calculix import format_calculix_deck
 from labpipe.mechanics.decks.deck_law import make_file_stem
 from labpipe.mechanics.decks.lookup import (
-    write_lookup_csv,
-    write_lookup_json,
-    write_sliders_csv,
-    write_sliders_json,
+    format_lookup_csv,
+    format_lookup_json,
+    format_sliders_csv,
+    format_sliders_json,
 )
 from labpipe.mechanics.decks.mujoco import write_mujoco_deck
 from labpipe.mechanics.decks.mujoco_sliders import write_mujoco_plane_deck, write_mujoco_space_deck
@@ -25,18 +25,18 @@ FOLDER = "decks"
 """Folder of the decks, below that of the results."""
 
 DECKS: Mapping[str, Callable[[WireTable], str]] = {
-    "csv": write_lookup_csv,
-    "json": write_lookup_json,
-    "abaqus.inp": write_abaqus_deck,
-    "ansys.inp": write_ansys_deck,
-    "calculix.inp": write_calculix_deck,
+    "csv": format_lookup_csv,
+    "json": format_lookup_json,
+    "abaqus.inp": format_abaqus_deck,
+    "ansys.inp": format_ansys_deck,
+    "calculix.inp": format_calculix_deck,
     "mujoco.xml": write_mujoco_deck,
     "mujoco-plane.xml": write_mujoco_plane_deck,
     "mujoco-space.xml": write_mujoco_space_deck,
-    "sliders.csv": write_sliders_csv,
-    "sliders.json": write_sliders_json,
+    "sliders.csv": format_sliders_csv,
+    "sliders.json": format_sliders_json,
 }
-"""Function that returns the text of a deck, keyed by the ending of its file."""
+"""Functions that return the text of a deck, keyed by the ending of the deck's file name."""
 
 
 def make_deck_texts(table: WireTable) -> tuple[str, ...]:
@@ -49,13 +49,13 @@ def make_deck_texts(table: WireTable) -> tuple[str, ...]:
     Raises
     ------
     ValueError
-        If a deck cannot be made from the law (as for `thin_law`) or the mass; the message names the
-        deck.
+        If a deck cannot represent the law, or the mass per length is not positive. The message
+        names the deck.
     """
     texts = []
-    for ending, write in DECKS.items():
+    for ending, format_deck in DECKS.items():
         try:
-            texts.append(write(table))
+            texts.append(format_deck(table))
         except ValueError as error:
             message = f"its deck {ending} cannot be made: {error}"
             raise ValueError(message) from error
@@ -63,7 +63,7 @@ def make_deck_texts(table: WireTable) -> tuple[str, ...]:
 
 
 def write_decks(tables: Iterable[WireTable], folder: Path) -> list[Path]:
-    """Write every deck of every wire to ``decks/<stem>.<ending>``; `make_file_stem` makes the stem.
+    """Write every deck of every wire to ``decks/<stem>.<ending>``.
 
     Parameters
     ----------
@@ -72,40 +72,40 @@ def write_decks(tables: Iterable[WireTable], folder: Path) -> list[Path]:
 
     Returns
     -------
-    The files, wire by wire.
+    Paths of the files, wire by wire. `make_file_stem` makes the stems.
 
     Raises
     ------
     ValueError
-        As `make_deck_texts`.
+        If a deck cannot be made (`make_deck_texts`).
     """
-    return write_texts({table.name: make_deck_texts(table) for table in tables}, folder)
+    return write_deck_texts({table.name: make_deck_texts(table) for table in tables}, folder)
 
 
-def write_texts(texts: Mapping[str, Sequence[str]], folder: Path) -> list[Path]:
-    """Write texts of decks to their files.
+def write_deck_texts(texts: Mapping[str, Sequence[str]], folder: Path) -> list[Path]:
+    """Write the texts of decks to files.
 
     Parameters
     ----------
-    texts : texts of `make_deck_texts`, keyed by the name of the wire
+    texts : texts from `make_deck_texts`, keyed by the name of the wire
     folder : folder of the results, which must exist
 
     Returns
     -------
-    The files, wire by wire.
+    Paths of the files, wire by wire.
     """
     (folder / FOLDER).mkdir(exist_ok=True)
-    written = []
+    written_paths = []
     for name, deck_texts in texts.items():
         paths = list_deck_paths(name, folder)
         for path, text in zip(paths, deck_texts, strict=True):
             path.write_text(text, encoding="utf-8", newline="\n")
-        written += paths
-    return written
+        written_paths += paths
+    return written_paths
 
 
 def list_deck_paths(name: str, folder: Path) -> list[Path]:
-    """Return the files of the decks of a wire, in the order of `DECKS`.
+    """Return the paths of the decks of a wire, in the order of `DECKS`.
 
     Parameters
     ----------

@@ -1,15 +1,16 @@
 """Write the beam section of a wire as an include file for Abaqus and for Ansys.
 
-In Abaqus the section is ``*BEAM GENERAL SECTION, SECTION=NONLINEAR GENERAL`` with the keywords
+In Abaqus, the section is ``*BEAM GENERAL SECTION, SECTION=NONLINEAR GENERAL`` with the keywords
 ``*AXIAL``, ``*M1``, ``*M2`` and ``*TORQUE`` [1]_. Data lines state force or moment first, and
-strain or curvature second. With ``LINEAR`` they state only the stiffness. Without ``LINEAR`` and
-``ELASTIC`` the response is elastic-plastic, and the first slope is the elastic stiffness [2]_. Such
-a law is stated for positive strains, from the origin.
+strain or curvature second. With ``LINEAR``, they state only the stiffness. Without ``LINEAR`` and
+``ELASTIC``, the response is elastic-plastic, and the first slope is the elastic stiffness [2]_.
+Such a law is stated for positive strains, from the origin.
 
-In Ansys Mechanical APDL the section is ``SECTYPE,,GENB,PLASTIC`` with its tables, for BEAM188 and
-BEAM189 [3]_. Tables state strain first, and force second; the origin is implied. They have at most
-20 points for each component, and each further slope is smaller than the first. A plastic section
-requires all six components with two points or more. Beyond the last strain the stiffness is zero.
+In Ansys Mechanical APDL, the section is ``SECTYPE,,GENB,PLASTIC`` with its tables, for BEAM188 and
+BEAM189 [3]_. Tables state strain first, and force second. The origin is implied. They have at most
+20 points for each component. All slopes after the first must be smaller than the first. A plastic
+section requires all six components, each with two points or more. Beyond the last strain, the
+stiffness is zero.
 ``GENB`` is a section type like ``BEAM``, and its subtype is ``ELASTIC`` or ``PLASTIC`` [4]_.
 
 References
@@ -26,25 +27,24 @@ import numpy as np
 
 from labpipe.mechanics.decks.deck_law import (
     compute_skew_bending_error,
-    describe_deck_losses,
+    describe_deck_errors,
     describe_loading_error,
     fill_template,
     get_mass_per_length,
-    list_facts,
     make_abaqus_label,
     make_ansys_name,
 )
-from labpipe.mechanics.decks.unloading import compute_elastic_release
+from labpipe.mechanics.decks.unloading import compute_linear_release
 from labpipe.mechanics.law.plays import require
 from labpipe.mechanics.law.thinning import ThinnedLaw, thin_law
 from labpipe.records.wire import WireTable
 
-MAX_POINTS = 20
+MAX_ANSYS_POINTS = 20
 """Largest number of points in a table of Ansys, without the origin."""
 
 
-def write_abaqus_deck(table: WireTable) -> str:
-    """Write the beam section of a wire for Abaqus; the element set is named by `make_abaqus_label`.
+def format_abaqus_deck(table: WireTable) -> str:
+    """Return the beam section of a wire for Abaqus, for an element set with its label.
 
     Parameters
     ----------
@@ -52,12 +52,14 @@ def write_abaqus_deck(table: WireTable) -> str:
 
     Returns
     -------
-    Text of an include file, in 7-bit ASCII with lines of at most 256 characters.
+    Text of an include file, in 7-bit ASCII with lines of at most 256 characters. The element set is
+    named by `make_abaqus_label`.
 
     Raises
     ------
     ValueError
-        As `thin_law` and `get_mass_per_length`.
+        If the law cannot be represented (`thin_law`), or the mass per length is not finite and
+        positive.
 
     Notes
     -----
@@ -68,34 +70,33 @@ def write_abaqus_deck(table: WireTable) -> str:
     return fill_template(
         "abaqus.inp",
         table=table,
-        head=list_facts(table),
         law=law,
         points=np.column_stack([law.moment, law.curvature]),
-        losses=_describe_losses(table, law),
-        skew=compute_skew_bending_error(table),
+        error_lines=_describe_errors(table, law),
+        skew_error=compute_skew_bending_error(table),
         label=make_abaqus_label(table.name),
-        mass=get_mass_per_length(table),
+        mass_per_length=get_mass_per_length(table),
         area=np.pi * table.layout.wire_radius**2,
-        second=np.pi / 4.0 * table.layout.wire_radius**4,  # I11 and I22; half of J
+        second_moment=np.pi / 4.0 * table.layout.wire_radius**4,  # I11 and I22; half of J
     )
 
 
-def _describe_losses(table: WireTable, law: ThinnedLaw, line_width: int = 120) -> tuple[str, ...]:
-    """Describe the losses of a section that unloads with its first slope."""
-    deck_loss = describe_loading_error(law.error)
-    deck_release = compute_elastic_release(table, float(law.moment[1] / law.curvature[1]))
-    return describe_deck_losses(
-        table, deck_loss, "with its first slope", deck_release, line_width=line_width
+def _describe_errors(table: WireTable, law: ThinnedLaw, line_width: int = 120) -> tuple[str, ...]:
+    """Return lines on the errors of a section that unloads with its first slope."""
+    deck_error_sentence = describe_loading_error(law.error)
+    deck_release = compute_linear_release(table, float(law.moment[1] / law.curvature[1]))
+    return describe_deck_errors(
+        table, deck_error_sentence, "with its first slope", deck_release, line_width=line_width
     )
 
 
-def write_ansys_deck(table: WireTable, *, section: int = 1) -> str:
-    """Write the beam section of a wire as commands of the preprocessor of Ansys.
+def format_ansys_deck(table: WireTable, *, section_number: int = 1) -> str:
+    """Return the beam section of a wire as commands of the preprocessor of Ansys.
 
     Parameters
     ----------
     table : table of the wire
-    section : number of the section
+    section_number : number of the section in the model
 
     Returns
     -------
@@ -104,35 +105,35 @@ def write_ansys_deck(table: WireTable, *, section: int = 1) -> str:
     Raises
     ------
     ValueError
-        As `thin_law` and `get_mass_per_length`. If the number of the section is below 1.
+        If the law cannot be represented (`thin_law`), the mass per length is not finite and
+        positive, or the number of the section is below 1.
 
     Notes
     -----
     The transverse shear stiffness of a wire is unknown, but a plastic section requires one. With
-    GA = 3 EI / (0.001 (10 d)^2) the deflection P L^3 / 3 EI of a free length of ten wire diameters
-    d increases by a thousandth, and that of a longer wire by less.
+    GA = 3 EI / (0.001 (10 d)^2), the deflection P L^3 / (3 EI) of a free length of ten wire
+    diameters d increases by a thousandth. The deflection of a longer wire increases by less.
     """
-    require("section", section, "a whole number >= 1", holds=section >= 1)
-    law = thin_law(table.curvature, table.moment, max_points=MAX_POINTS + 1)
+    require("section", section_number, "a whole number >= 1", holds=section_number >= 1)
+    law = thin_law(table.curvature, table.moment, max_points=MAX_ANSYS_POINTS + 1)
     comment_width = 76  # lines have at most 80 characters, of which two are the "! " of a comment
     return fill_template(
         "ansys.inp",
         table=table,
-        head=list_facts(table, 32),
         law=law,
         points=np.column_stack([law.curvature, law.moment])[1:],
-        max_points=MAX_POINTS,
-        losses=_describe_losses(table, law, comment_width),
-        skew=compute_skew_bending_error(table),
-        section=section,
+        max_points=MAX_ANSYS_POINTS,
+        error_lines=_describe_errors(table, law, comment_width),
+        skew_error=compute_skew_bending_error(table),
+        section_number=section_number,
         name=make_ansys_name(table.name),
-        shear=compute_shear_stiffness(table),
-        mass=get_mass_per_length(table),
+        shear_stiffness=compute_shear_stiffness(table),
+        mass_per_length=get_mass_per_length(table),
     )
 
 
 def compute_shear_stiffness(table: WireTable) -> float:
-    """Return a transverse shear stiffness with little effect, as in `write_ansys_deck`, N."""
+    """Return a transverse shear stiffness, N, with little effect (Notes of `format_ansys_deck`)."""
     min_relative_length = 10.0  # free length relative to the wire diameter
     max_shear_ratio = 1e-3  # shear deflection relative to tip deflection
     length = min_relative_length * 2.0 * table.layout.wire_radius

@@ -23,14 +23,13 @@ from functools import lru_cache
 import numpy as np
 
 from labpipe.mechanics.decks.deck_law import (
-    describe_deck_losses,
+    describe_deck_errors,
     fill_template,
     format_percent,
     get_mass_per_length,
-    list_facts,
     shorten_name,
 )
-from labpipe.mechanics.decks.unloading import compute_elastic_release
+from labpipe.mechanics.decks.unloading import compute_linear_release
 from labpipe.mechanics.law.loss_card import fit_equivalent_material
 from labpipe.mechanics.law.plays import require
 from labpipe.records.arrays import Flags, Floats, Ints
@@ -55,7 +54,7 @@ class BarMesh:
     Parameters
     ----------
     nodes : shape (nodes, 3), coordinates x, relative to the length, y and z, relative to the radius
-    bricks : shape (bricks, 20), numbers of the nodes of each brick, counted from 1
+    bricks : shape (bricks, 20), node numbers of each brick, counted from 1
     """
 
     nodes: Floats
@@ -63,7 +62,7 @@ class BarMesh:
 
     @property
     def node_sets(self) -> dict[str, Flags]:
-        """Return flags of the nodes of each constrained or printed set, keyed by its name.
+        """Return a flag for each node of each constrained or printed set, keyed by the set's name.
 
         ``CLAMP`` is the clamped face x = 0, ``HINGE`` the neutral axis y = 0 of that face, ``CUT``
         the plane of symmetry z = 0, and `TIP_SET` the neutral axis of the free face.
@@ -95,53 +94,53 @@ def mesh_half_bar(n_bricks_along: int) -> BarMesh:
     """
     require("n_bricks_along", n_bricks_along, "a whole number >= 1", holds=n_bricks_along >= 1)
     points, quadrangles = _mesh_half_disc()
-    corners = np.unique(quadrangles[:, :4])
-    # Stations at the middle of bricks have nodes only on the edges along the bar.
-    stations = [
-        np.arange(len(points)) if i % 2 == 0 else corners for i in range(2 * n_bricks_along + 1)
-    ]
+    corner_points = np.unique(quadrangles[:, :4])
+    # A station is a position along the bar, with the indices of its points. Stations at the middle
+    # of bricks have nodes only on the edges along the bar.
+    all_points = np.arange(len(points))
+    stations = [all_points, *([corner_points, all_points] * n_bricks_along)]
     first_numbers = np.cumsum([1, *map(len, stations)])
-    numbers = np.zeros((len(stations), len(points)), dtype=np.int64)
+    node_numbers = np.zeros((len(stations), len(points)), dtype=np.int64)
     for i, station_points in enumerate(stations):
-        numbers[i, station_points] = first_numbers[i] + np.arange(len(station_points))
+        node_numbers[i, station_points] = first_numbers[i] + np.arange(len(station_points))
     station_x = np.linspace(0.0, 1.0, len(stations))
     nodes = [
         np.column_stack([np.full(len(station_points), x), points[station_points]])
         for x, station_points in zip(station_x, stations, strict=True)
     ]
     # node numbers of the quadrangles at the three stations of each layer of bricks
-    at_stations = numbers[:, quadrangles]
-    below, middle, above = at_stations[:-2:2], at_stations[1::2], at_stations[2::2]
-    corners, mid_sides = below[..., :4], below[..., 4:]
-    faces = (corners, above[..., :4], mid_sides, above[..., 4:])
-    bricks = np.concatenate([*faces, middle[..., :4]], axis=-1).reshape(-1, 20)
+    numbers = node_numbers[:, quadrangles]
+    lower_face, middle_section, upper_face = numbers[:-2:2], numbers[1::2], numbers[2::2]
+    corners = (lower_face[..., :4], upper_face[..., :4])
+    mid_sides = (lower_face[..., 4:], upper_face[..., 4:], middle_section[..., :4])
+    bricks = np.concatenate([*corners, *mid_sides], axis=-1).reshape(-1, 20)
     return BarMesh(np.concatenate(nodes), bricks)
 
 
 def _mesh_half_disc() -> tuple[Floats, Ints]:
-    """Mesh a half-disc of unit radius: a rectangle at the axis, and a ring around it.
+    """Mesh a half-disc of unit radius: a rectangle at the axis, and a half-ring around it.
 
     Return the points (y, z), shape (points, 2), and the indices of the points of eight-node
     quadrangles, shape (quadrangles, 8).
     """
-    width = _RECTANGLE_HALF_WIDTH
-    grid = np.meshgrid(np.linspace(-width, width, 5), np.linspace(0.0, width, 3), indexing="ij")
-    rectangle = np.stack(grid, axis=-1)
+    half_width = _RECTANGLE_HALF_WIDTH
+    y, z = np.linspace(-half_width, half_width, 5), np.linspace(0.0, half_width, 3)
+    rectangle = np.stack(np.meshgrid(y, z, indexing="ij"), axis=-1)
     outline = np.concatenate([rectangle[0], rectangle[1:-1, -1], rectangle[-1, ::-1]])
     angle = np.linspace(np.pi, 0.0, len(outline))
     circle = np.column_stack([np.cos(angle), np.sin(angle)])
     fraction = np.array([1.0, 0.5, 0.0])[:, np.newaxis]
     ring = circle[:, np.newaxis] + fraction * (outline - circle)[:, np.newaxis]
-    nodes = np.concatenate([_list_quadrangles(lattice) for lattice in (rectangle, ring)])
+    quadrangles = np.concatenate([_list_quadrangles(lattice) for lattice in (rectangle, ring)])
     # Rounding merges the nodes that two quadrangles share. Adding 0.0 converts -0.0 to 0.0.
     points, point_indices = np.unique(
-        nodes.reshape(-1, 2).round(12) + 0.0, axis=0, return_inverse=True
+        quadrangles.reshape(-1, 2).round(12) + 0.0, axis=0, return_inverse=True
     )
     return points, point_indices.reshape(-1, 8).astype(np.int64)
 
 
 def _list_quadrangles(lattice: Floats) -> Floats:
-    """Return the nodes of the quadrangles of a lattice, shape (quadrangles, 8, 2)."""
+    """Return the node coordinates of the quadrangles of a lattice, shape (quadrangles, 8, 2)."""
     return np.array(
         [
             [lattice[i + u, j + v] for u, v in _QUADRANGLE_NODES]
@@ -151,65 +150,64 @@ def _list_quadrangles(lattice: Floats) -> Floats:
     )
 
 
-def write_calculix_deck(
+def format_calculix_deck(
     table: WireTable, *, n_bricks_along: int = N_BRICKS_ALONG, n_steps: int = 80
 ) -> str:
-    """Write the input file of a cantilever test of a wire, ready to run in CalculiX.
+    """Return the input file of a cantilever test of a wire, ready to run in CalculiX.
 
     Parameters
     ----------
     table : table of the wire
     n_bricks_along : number of bricks along the bar
     n_steps : number of equal load increments; CalculiX divides increments that do not converge.
-        With a number much below the default, CalculiX may stop without convergence
+        With far fewer increments than the default, CalculiX may stop without convergence
 
     Returns
     -------
     Text of the file, in 7-bit ASCII with lines of at most 132 characters. If the table has no
-    cantilever, the text contains only comments, with the reason from the table's note
-    ``cantilever_cut``.
+    cantilever curve, the text contains only comments, with the reason from the note
+    ``cantilever_cut`` of the table.
 
     Raises
     ------
     ValueError
         If `n_steps` is less than 1, or if the table has a cantilever and `n_bricks_along` is less
-        than 1. Also as `fit_equivalent_material`.
+        than 1; if no bar fits the law (`fit_equivalent_material`); or if the mass per length is not
+        finite and positive.
 
     Notes
     -----
     The clamped face cannot move along the bar, but may contract in its plane. At the tip, the nodes
     at y = 0 are displaced along y. They are free along x, and the tip may rotate. This represents
-    an end load normal to the undeformed axis. The tip deflection is 0.6 of the free length, or that
-    at the end of the range of the wire's law if it is smaller.
+    an end load normal to the undeformed axis. The tip deflection is 0.6 of the free length, or the
+    largest deflection within the range of the wire's law if that is smaller.
     """
     require("n_steps", n_steps, "a whole number >= 1", holds=n_steps >= 1)
     diameter = 2.0 * table.layout.wire_radius
     material = fit_equivalent_material(table.curvature[1:], table.moment[1:], diameter)
     max_deflection = 0.6  # relative to the free length
     deflection = min(max_deflection * table.spec.length, float(table.tip_deflection[-1]))
-    error, is_linear = np.abs(material.error), material.curvature <= material.elastic_curvature
-    plastic_error, range_error = (
-        format_percent(float(errors.max())) for errors in (error[~is_linear], error)
-    )
-    deck_loss = (
-        f"This deck: error on first loading up to {plastic_error} of the moment from "
-        f"{material.elastic_curvature:.4g} 1/m, up to {range_error} over the range."
+    errors, is_plastic = np.abs(material.error), material.curvature > material.elastic_curvature
+    range_error, plastic_error = float(errors.max()), float(errors[is_plastic].max())
+    deck_error_sentence = (
+        f"This deck: error on first loading up to {format_percent(plastic_error)} of the moment "
+        f"from {material.elastic_curvature:.4g} 1/m, up to {format_percent(range_error)} over the "
+        "range."
     )
     # The release is elastic: no fibre of the bar yields in reverse before the moment is zero.
-    deck_release = compute_elastic_release(table, material.modulus * np.pi / 64.0 * diameter**4)
+    deck_release = compute_linear_release(table, material.modulus * np.pi / 64.0 * diameter**4)
     cut_reasons = (note.message for note in table.notes if note.code == "cantilever_cut")
-    facts = {
+    common_values = {
         "table": table,
-        "head": list_facts(table, 60),
         "material": material,
-        "losses": describe_deck_losses(
-            table, deck_loss, "a bar with its first slope", deck_release
+        "error_lines": describe_deck_errors(
+            table, deck_error_sentence, "a bar with its first slope", deck_release, line_width=120
         ),
         "deflection": deflection,
     }
     if deflection == 0.0:
         reason = shorten_name(next(cut_reasons, "the table has no cantilever"), 120)
-        return fill_template("calculix.inp", reason=reason, **facts)
+        return fill_template("calculix.inp", reason=reason, **common_values)
     mesh = mesh_half_bar(n_bricks_along)
     scale = np.array([table.spec.length, 0.5 * diameter, 0.5 * diameter])
     return fill_template(
@@ -220,14 +218,14 @@ def write_calculix_deck(
         node_sets={
             name: (np.flatnonzero(nodes) + 1).tolist() for name, nodes in mesh.node_sets.items()
         },
-        # True stress over plastic strain; CalculiX keeps the last stress beyond the last strain.
-        plastic=np.column_stack([material.stress, material.plastic_strain]),
+        # True stress against plastic strain; CalculiX keeps the last stress beyond the last strain.
+        plastic_curve=np.column_stack([material.stress, material.plastic_strain]),
         density=get_mass_per_length(table) / (np.pi / 4.0 * diameter**2),
         n_steps=n_steps,
-        **facts,
+        **common_values,
     )
 
 
 def _number_rows(rows: Floats | Ints) -> Floats:
-    """Add a first column with the numbers of the rows, counted from 1."""
+    """Prepend a column with the row numbers, counted from 1."""
     return np.column_stack([np.arange(1.0, len(rows) + 1.0), rows])

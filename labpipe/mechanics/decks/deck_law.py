@@ -1,4 +1,4 @@
-"""Fill the templates of decks; describe range, errors and names of a wire for decks."""
+"""Fill the templates of decks, and describe range, errors and name of a wire for them."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ import numpy as np
 from labpipe import __version__
 from labpipe.mechanics.decks.unloading import (
     Release,
-    collect_unloading_numbers,
     describe_unloading,
+    make_unloading_entry,
 )
 from labpipe.mechanics.law.loss_card import make_table_card
 from labpipe.mechanics.law.plays import require_positive
@@ -33,7 +33,7 @@ FIRST_LOADING_TEXT = "The law is that of the first loading of a wire that was ne
 
 @cache
 def _load_templates() -> Environment:
-    """Return the templates of decks with their filters."""
+    """Return the environment of Jinja that loads the templates of decks, with their filters."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
     environment = Environment(
@@ -45,8 +45,9 @@ def _load_templates() -> Environment:
     )
     filters = {
         "attribute": quoteattr,
-        "comments": _write_xml_comments,
+        "comments": _format_xml_comments,
         "g": _format_numbers,
+        "header": list_header_sentences,
         "lines": lambda lines, prefix: "\n".join(f"{prefix}{line}" for line in lines),
         "rows": _format_rows,
         "shorten": shorten_name,
@@ -55,57 +56,58 @@ def _load_templates() -> Environment:
     return environment
 
 
-def fill_template(name: str, /, **facts: object) -> str:
+def fill_template(name: str, /, **values: object) -> str:
     """Fill the template of a deck.
 
     Parameters
     ----------
     name : name of the file in ``templates``
-    facts : values of all variables of the template
+    values : values of all variables of the template
     """
-    return _load_templates().get_template(name).render(facts)
+    return _load_templates().get_template(name).render(values)
 
 
 def _format_numbers(values: Floats | float, digits: int = 7) -> str:
-    """Format numbers of any shape with significant digits, separated by blanks."""
+    """Format values of any shape with `digits` significant digits, separated by blanks."""
     if isinstance(values, float):
         return f"{values:.{digits}g}"
     return " ".join(f"{value:.{digits}g}" for value in np.ravel(values).tolist())
 
 
 def _format_rows(rows: Floats | Ints, row_format: str) -> str:
-    """Format the rows of a table at once, which is several times as fast as number by number."""
+    """Format a table; one formatting of all rows is several times as fast as value by value."""
     return "\n".join([row_format] * len(rows)) % tuple(np.ravel(rows).tolist())
 
 
-def _write_xml_comments(lines: Iterable[str]) -> str:
-    """Write lines as XML comments, in which two successive hyphens are not allowed."""
+def _format_xml_comments(lines: Iterable[str]) -> str:
+    """Return lines as XML comments, in which two successive hyphens are not allowed."""
     return "\n".join(f"  <!-- {re.sub('-(?=-)', '- ', line)} -->" for line in lines)
 
 
-def list_facts(table: WireTable, max_length: int = 100) -> tuple[str, ...]:
-    """List the sentences at the head of every deck.
+def list_header_sentences(table: WireTable, max_length: int = 100) -> tuple[str, ...]:
+    """Return the sentences in the header of every deck: name, units, range and law.
 
     Parameters
     ----------
     table : table of the wire
     max_length : largest number of characters of the wire's name
     """
-    end = float(table.curvature[-1])
-    limit, strain = table.doubtful_curvature, 100.0 * table.spec.insulation_strain
-    doubt = f"Doubtful beyond {limit:.6g} 1/m: insulation strain above {strain:.3g} %."
+    max_curvature, limit = float(table.curvature[-1]), table.doubtful_curvature
+    strain = 100.0 * table.spec.insulation_strain
+    doubt_sentence = f"Doubtful beyond {limit:.6g} 1/m: insulation strain above {strain:.3g} %."
     return (
         f"Wire {shorten_name(table.name, max_length)}, made by labpipe {__version__}.",
         "Units: m, N, kg, s, rad; curvature and twist 1/m, moment N m, stiffness N m^2.",
-        f"Range: curvature from 0 to {end:.6g} 1/m (bend radius {1.0 / end:.4g} m and more).",
+        f"Range: curvature from 0 to {max_curvature:.6g} 1/m (bend radius "
+        f"{1.0 / max_curvature:.4g} m and more).",
         "The deck is not valid beyond this range.",
-        *((doubt,) if limit < end else ()),
+        *((doubt_sentence,) if limit < max_curvature else ()),
         FIRST_LOADING_TEXT,
     )
 
 
 def get_mass_per_length(table: WireTable) -> float:
-    """Return the mass per length of a wire, kg/m, for a deck that requires one.
+    """Return the mass per length of a wire, kg/m, for a deck that requires it.
 
     Parameters
     ----------
@@ -120,16 +122,17 @@ def get_mass_per_length(table: WireTable) -> float:
     return table.mass_per_length
 
 
-def compute_first_frequency(stiffness: float, mass_per_length: float, length: float) -> float:
+def compute_angular_frequency(stiffness: float, mass_per_length: float, length: float) -> float:
     """Return the first angular frequency of a wire that is clamped at one end, rad/s.
 
     Parameters
     ----------
     stiffness : N m^2, bending stiffness
-    mass_per_length : kg/m
+    mass_per_length : kg/m, mass per length of the wire
     length : m, free length
     """
-    first_root = 1.8751040687119611  # of cos x cosh x = -1, for the first mode of a cantilever
+    # the first root of cos x cosh x = -1, for the first mode of a cantilever
+    first_root = 1.8751040687119611
     return float(first_root**2 * np.sqrt(stiffness / mass_per_length) / length**2)
 
 
@@ -143,8 +146,9 @@ def find_linear_range(table: WireTable, stiffness: float) -> tuple[float, float]
 
     Returns
     -------
-    Lower and upper end, 1/m, to 0.1 %, of the first interval in which the linear moment is within
-    5 % of the wire's moment. None if the table has no such interval.
+    Lower and upper end, 1/m, of the first interval in which the linear moment is within 5 % of the
+    moment of the wire, found on a grid with about 0.1 % between curvatures. None if the table has
+    no such interval.
     """
     max_error = 0.05  # relative to the moment
     n_curvatures = 20_000
@@ -153,10 +157,10 @@ def find_linear_range(table: WireTable, stiffness: float) -> tuple[float, float]
     is_inside = np.abs(stiffness * curvature / moment - 1.0) <= max_error
     if not is_inside.any():
         return None
-    first = int(np.argmax(is_inside))
-    outside = np.flatnonzero(~is_inside[first:])
-    last = first + int(outside[0]) if len(outside) else n_curvatures
-    return float(curvature[first]) if first else 0.0, float(curvature[last - 1])
+    start = int(np.argmax(is_inside))
+    outside_rows = np.flatnonzero(~is_inside[start:])
+    stop = start + int(outside_rows[0]) if len(outside_rows) else n_curvatures
+    return float(curvature[start]) if start else 0.0, float(curvature[stop - 1])
 
 
 def compute_skew_bending_error(table: WireTable) -> float:
@@ -177,7 +181,7 @@ def compute_skew_bending_error(table: WireTable) -> float:
 
 
 def make_abaqus_label(name: str) -> str:
-    """Make the label of an element set: a letter, then up to 79 letters, digits, ``_``, ``-``.
+    """Make the label of an element set: a letter, then up to 79 letters, digits, ``_`` and ``-``.
 
     Parameters
     ----------
@@ -190,14 +194,15 @@ def make_abaqus_label(name: str) -> str:
 
     Notes
     -----
-    Abaqus ignores the case of labels without quotes. Names of wires must differ in more than case.
+    Abaqus ignores the case of labels without quotes. The names of wires must therefore not differ
+    in case only.
 
     Examples
     --------
     >>> make_abaqus_label("FLRY-B_0.35")
     'FLRY-B_0_35_f1a89d0a'
     """
-    return _make_label(name, allowed="A-Za-z0-9_-", first="A-Za-z", max_length=80)
+    return _make_label(name, allowed="A-Za-z0-9_-", initial="A-Za-z", max_length=80)
 
 
 def make_ansys_name(name: str) -> str:
@@ -210,19 +215,19 @@ def make_ansys_name(name: str) -> str:
     Returns
     -------
     The first eight allowed characters of the name, after a ``W`` if the first is not a letter.
-    Sections are identified by their number, so that the name need not be unique.
+    Ansys identifies sections by their number, so that the name need not be unique.
 
     Examples
     --------
     >>> make_ansys_name("FLRY-B 0.35")
     'FLRYB035'
     """
-    allowed = re.sub(r"[^A-Za-z0-9]", "", _remove_accents(name))
-    return (allowed if allowed[:1].isalpha() else f"W{allowed}")[:8]
+    characters = re.sub(r"[^A-Za-z0-9]", "", _remove_accents(name))
+    return (characters if characters[:1].isalpha() else f"W{characters}")[:8]
 
 
 def make_file_stem(name: str) -> str:
-    """Make the name of a file without its ending, valid in every common file system.
+    """Make a file name without its ending that is valid in every common file system.
 
     Parameters
     ----------
@@ -239,14 +244,15 @@ def make_file_stem(name: str) -> str:
     'A2'
     """
     max_length = 100
-    stem = _make_label(name, allowed="A-Za-z0-9._ +-", first="A-Za-z0-9", max_length=max_length)
+    stem = _make_label(name, allowed="A-Za-z0-9._ +-", initial="A-Za-z0-9", max_length=max_length)
     if re.match(r"(con|prn|aux|nul|com\d|lpt\d) *(\.|$)", stem, flags=re.IGNORECASE):
-        return _append_checksum(name, stem.replace(".", "_"), max_length)  # not a device of Windows
+        # Windows reserves these names for devices
+        return _append_checksum(name, stem.replace(".", "_"), max_length)
     return _append_checksum(name, stem, max_length) if stem.endswith((".", " ")) else stem
 
 
 def shorten_name(name: str, max_length: int = 100) -> str:
-    """Convert a name for a comment: printable ASCII on one line, with dots for a long end.
+    """Convert a name to one line of printable ASCII for a comment, with ``...`` if it is too long.
 
     Parameters
     ----------
@@ -262,10 +268,14 @@ def shorten_name(name: str, max_length: int = 100) -> str:
     return line if len(line) <= max_length else line[: max_length - 3] + "..."
 
 
-def _make_label(name: str, *, allowed: str, first: str, max_length: int) -> str:
-    """Return the allowed characters of a name, with a checksum if they differ from the name."""
+def _make_label(name: str, *, allowed: str, initial: str, max_length: int) -> str:
+    """Return the allowed characters of a name, with a checksum if they differ from the name.
+
+    `allowed` and `initial` (for the first character) are in the syntax of a regular
+    expression.
+    """
     label = re.sub(rf"[^{allowed}]+", "_", _remove_accents(name))
-    if not re.match(f"[{first}]", label):
+    if not re.match(f"[{initial}]", label):
         label = f"W{label}"
     if label == name and len(label) <= max_length:
         return label
@@ -274,21 +284,21 @@ def _make_label(name: str, *, allowed: str, first: str, max_length: int) -> str:
 
 def _append_checksum(name: str, label: str, max_length: int) -> str:
     """Append a checksum of the name to a label, which is shortened if necessary."""
-    digits = 8  # hexadecimal
-    checksum = f"{zlib.crc32(name.encode('utf-8', 'surrogatepass')):0{digits}x}"
-    return f"{label[: max_length - digits - 1].rstrip('. ')}_{checksum}"
+    n_digits = 8  # hexadecimal
+    checksum = f"{zlib.crc32(name.encode('utf-8', 'surrogatepass')):0{n_digits}x}"
+    return f"{label[: max_length - n_digits - 1].rstrip('. ')}_{checksum}"
 
 
 def _remove_accents(name: str) -> str:
-    """Replace each letter with an accent by the letter without it, if there is one."""
+    """Replace each letter with an accent by the letter without an accent, if there is one."""
     characters = unicodedata.normalize("NFKD", name)
-    return "".join(item for item in characters if not unicodedata.combining(item))
+    return "".join(char for char in characters if not unicodedata.combining(char))
 
 
-def describe_losses(
+def describe_law_errors(
     table: WireTable, unloading_rule: str = "Masing", deck_release: Release | None = None
 ) -> tuple[str, str]:
-    """Describe the release of a deck, and the errors of simpler laws that programs can represent.
+    """Describe unloading with a deck, and the errors of simpler laws that programs can represent.
 
     Parameters
     ----------
@@ -297,65 +307,68 @@ def describe_losses(
     Raises
     ------
     ValueError
-        As `fit_sliders`.
+        If sliders cannot be fitted to the law (`fit_wire_sliders`).
     """
     card = make_table_card(table)
-    sliders = ", ".join(f"{count} sliders {format_percent(error)}" for count, error in card.sliders)
+    sliders = ", ".join(f"{n} sliders {format_percent(error)}" for n, error in card.slider_errors)
     card_sentence = (
-        f"Loss card, largest error of the moment from {card.first:.3g} to {card.last:.4g} 1/m, "
-        f"each form at its best: constant stiffness {format_percent(card.constant)}, Dahl "
-        f"{format_percent(card.dahl.error)}, {sliders}."
+        f"Loss card, largest error of the moment from {card.min_curvature:.3g} to "
+        f"{card.max_curvature:.4g} 1/m, each form at its best: constant stiffness "
+        f"{format_percent(card.stiffness_error)}, Dahl {format_percent(card.dahl_law.error)}, "
+        f"{sliders}."
     )
     return describe_unloading(table, unloading_rule, deck_release), card_sentence
 
 
 def format_percent(ratio: float) -> str:
-    """Format a ratio in per cent with two digits, or without decimals from 100 %.
+    """Format a ratio in per cent with two digits, or as a whole number from 100 %.
 
     Parameters
     ----------
     ratio : ratio, not negative; below 1e-6 it is formatted as 0 %
     """
     min_ratio = 1e-6
-    if ratio >= 0.995:
+    min_whole_ratio = 0.995  # two digits would show 1e+02
+    if ratio >= min_whole_ratio:
         return f"{round(100.0 * ratio):d} %"
     return f"{100.0 * ratio:.2g} %" if ratio > min_ratio else "0 %"
 
 
 def describe_loading_error(error: float) -> str:
-    """Describe the largest error of a deck on first loading, relative to the moment."""
+    """Return a sentence on the largest error of a deck on first loading, relative to the moment."""
     return f"This deck: error on first loading up to {format_percent(error)} of the moment."
 
 
-def describe_deck_losses(
+def describe_deck_errors(
     table: WireTable,
-    deck_loss: str,
+    deck_error_sentence: str,
     unloading_rule: str,
     deck_release: Release,
     *,
-    line_width: int = 120,
+    line_width: int = 1000,
 ) -> tuple[str, ...]:
-    """Describe the error and the release of a deck, and the errors of other laws, in lines.
+    """Return lines on the error of a deck, on unloading, and on the errors of simpler laws.
 
     Parameters
     ----------
-    table : table of the wire; if sliders cannot be fitted to it, the reason replaces other laws
-    deck_loss : sentence on the error of the deck
+    table : table of the wire; if sliders cannot be fitted to it, the reason replaces unloading
+        and simpler laws
+    deck_error_sentence : sentence on the error of the deck
     unloading_rule, deck_release : as for `describe_unloading`
-    line_width : largest number of characters of a line
+    line_width : largest number of characters of a line; the default gives one line per sentence
     """
     try:
-        other_sentences: tuple[str, ...] = describe_losses(table, unloading_rule, deck_release)
+        sentences: tuple[str, ...] = describe_law_errors(table, unloading_rule, deck_release)
     except ValueError as error:
-        other_sentences = (f"No loss card of other forms: {error}.",)
+        sentences = (f"No loss card of other forms: {error}.",)
     return tuple(
-        line.replace("~%", " %")  # keeps a number and its per cent sign on one line
-        for sentence in (deck_loss, *other_sentences)
+        line.replace("~%", " %")  # "~" keeps a number and its per cent sign on one line
+        for sentence in (deck_error_sentence, *sentences)
         for line in textwrap.wrap(sentence.replace(" %", "~%"), line_width)
     )
 
 
-def compute_constant_loss(table: WireTable, stiffness: float) -> float:
+def compute_constant_stiffness_error(table: WireTable, stiffness: float) -> float:
     """Return the largest relative error of the moment of a constant stiffness over a table.
 
     Parameters
@@ -367,22 +380,22 @@ def compute_constant_loss(table: WireTable, stiffness: float) -> float:
 
 
 @lru_cache(maxsize=4)  # tables are hashed by identity
-def collect_card_numbers(table: WireTable) -> dict[str, object]:
-    """Return the loss card for a JSON deck.
+def make_loss_card_entry(table: WireTable) -> dict[str, object]:
+    """Return the entry ``loss_card`` of a JSON deck.
 
     Parameters
     ----------
-    table : table of the wire; if sliders cannot be fitted to it, the card has the reason
+    table : table of the wire; if sliders cannot be fitted to it, the entry states only the reason
     """
     try:
         card = make_table_card(table)
     except ValueError as error:
         return {"reason": f"{error}"}
     return {
-        "curvature": [card.first, card.last],
-        "constant": {"stiffness": card.stiffness, "error": card.constant},
-        "dahl": card.dahl.error,
-        "sliders": {str(count): error for count, error in card.sliders},
-        "directions": {str(count): error for count, error in card.directions},
-        "unloading": collect_unloading_numbers(table),
+        "curvature": [card.min_curvature, card.max_curvature],
+        "constant": {"stiffness": card.stiffness, "error": card.stiffness_error},
+        "dahl": card.dahl_law.error,
+        "sliders": {str(count): error for count, error in card.slider_errors},
+        "directions": {str(count): error for count, error in card.direction_errors},
+        "unloading": make_unloading_entry(table),
     }

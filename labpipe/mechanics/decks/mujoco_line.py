@@ -1,10 +1,10 @@
 """Write the line of a harness for MuJoCo 4: a chain with hysteresis, its supports and its loads.
 
 The chain is that of `decks.mujoco_sliders`, in space and with weight. A clip, pin or grip is a
-mocap body. The chain begins at it, or an equality connects a site of the chain to it. Its path has
-a row with position and quaternion for the start and for each step. The path is a ``numeric`` of the
-model, so that a program needs no other file. Strings are tendons of limited length, and loads are
-actuators.
+mocap body. This body is the base of the chain, or an equality connects a site of the chain to it.
+The path of the body has a row with position and quaternion for the start and for each step. The
+path is a ``numeric`` of the model, so that a program needs no other file. Strings are tendons of
+limited length, and loads are actuators.
 """
 
 from __future__ import annotations
@@ -15,85 +15,82 @@ import numpy as np
 
 from labpipe.mechanics.decks.deck_law import fill_template
 from labpipe.mechanics.decks.mujoco_sliders import (
-    RAMP,
-    REST,
+    N_RAMP_STEPS,
+    N_SETTLING_STEPS,
     Chain,
-    make_space_hinges,
+    build_space_hinges,
 )
 from labpipe.mechanics.rod import boundaries as rod
 from labpipe.mechanics.rod.line import Line
 from labpipe.mechanics.rod.rotations import conjugate, multiply, to_rotation_vectors
 from labpipe.records.arrays import Floats
 
-_TO_BODY = np.array([0.5, -0.5, -0.5, -0.5])
-"""Quaternion from the axes of a frame (d3 along the line) to those of a body (x along the line)."""
+_LINE_TO_BODY = np.array([0.5, -0.5, -0.5, -0.5])
+"""Quaternion from the axes of a line (d3 along the line) to those of a body (x along the line)."""
 
 
-def write_line_deck(line: Line, boundaries: Sequence[rod.Boundary], *, title: str) -> str:
-    """Write a line with its supports, strings and loads.
+def format_line_deck(line: Line, boundaries: Sequence[rod.Boundary], *, title: str) -> str:
+    """Return the MJCF of a line with its supports, strings and loads.
 
     Parameters
     ----------
     line : line in its initial shape, in which the springs of the model have no moment
-    boundaries : supports, strings, loads and gravity; rings and planes are omitted and named in a
-        comment
+    boundaries : supports, strings, loads and gravity; a comment names the rings and planes, which
+        the model omits
     title : name of the model
 
     Returns
     -------
-    MJCF. Gravity and the anchors of strings are those of the last step; loads are motors without
-    a value. ``path_NAME`` of a clip, pin or grip has seven numbers for the start and for each step:
-    position and quaternion of the mocap body ``NAME``. ``release_NAME`` is the step from which its
-    equality is to be switched off; 0 for never.
+    MJCF. Gravity and the anchors of strings are those of the last step. Loads are motors, whose
+    forces the program sets. ``path_NAME`` of a clip, pin or grip has seven values for the start and
+    for each step: position and quaternion of the mocap body ``NAME``. ``release_NAME`` is the step
+    at which the program must switch off the equality of this body; 0 for never.
     """
-    default_mass = 1e-3  # kg/m, for a line without weight, because MuJoCo requires a mass
+    default_mass_per_length = 1e-3  # kg/m; MuJoCo also requires the mass of a weightless line
+    min_relative_radius = 1e-6  # radius relative to the length, for a line of unknown diameter
     section = line.section
     chain = Chain(
         law=section.law,
         length=line.length,
-        radius=max(0.5 * section.diameter, 1e-6 * line.length),
-        mass_per_length=section.mass_per_length or default_mass,
+        radius=max(0.5 * section.diameter, min_relative_radius * line.length),
+        mass_per_length=section.mass_per_length or default_mass_per_length,
         torsional_stiffness=section.torsional_stiffness,
     )
-    supports = [boundary for boundary in boundaries if isinstance(boundary, rod.Held)]
+    supports = [item for item in boundaries if isinstance(item, rod.Held)]
     # A support that clamps the start of the line and never releases it is the base of the chain.
-    starts = [held for held in supports if held.node == 0 and held.frame is not None]
-    base = next((held for held in starts if held.release is None), None)
-    strings = [boundary for boundary in boundaries if isinstance(boundary, rod.String)]
-    loads = [boundary for boundary in boundaries if isinstance(boundary, rod.Load)]
-    vectors = [boundary.vector[-1] for boundary in boundaries if isinstance(boundary, rod.Gravity)]
-    gravity = np.sum([np.zeros(3), *vectors], axis=0)
-    contacts = [
-        boundary.name for boundary in boundaries if isinstance(boundary, rod.Ring | rod.Plane)
-    ]
+    start_clamps = [clamp for clamp in supports if clamp.node == 0 and clamp.frame is not None]
+    base = next((clamp for clamp in start_clamps if clamp.release is None), None)
+    strings = [item for item in boundaries if isinstance(item, rod.String)]
+    loads = [item for item in boundaries if isinstance(item, rod.Load)]
+    accelerations = [item.vector[-1] for item in boundaries if isinstance(item, rod.Gravity)]
+    gravity = np.sum([np.zeros(3), *accelerations], axis=0)
+    contact_names = [item.name for item in boundaries if isinstance(item, rod.Ring | rod.Plane)]
     return fill_template(
         "line_chain.xml",
         name=title,
         chain=chain,
-        hinges=make_space_hinges(chain),
+        hinges=build_space_hinges(chain),
         gravity=" ".join(f"{component:.7g}" for component in gravity.tolist()),
-        ramp=RAMP,
-        rest=REST,
-        omitted_contacts=contacts,
+        n_ramp_steps=N_RAMP_STEPS,
+        n_settling_steps=N_SETTLING_STEPS,
+        omitted_contacts=contact_names,
         bodies=_list_bodies(line, chain, [*supports, *strings, *loads], base),
         supports=supports,
         equality_supports=[support for support in supports if support is not base],
         poses={support.name: _compute_poses(support) for support in supports},
         strings=strings,
         loads=loads,
-        gears={
-            axis: " ".join("01"[n == number] for n in range(6)) for number, axis in enumerate("xyz")
-        },
+        load_gears={"x": "1 0 0 0 0 0", "y": "0 1 0 0 0 0", "z": "0 0 1 0 0 0"},
     )
 
 
 def _compute_poses(support: rod.Held) -> Floats:
-    """Return position and quaternion of a mocap body, shape (steps + 1, 7)."""
-    count = len(support.position)
+    """Return the positions, m, and quaternions of a mocap body, shape (steps + 1, 7)."""
+    n_rows = len(support.position)
     if support.frame is None:
-        quaternions = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))
+        quaternions = np.tile([1.0, 0.0, 0.0, 0.0], (n_rows, 1))
     else:
-        quaternions = np.broadcast_to(multiply(support.frame, _TO_BODY), (count, 4))
+        quaternions = np.broadcast_to(multiply(support.frame, _LINE_TO_BODY), (n_rows, 4))
     return np.hstack([support.position, quaternions])
 
 
@@ -103,8 +100,8 @@ def _list_bodies(
     attachments: Sequence[rod.Held | rod.String | rod.Load],
     base: rod.Held | None,
 ) -> list[dict[str, object]]:
-    """Return the nested bodies of the chain, on its base or free in space."""
-    frames = multiply(_find_frames(line, chain), _TO_BODY)
+    """Return the nested bodies of the chain, on the base, or free in space without a base."""
+    quaternions = multiply(_compute_body_frames(line, chain), _LINE_TO_BODY)
     prefix = "node"
     while any(attachment.name.startswith(f"{prefix}_") for attachment in attachments):
         prefix = f"_{prefix}"
@@ -112,28 +109,33 @@ def _list_bodies(
         {
             "name": f"{prefix}_0" if base is None else base.name,
             "position": line.positions[0],
-            "quaternion": frames[0],
-            "kind": "><freejoint />" if base is None else ' mocap="true">',
+            "quaternion": quaternions[0],
+            "tag_end": "><freejoint />" if base is None else ' mocap="true">',
         }
     ]
-    for node in range(1, chain.nodes + 1):
+    for node in range(1, chain.n_nodes + 1):
         offset = 0.5 * chain.spacing if node == 1 else chain.spacing
-        quaternion = multiply(conjugate(frames[node - 1]), frames[node])
+        quaternion = multiply(conjugate(quaternions[node - 1]), quaternions[node])
         body = {"name": f"{prefix}_{node}", "position": np.array([offset, 0.0, 0.0])}
-        bodies.append({**body, "quaternion": quaternion, "kind": ">"})
-    sites: list[list[tuple[str, float]]] = [[] for _ in bodies]
-    for attachment in attachments:  # each body has sites at distances from its start, m
+        bodies.append({**body, "quaternion": quaternion, "tag_end": ">"})
+    # name of each site of a body, and distance of the site from the start of the body, m
+    sites_by_body: list[list[tuple[str, float]]] = [[] for _ in bodies]
+    for attachment in attachments:
         arc_length = float(line.stations[attachment.node])
-        node = min(int(arc_length / chain.spacing + 0.5), chain.nodes)
+        node = min(int(arc_length / chain.spacing + 0.5), chain.n_nodes)
         body_start = (node - 0.5) * chain.spacing if node else 0.0
-        sites[node].append((attachment.name, arc_length - body_start))
-    return [{**body, "sites": body_sites} for body, body_sites in zip(bodies, sites, strict=True)]
+        sites_by_body[node].append((attachment.name, arc_length - body_start))
+    return [{**body, "sites": sites} for body, sites in zip(bodies, sites_by_body, strict=True)]
 
 
-def _find_frames(line: Line, chain: Chain) -> Floats:
-    """Return initial frames of the bodies, shape (nodes + 1, 4), at the middle of each body."""
-    middles = np.arange(chain.nodes + 1) * chain.spacing
+def _compute_body_frames(line: Line, chain: Chain) -> Floats:
+    """Return the initial frames of the bodies, shape (nodes + 1, 4), at the middle of each body.
+
+    The axis d3 of each frame is along the line.
+    """
+    max_straight_rotation = 1e-12  # rad
+    middles = np.arange(chain.n_nodes + 1) * chain.spacing
     elements = np.searchsorted(line.stations[1:-1], middles)
-    turns = to_rotation_vectors(multiply(conjugate(line.frames[:-1]), line.frames[1:]))
-    is_straight = not np.any(np.abs(turns) > 1e-12)
+    rotations = to_rotation_vectors(multiply(conjugate(line.frames[:-1]), line.frames[1:]))
+    is_straight = not np.any(np.abs(rotations) > max_straight_rotation)
     return np.asarray(line.frames[np.zeros_like(elements) if is_straight else elements])

@@ -1,8 +1,9 @@
-"""Compute residual curvature and dissipated work after unloading, for a deck and for its wire.
+"""Compute residual curvature and dissipated work after unloading, for decks and wires.
 
 The hardening of copper is partly isotropic, which most programs cannot represent. A deck therefore
-states the residual curvature and the dissipated work of its law and of the wire, for a few bends
-that are released to zero moment. Those of the wire are intervals over its isotropic share.
+states the residual curvature and the dissipated work of the law of the deck and of the wire, for a
+few bends that are released to zero moment. The values of the wire are intervals, because its
+isotropic share is an interval.
 """
 
 from __future__ import annotations
@@ -17,9 +18,9 @@ from labpipe.mechanics.law.sliders import (
     GrowingSlider,
     SliderLaw,
     bend_to_moment,
-    make_unbent_rests,
-    share_hardening,
+    make_unbent_history,
     slide,
+    split_hardening,
 )
 from labpipe.mechanics.wire.bending_law import make_strand_slider
 from labpipe.mechanics.wire.wire_table import (
@@ -31,11 +32,11 @@ from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats
 from labpipe.records.wire import WireTable
 
-BENDS = (5.0, 12.0, 23.5)
+BEND_CURVATURES = (5.0, 12.0, 23.5)
 """Curvatures from which decks are released, 1/m, within the range of the table."""
 
-_BRANCH_POINTS = 201
-"""Number of curvatures of a bending or releasing branch."""
+_N_BRANCH_POINTS = 201
+"""Number of curvatures at which a bending or unloading branch is integrated."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,7 +45,8 @@ class Release:
 
     Parameters
     ----------
-    residual_curvature : shape (bends,), or (bends, 2) for intervals, relative to the bend
+    residual_curvature : shape (bends,), or (bends, 2) for intervals, relative to the curvature
+        from which the bend is released
     dissipated_work : same shape, relative to the work of bending
     """
 
@@ -52,15 +54,15 @@ class Release:
     dissipated_work: Floats
 
 
-def get_share_interval(table: WireTable) -> tuple[float, float]:
-    """Return the interval of the isotropic share of a wire; its ends are equal if it is stated."""
+def get_isotropic_share_interval(table: WireTable) -> tuple[float, float]:
+    """Return the interval of the isotropic share; a share in the sheet is both ends."""
     share = table.spec.isotropic_share
     return DEFAULT_SHARE_RANGE if share is None else (share, share)
 
 
 @lru_cache(maxsize=8)  # tables are hashed by identity
-def make_table_strands(table: WireTable) -> GrowingSlider:
-    """Build the growing slider of the strands' bending about their own axes, from a wire's table.
+def make_table_strand_slider(table: WireTable) -> GrowingSlider:
+    """Build the growing slider for the bending of the strands about their own axes.
 
     Parameters
     ----------
@@ -69,16 +71,17 @@ def make_table_strands(table: WireTable) -> GrowingSlider:
     Raises
     ------
     ValueError
-        As `fit_sliders`.
+        If sliders cannot be fitted to the law (`fit_wire_sliders`).
     """
     law = fit_wire_sliders(table)
-    corners, factor = np.append(law.slip_curvatures, law.last), compute_chord_ratio(law, table)
-    return make_strand_slider(make_layers(table.spec), corners, factor=factor)
+    breakpoints = np.append(law.slip_curvatures, law.max_curvature)
+    layers, chord_ratio = make_layers(table.spec), compute_chord_ratio(law, table)
+    return make_strand_slider(layers, breakpoints, factor=chord_ratio)
 
 
 @lru_cache(maxsize=8)
 def compute_releases(table: WireTable) -> tuple[Release, Release]:
-    """Compute the release of a wire from the bends of `choose_bends`.
+    """Compute the release of a wire from the bends of `choose_bend_curvatures`.
 
     Parameters
     ----------
@@ -86,73 +89,76 @@ def compute_releases(table: WireTable) -> tuple[Release, Release]:
 
     Returns
     -------
-    Release for both ends of the interval of the isotropic share, and release by Masing's rule.
+    wire_release : release for both ends of the interval of the isotropic share
+    masing_release : release by Masing's rule
 
     Raises
     ------
     ValueError
-        As `fit_sliders`.
+        If sliders cannot be fitted to the law (`fit_wire_sliders`).
     """
-    law, strands, bends = fit_wire_sliders(table), make_table_strands(table), choose_bends(table)
-    ends = [
-        compute_release(share_hardening(law, strands, share), bends)
-        for share in get_share_interval(table)
+    law, strand_slider = fit_wire_sliders(table), make_table_strand_slider(table)
+    curvatures = choose_bend_curvatures(table)
+    releases = [
+        compute_release(split_hardening(law, strand_slider, share), curvatures)
+        for share in get_isotropic_share_interval(table)
     ]
-    residual = np.column_stack([end.residual_curvature for end in ends])
-    dissipated = np.column_stack([end.dissipated_work for end in ends])
-    return Release(residual, dissipated), compute_release(law, bends)
+    residual_curvature = np.column_stack([release.residual_curvature for release in releases])
+    dissipated_work = np.column_stack([release.dissipated_work for release in releases])
+    return Release(residual_curvature, dissipated_work), compute_release(law, curvatures)
 
 
-def choose_bends(table: WireTable) -> Floats:
-    """Return the `BENDS` within the range of a table, 1/m; if there is none, its end."""
-    end = float(table.curvature[-1])
-    return np.array([bend for bend in BENDS if bend <= end] or [end])
+def choose_bend_curvatures(table: WireTable) -> Floats:
+    """Return the `BEND_CURVATURES` within the range of a table, 1/m; without any, the last one."""
+    curvatures = [curvature for curvature in BEND_CURVATURES if curvature <= table.curvature[-1]]
+    return np.array(curvatures or table.curvature[-1:])
 
 
-def compute_release(law: SliderLaw, bends: Floats) -> Release:
-    """Compute the release of a wire from its first bend.
+def compute_release(law: SliderLaw, curvatures: Floats) -> Release:
+    """Compute the release of a wire that was straight before the bend.
 
     Parameters
     ----------
     law : law of the wire
-    bends : shape (n,), 1/m, curvatures before the release, positive
+    curvatures : shape (n,), 1/m, curvatures from which the wire is released, positive
     """
-    rests = slide(law, bends, make_unbent_rests(law, len(bends))).rests
-    residual, _ = bend_to_moment(law, np.zeros(len(bends)), bends, rests)
-    fractions = np.linspace(0.0, 1.0, _BRANCH_POINTS)[:, None]
-    loading, unloading = fractions * bends, bends + fractions * (residual - bends)
-    unbent_rests = make_unbent_rests(law, loading.size)
+    n_bends = len(curvatures)
+    rests = slide(law, curvatures, make_unbent_history(law, n_bends)).history
+    residual_curvature, _ = bend_to_moment(law, np.zeros(n_bends), curvatures, rests)
+    fractions = np.linspace(0.0, 1.0, _N_BRANCH_POINTS)[:, None]
+    loading = fractions * curvatures
+    unloading = curvatures + fractions * (residual_curvature - curvatures)
+    unbent_rests = make_unbent_history(law, loading.size)
     loading_moment = slide(law, loading.ravel(), unbent_rests).moment.reshape(loading.shape)
-    bent_rests = np.tile(rests, (_BRANCH_POINTS, 1))
+    bent_rests = np.tile(rests, (_N_BRANCH_POINTS, 1))
     unloading_moment = slide(law, unloading.ravel(), bent_rests).moment.reshape(loading.shape)
     loading_work = np.trapezoid(loading_moment, loading, axis=0)
     unloading_work = np.asarray(np.trapezoid(unloading_moment, unloading, axis=0))
-    return Release(residual / bends, 1.0 + unloading_work / loading_work)
+    return Release(residual_curvature / curvatures, 1.0 + unloading_work / loading_work)
 
 
-def compute_elastic_release(table: WireTable, stiffness: float) -> Release:
-    """Compute the release of a law that unloads linearly.
+def compute_linear_release(table: WireTable, stiffness: float) -> Release:
+    """Compute the release of a law that unloads along a straight line.
 
     Parameters
     ----------
-    table : table of the wire, which states first loading
+    table : table of the wire, with the moments of first loading
     stiffness : N m^2, bending stiffness in unloading
     """
-    curvature = np.linspace(0.0, choose_bends(table), _BRANCH_POINTS)
+    curvature = np.linspace(0.0, choose_bend_curvatures(table), _N_BRANCH_POINTS)
     moment = np.interp(curvature, table.curvature, table.moment)
     springback = moment[-1] / stiffness
     work = np.trapezoid(moment, curvature, axis=0)
     return Release(1.0 - springback / curvature[-1], 1.0 - 0.5 * moment[-1] * springback / work)
 
 
-def make_zero_release(table: WireTable) -> Release:
+def make_elastic_release(table: WireTable) -> Release:
     """Return the release of an elastic law: zero residual curvature and zero dissipated work."""
-    zeros = np.zeros(len(choose_bends(table)))
-    return Release(zeros, zeros)
+    return Release(*np.zeros((2, len(choose_bend_curvatures(table)))))
 
 
-def collect_growing_numbers(table: WireTable) -> dict[str, object] | None:
-    """Return the growing slider of a wire for a JSON deck, with the parallel spring and sliders.
+def make_growing_slider_entry(table: WireTable) -> dict[str, object] | None:
+    """Return the entry ``growing`` of a JSON deck: growing slider, parallel spring and sliders.
 
     Parameters
     ----------
@@ -160,36 +166,36 @@ def collect_growing_numbers(table: WireTable) -> dict[str, object] | None:
 
     Returns
     -------
-    Numbers for the isotropic share of the sheet, or for the middle of its interval; None for a
-    share of zero.
+    Values for the isotropic share of the sheet, or for the middle of the interval of the share.
+    None for a share of 0.
 
     Raises
     ------
     ValueError
-        As `fit_sliders`.
+        If sliders cannot be fitted to the law (`fit_wire_sliders`).
     """
-    shares = get_share_interval(table)
-    share = 0.5 * (shares[0] + shares[1])
+    share_interval = get_isotropic_share_interval(table)
+    share = 0.5 * sum(share_interval)
     if share == 0.0:
         return None
-    law = share_hardening(fit_wire_sliders(table), make_table_strands(table), share)
-    (slider,) = law.growing
+    law = split_hardening(fit_wire_sliders(table), make_table_strand_slider(table), share)
+    (slider,) = law.growing_sliders
     return {
         "isotropic_share": share,
-        "share_interval": list(shares),
+        "share_interval": list(share_interval),
         "use": format_sentence("mechanics.decks.growing_use"),
         "stiffness": slider.stiffness,
-        "slid": slider.slid.tolist(),
+        "slid": slider.slid_curvatures.tolist(),
         "limits": slider.limits.tolist(),
-        "spring_beside": law.stiffness,
-        "sliders_beside": law.stiffnesses.tolist(),
+        "spring_beside": law.spring_stiffness,
+        "sliders_beside": law.slider_stiffnesses.tolist(),
     }
 
 
 def describe_unloading(
     table: WireTable, unloading_rule: str, deck_release: Release | None = None
 ) -> str:
-    """Describe in one line the release of a deck and of its wire.
+    """Return a sentence on the release of a deck and of the wire.
 
     Parameters
     ----------
@@ -200,32 +206,32 @@ def describe_unloading(
     Raises
     ------
     ValueError
-        As `fit_sliders`.
+        If sliders cannot be fitted to the law (`fit_wire_sliders`).
     """
-    wire, masing = compute_releases(table)
-    deck_release = masing if deck_release is None else deck_release
-    first, last = get_share_interval(table)
-    share = f"{first:g}" if first == last else f"{first:g} to {last:g}"
+    wire_release, masing_release = compute_releases(table)
+    deck_release = masing_release if deck_release is None else deck_release
+    low_share, high_share = get_isotropic_share_interval(table)
+    share_text = f"{low_share:g}" if low_share == high_share else f"{low_share:g} to {high_share:g}"
     return format_sentence(
         "mechanics.decks.unloading",
-        bends=", ".join(f"{bend:.3g}" for bend in choose_bends(table)),
+        bends=", ".join(f"{curvature:.3g}" for curvature in choose_bend_curvatures(table)),
         rule=unloading_rule,
         kept=_join_percents(deck_release.residual_curvature),
         lost=_join_percents(deck_release.dissipated_work),
-        wire_kept=_join_percents(wire.residual_curvature),
-        wire_lost=_join_percents(wire.dissipated_work),
-        share=f"isotropic share {share}",
+        wire_kept=_join_percents(wire_release.residual_curvature),
+        wire_lost=_join_percents(wire_release.dissipated_work),
+        share=f"isotropic share {share_text}",
     )
 
 
 def _join_percents(ratios: Floats) -> str:
-    """Format ratios in per cent without decimals, separated by commas; a pair as an interval."""
+    """Format the rows of ratios in whole per cents, separated by commas; a pair as an interval."""
     rows = [dict.fromkeys(row) for row in ratios.reshape(len(ratios), -1).tolist()]
     return ", ".join(" to ".join(f"{100.0 * ratio + 0.0:.0f}" for ratio in row) for row in rows)
 
 
-def collect_unloading_numbers(table: WireTable) -> dict[str, object]:
-    """Return the release of the wire and of the laws of decks for a JSON deck.
+def make_unloading_entry(table: WireTable) -> dict[str, object]:
+    """Return the entry ``unloading`` of a loss card: the release of the wire and of simpler laws.
 
     Parameters
     ----------
@@ -234,19 +240,19 @@ def collect_unloading_numbers(table: WireTable) -> dict[str, object]:
     Raises
     ------
     ValueError
-        As `fit_sliders`.
+        If sliders cannot be fitted to the law (`fit_wire_sliders`).
     """
-    wire, masing = compute_releases(table)
-    isotropic = compute_elastic_release(table, float(table.moment[1] / table.curvature[1]))
-    releases = {"wire": wire, "masing": masing, "isotropic": isotropic}
+    wire_release, masing_release = compute_releases(table)
+    isotropic_release = compute_linear_release(table, float(table.moment[1] / table.curvature[1]))
+    releases = {"wire": wire_release, "masing": masing_release, "isotropic": isotropic_release}
     return {
-        "released_from": choose_bends(table).tolist(),
-        "isotropic_share": list(get_share_interval(table)),
+        "released_from": choose_bend_curvatures(table).tolist(),
+        "isotropic_share": list(get_isotropic_share_interval(table)),
         **{
             name: {
-                "kept": numbers.residual_curvature.tolist(),
-                "lost": numbers.dissipated_work.tolist(),
+                "kept": release.residual_curvature.tolist(),
+                "lost": release.dissipated_work.tolist(),
             }
-            for name, numbers in releases.items()
+            for name, release in releases.items()
         },
     }

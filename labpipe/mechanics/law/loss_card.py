@@ -1,7 +1,8 @@
-"""Fit a law in each form that simulation programs offer, and compute the error of each form.
+"""Fit simpler laws and a material to a moment-curvature law, and compute the error of each fit.
 
-The error of a form on first loading is the largest difference from the moment of the law, relative
-to that moment, over a range of curvatures and for the best fit. A loss card lists these errors.
+Simulation programs offer different forms of law. The error of a form is the largest relative error
+of the moment on first loading, over a range of curvatures, for the best fit. A loss card lists
+these errors.
 
 Programs whose beams have no moment-curvature law use a material. A round bar of radius R with the
 curvature kappa has the strain y kappa at the height y (Euler-Bernoulli). Its moment
@@ -22,28 +23,33 @@ from typing import Annotated
 import numpy as np
 from scipy.optimize import lsq_linear, nnls
 
-from labpipe.mechanics.law.sliders import SliderLaw, fit_directions, fit_sliders, turn_directions
+from labpipe.mechanics.law.sliders import SliderLaw, average_rotations, fit_directions, fit_sliders
 from labpipe.records.arrays import ArrayRecord, Floats, Vector
 from labpipe.records.wire import WireTable
 
 SLIDER_COUNTS = (4, 6, 8, 12)
-"""Maximum number of sliders of each fit on a card."""
+"""Largest number of sliders of each fit on a loss card."""
 N_DIRECTIONS = 4
-"""Number of directions of scalar sliders, on a card and in decks."""
+"""Number of directions of scalar sliders on a loss card and in decks."""
 
 
 @dataclass(frozen=True, slots=True)
 class DahlLaw:
-    """A spring and one slider with gradual slip, after Dahl (1968).
+    """A spring and one slider with gradual slip, after Dahl [1]_.
 
-    M = EI kappa + M_0 (1 - exp(-kappa / tau)) on first loading.
+    The moment on first loading is M = EI kappa + M_0 (1 - exp(-kappa / tau)).
 
     Parameters
     ----------
-    stiffness : EI, N m^2
-    moment : M_0, N m
-    decay : tau, 1/m
-    error : largest error of the fit, relative to the moment
+    stiffness : EI, N m^2, stiffness of the spring
+    moment : M_0, N m, largest moment of the slider
+    decay : tau, 1/m, curvature at which the slider has 63 % of its largest moment
+    error : largest error of the moment, relative to the moment of the law that was fitted
+
+    References
+    ----------
+    .. [1] P. R. Dahl, A solid friction model, Aerospace Corporation, report TOR-0158(3107-18)-1
+           (1968).
     """
 
     stiffness: float
@@ -54,58 +60,58 @@ class DahlLaw:
 
 @dataclass(frozen=True, slots=True)
 class LossCard:
-    """Errors of a law in each form.
+    """Errors of simpler forms of a moment-curvature law.
 
     Parameters
     ----------
-    first, last : 1/m, ends of the range
+    min_curvature, max_curvature : 1/m, ends of the range in which moments are compared
     stiffness : N m^2, constant stiffness with the smallest error
-    constant : error of the constant stiffness
-    dahl : Dahl law with the smallest error
-    sliders : number of sliders and error of each fit; fewer sliders than requested if the law has
-        fewer corners
-    directions : number of directions and error of scalar sliders, for one node and for nodes with
-        rotated directions (`turn_directions`). The error is that of `DirectionalLaw`
+    stiffness_error : error of the moment with this stiffness
+    dahl_law : Dahl law with the smallest error
+    slider_errors : number of sliders and error of each fit; the number is smaller than requested if
+        the law has fewer corners
+    direction_errors : number of directions and error of scalar sliders, first for one node, then
+        for nodes with rotated directions (`average_rotations`); see `DirectionalLaw`
     """
 
-    first: float
-    last: float
+    min_curvature: float
+    max_curvature: float
     stiffness: float
-    constant: float
-    dahl: DahlLaw
-    sliders: tuple[tuple[int, float], ...]
-    directions: tuple[tuple[int, float], ...]
+    stiffness_error: float
+    dahl_law: DahlLaw
+    slider_errors: tuple[tuple[int, float], ...]
+    direction_errors: tuple[tuple[int, float], ...]
 
 
-def make_loss_card(curvature: Floats, moment: Floats, laws: Sequence[SliderLaw]) -> LossCard:
-    """Compute the loss card of a law from the sliders fitted to it.
+def make_loss_card(curvature: Floats, moment: Floats, slider_laws: Sequence[SliderLaw]) -> LossCard:
+    """Compute the loss card of a moment-curvature law.
 
     Parameters
     ----------
-    curvature, moment : as for `fit_sliders`
-    laws : sliders fitted to the law, at least one fit
+    curvature, moment : points of the law, as for `fit_sliders`
+    slider_laws : fits of sliders to the law, at least one
     """
-    max_rows = 80  # enough for the three parameters of a Dahl law
+    max_rows = 80  # number of points to which the three parameters of a Dahl law are fitted
     curvature, moment = curvature[1:], moment[1:]
-    secant = moment / curvature
-    low, high = float(secant.min()), float(secant.max())
+    secants = moment / curvature
+    low, high = float(secants.min()), float(secants.max())
     rows = np.unique(np.linspace(0.0, len(curvature) - 1.0, max_rows).round().astype(np.int64))
-    best_law = min(laws, key=lambda law: law.error)
-    scalar_law = fit_directions(best_law, N_DIRECTIONS)
-    turned_law = turn_directions(best_law, scalar_law)
+    best_law = min(slider_laws, key=lambda law: law.error)
+    node_law = fit_directions(best_law, N_DIRECTIONS)
+    mean_law = average_rotations(best_law, node_law)
     return LossCard(
-        first=float(curvature[0]),
-        last=float(curvature[-1]),
+        min_curvature=float(curvature[0]),
+        max_curvature=float(curvature[-1]),
         stiffness=2.0 * low * high / (low + high),
-        constant=(high - low) / (high + low),
-        dahl=fit_dahl(curvature[rows], moment[rows]),
-        sliders=tuple((len(law.stiffnesses), law.error) for law in laws),
-        directions=tuple((law.directions, law.error) for law in (scalar_law, turned_law)),
+        stiffness_error=(high - low) / (high + low),
+        dahl_law=fit_dahl(curvature[rows], moment[rows]),
+        slider_errors=tuple((len(law.slider_stiffnesses), law.error) for law in slider_laws),
+        direction_errors=tuple((law.n_directions, law.error) for law in (node_law, mean_law)),
     )
 
 
 def fit_dahl(curvature: Floats, moment: Floats) -> DahlLaw:
-    """Fit one exponential slider and a spring so that the largest relative error is smallest.
+    """Fit a Dahl law to a first loading; the largest relative error is minimised.
 
     Parameters
     ----------
@@ -114,10 +120,11 @@ def fit_dahl(curvature: Floats, moment: Floats) -> DahlLaw:
 
     Notes
     -----
-    For fixed decay and ratio of the stiffnesses of slider and spring, the error is smallest if the
-    largest and the smallest ratio to the moment differ equally from one. Decay and ratio are
-    searched on grids of their logarithms. Each grid is narrower than the preceding grid and is
-    centred on its best point.
+    The two parameters of the search are the decay tau and the initial stiffness of the slider,
+    M_0 / tau, relative to EI. For given values of both, the error is smallest if the largest and
+    the smallest ratio of the fitted moment to the moment differ equally from one. The search uses
+    grids of the logarithms of the two parameters. Each grid is narrower than the preceding grid and
+    centred on the best point of that grid.
     """
     n_values, n_grids = 15, 24
     narrowing = 0.6  # ratio of the widths of successive grids
@@ -126,25 +133,26 @@ def fit_dahl(curvature: Floats, moment: Floats) -> DahlLaw:
     for _ in range(n_grids):
         grid = np.linspace(ends[:, 0], ends[:, 1], n_values)
         ratio, decay = np.exp(grid).T
-        slider = -decay[:, None] * np.expm1(-curvature / decay[:, None]) / moment
-        moment_ratio = compliance + ratio[:, None, None] * slider
+        slider_part = -decay[:, None] * np.expm1(-curvature / decay[:, None]) / moment
+        # Axes: stiffness ratio, decay, curvature. The moment is that of a spring with EI = 1.
+        moment_ratio = compliance + ratio[:, None, None] * slider_part
         lowest, highest = moment_ratio.min(axis=2), moment_ratio.max(axis=2)
         errors = (highest - lowest) / (highest + lowest)
         row, column = np.unravel_index(np.argmin(errors), errors.shape)
         best_point = np.array([[grid[row, 0]], [grid[column, 1]]])
         ends = best_point + narrowing * (ends - ends.mean(axis=1, keepdims=True))
     stiffness, tau = 2.0 / (lowest + highest)[row, column], decay[column]
-    best = stiffness, stiffness * ratio[row] * tau, tau, errors[row, column]
-    return DahlLaw(*map(float, best))
+    parameters = stiffness, stiffness * ratio[row] * tau, tau, errors[row, column]
+    return DahlLaw(*map(float, parameters))
 
 
 DEFAULT_SLIDERS = SLIDER_COUNTS[-1]
-"""Default number of sliders; with fewer, residual curvatures have errors of more than 2 %."""
+"""Default of the largest number of sliders; fewer give errors above 2 % of residual curvature."""
 
 
 @lru_cache(maxsize=4)  # tables are hashed by identity
 def fit_wire_sliders(table: WireTable) -> SliderLaw:
-    """Fit at most `DEFAULT_SLIDERS` sliders to a wire over the range of its table.
+    """Fit at most `DEFAULT_SLIDERS` sliders to the moment-curvature table of a wire.
 
     Parameters
     ----------
@@ -153,14 +161,14 @@ def fit_wire_sliders(table: WireTable) -> SliderLaw:
     Raises
     ------
     ValueError
-        As `fit_sliders`.
+        For the reasons of `fit_sliders`.
     """
     return fit_sliders(table.curvature, table.moment, DEFAULT_SLIDERS)
 
 
 @lru_cache(maxsize=4)
 def make_table_card(table: WireTable) -> LossCard:
-    """Compute the loss card of a wire over the range of its table.
+    """Compute the loss card of the moment-curvature table of a wire.
 
     Parameters
     ----------
@@ -169,26 +177,25 @@ def make_table_card(table: WireTable) -> LossCard:
     Raises
     ------
     ValueError
-        As `fit_sliders`.
+        For the reasons of `fit_sliders`.
     """
-    curvature, moment = table.curvature, table.moment
-    laws = [fit_sliders(curvature, moment, count) for count in SLIDER_COUNTS[:-1]]
-    return make_loss_card(curvature, moment, [*laws, fit_wire_sliders(table)])
+    laws = [fit_sliders(table.curvature, table.moment, count) for count in SLIDER_COUNTS[:-1]]
+    return make_loss_card(table.curvature, table.moment, [*laws, fit_wire_sliders(table)])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EquivalentMaterial(ArrayRecord):
-    """Stress-strain curve of a material that hardens isotropically, on first loading.
+    """Material of a round bar that has nearly the moments of a wire on first loading.
 
     Parameters
     ----------
     diameter : m, diameter of the bar
-    modulus : Pa, modulus up to the first strain
-    strain : shape (n,), total strain, increasing; the last is that at the surface at the largest
-        curvature
-    stress : shape (n,), Pa, not decreasing
+    modulus : Pa, modulus of elasticity up to the first strain
+    strain : shape (n,), total strains, increasing; the last is the strain at the surface of the bar
+        at the largest curvature
+    stress : shape (n,), Pa, stress at each strain, not decreasing
     curvature : shape (m,), 1/m, curvatures at which the moments of bar and wire are compared
-    error : shape (m,), difference between the moments of bar and wire, relative to that of the wire
+    error : shape (m,), moment of the bar minus moment of the wire, relative to that of the wire
     """
 
     diameter: float
@@ -205,9 +212,9 @@ class EquivalentMaterial(ArrayRecord):
 
     @property
     def plastic_strain(self) -> Floats:
-        """Return strain minus stress / modulus, the plastic strain, shape (n,); it begins at 0."""
-        plastic = self.strain - self.stress / self.modulus
-        return np.asarray(plastic - plastic[0])
+        """Return the plastic strain, strain - stress / modulus, shape (n,); the first is 0."""
+        plastic_strain = self.strain - self.stress / self.modulus
+        return np.asarray(plastic_strain - plastic_strain[0])
 
 
 def fit_equivalent_material(
@@ -222,11 +229,12 @@ def fit_equivalent_material(
 
     Parameters
     ----------
-    curvature : shape (m,), 1/m, positive and increasing, m >= 2, up to the end of the range
+    curvature : shape (m,), 1/m, positive and increasing, m >= 2; the last is the largest curvature
+        of the material
     moment : shape (m,), N m, moment of the wire on first loading, positive
     diameter : m, diameter of the bar
-    elastic_fraction : curvature up to which the bar is elastic, relative to the largest curvature;
-        its stiffness is the secant stiffness of the wire there
+    elastic_fraction : curvature up to which the bar is elastic, relative to the largest curvature.
+        The elastic stiffness of the bar is the secant stiffness of the wire at this curvature
     n_knots : number of points of the stress-strain curve, logarithmically spaced, at least 2
 
     Returns
@@ -236,50 +244,49 @@ def fit_equivalent_material(
 
     Notes
     -----
-    The relative error at the points above the elastic range is minimised by least squares with
-    bounded slopes (Stark and Parker, Computational Statistics 10 (1995) 129). Slopes are not below
-    zero, because a softening bar is unstable, and not above 0.999 of the modulus. A kink
-    that is sharper than a round section allows (immediate slip) is rounded, which is included in
-    `error`.
+    The relative errors at the curvatures above the elastic range are minimised by least squares
+    with bounded slopes of the stress-strain curve (Stark and Parker, Computational Statistics 10
+    (1995) 129). Slopes are at least zero, because a softening bar is unstable, and at most 0.999 of
+    the modulus. The bar rounds a kink of the law that is sharper than a round section allows
+    (immediate slip). `error` includes this difference.
 
     The strain varies linearly over the section, with slope kappa. At strains of a few per cent the
     difference between nominal and true strain has opposite signs on the two sides of the bar and
     cancels to first order.
     """
     radius = 0.5 * diameter
-    limit = elastic_fraction * float(curvature[-1])
-    strain = np.geomspace(limit, float(curvature[-1]), n_knots) * radius
-    secant = float(np.interp(limit, np.append(0.0, curvature), np.append(0.0, moment))) / limit
-    modulus = secant / (0.25 * np.pi * radius**4)
-    # Moments of bars whose stress increases in one segment of strain only, with unit slope.
-    segments = np.diff(_bend_bar(curvature[:, None], strain, radius), axis=1, prepend=0.0)
-    columns = modulus * segments / moment[:, np.newaxis]
-    is_plastic = curvature > limit
-    slopes = _fit_bounded_slopes(columns[is_plastic, 1:], 1.0 - columns[is_plastic, 0])
-    slopes = np.append(1.0, slopes)
+    elastic_limit = elastic_fraction * float(curvature[-1])
+    strain = np.geomspace(elastic_limit, float(curvature[-1]), n_knots) * radius
+    elastic_moment = np.interp(elastic_limit, np.append(0.0, curvature), np.append(0.0, moment))
+    modulus = float(elastic_moment) / elastic_limit / (0.25 * np.pi * radius**4)
+    # Moments of bars whose stress increases only in one interval of strain, with unit slope.
+    interval_moments = np.diff(_bend_bar(curvature[:, None], strain, radius), axis=1, prepend=0.0)
+    columns = modulus * interval_moments / moment[:, np.newaxis]
+    plastic_rows = columns[curvature > elastic_limit]
+    slopes = np.append(1.0, _fit_bounded_slopes(plastic_rows[:, 1:], 1.0 - plastic_rows[:, 0]))
     stress = modulus * np.cumsum(slopes * np.diff(strain, prepend=0.0))
     return EquivalentMaterial(diameter, modulus, strain, stress, curvature, columns @ slopes - 1.0)
 
 
 def _fit_bounded_slopes(columns: Floats, target: Floats) -> Floats:
-    """Solve least squares with slopes from 0 to `max_slope`; NNLS suffices if none is larger."""
-    max_slope = 0.999  # relative to the modulus; a slope of 1 leaves no plastic strain
+    """Return the slopes from 0 to `max_slope`, relative to the modulus, of a least-squares fit."""
+    max_slope = 0.999  # a slope of 1 leaves no plastic strain
     iterations_per_slope = 20  # the default of `lsq_linear`, 1, stops some searches early
     limit = iterations_per_slope * columns.shape[1]
     slopes = nnls(columns, target, maxiter=limit)[0]
     if np.any(slopes > max_slope):
-        bounds = (0.0, max_slope)
-        slopes = lsq_linear(columns, target, bounds=bounds, method="bvls", max_iter=limit).x
+        slopes = lsq_linear(columns, target, (0.0, max_slope), method="bvls", max_iter=limit).x
     return np.asarray(slopes)
 
 
 def _bend_bar(curvature: Floats, strain: Floats, radius: float) -> Floats:
     """Return the moment of a bar of unit modulus that is perfectly plastic beyond a strain.
 
-    With c = strain / (kappa R), the half-height of the elastic core relative to the radius,
-    M = kappa R^4 / 2 (asin c - c sqrt(1 - c^2) (1 - 2 c^2)) + 4/3 strain R^3 (1 - c^2)^(3/2).
+    c = min(strain / (kappa R), 1) is the half-height of the elastic core relative to the radius.
+    The moment is (kappa R^4 / 2) (asin c - c sqrt(1 - c^2) (1 - 2 c^2)) +
+    (4 / 3) strain R^3 (1 - c^2)^(3/2).
     """
     c = np.minimum(strain / (curvature * radius), 1.0)
-    core = np.arcsin(c) - c * np.sqrt(1.0 - c**2) * (1.0 - 2.0 * c**2)
-    plastic = 4.0 / 3.0 * strain * radius**3 * (1.0 - c**2) ** 1.5
-    return 0.5 * curvature * radius**4 * core + plastic
+    core_factor = np.arcsin(c) - c * np.sqrt(1.0 - c**2) * (1.0 - 2.0 * c**2)
+    plastic_moment = 4.0 / 3.0 * strain * radius**3 * (1.0 - c**2) ** 1.5
+    return 0.5 * curvature * radius**4 * core_factor + plastic_moment

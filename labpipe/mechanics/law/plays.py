@@ -1,19 +1,19 @@
 """Define laws of the curvature as a function of the moment and its history.
 
-A `PlayLaw` is a spring in series with play operators, because strands stick, slip and yield one
-after the other:
+A `PlayLaw` represents a wire whose strands stick, slip and yield one after the other. It is a
+spring in series with play operators:
 
     kappa = M / EI0 + sum_j c_j p_j        p_j <- min(max(p_j, M - r_j), M + r_j)
 
-On first loading p_j = max(0, M - r_j), so that the law is a polygon with a corner at each
-half-width r_j. After a reversal no play moves until the moment has changed by twice the smallest
-r_j. Unloading therefore starts with EI0, loops follow Masing's rule and close, and residual
-curvature remains at zero moment. The law is rate-independent. Moments are in N m, curvatures in
-1/m.
+On first loading p_j = max(0, M - r_j). The law is then a polygon with a corner at each half-width
+r_j. After a reversal no play moves until the moment has changed by twice the smallest r_j.
+Unloading therefore starts with the stiffness EI0, loops follow Masing's rule and close, and a
+residual curvature remains at zero moment. The law is rate-independent. Moments are in N m,
+curvatures in 1/m.
 
 A law may have a largest moment. Beyond it, functions of this module extrapolate with the last
-slope, so that iterations may leave the range; `require_within` checks results. A `LoadingTable`
-tabulates a law on first loading.
+slope, and iterations may therefore leave the range. `require_within` checks results. A
+`LoadingTable` tabulates a law on first loading.
 """
 
 from __future__ import annotations
@@ -30,36 +30,37 @@ from labpipe.records.arrays import ArrayRecord, Flags, Floats
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Response:
-    """Response of a law to a moment at each station.
+    """Response of a law to a change of the moment at each station.
 
     Parameters
     ----------
     curvature : shape (stations,), 1/m
     compliance : shape (stations,), 1/(N m^2), derivative of the curvature with respect to the
-        moment, in the direction of its change
-    plays : shape (stations, plays), N m, history after the change of the moment
+        moment, for a further change in the same direction
+    history : history after the change of the moment, in the shape and unit of
+        `make_unbent_history` of the law
     """
 
     curvature: Floats
     compliance: Floats
-    plays: Floats
+    history: Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlayLaw(ArrayRecord):
-    """Law with concave first loading as plays, with Masing loops and residual curvature.
+    """Law of plays: concave on first loading, with Masing loops and residual curvature.
 
     Parameters
     ----------
-    stiffness : EI0, N m^2
-    half_widths : r_j, shape (plays,), N m, positive and increasing
-    compliances : c_j, shape (plays,), 1/(N m^2), not negative
-    largest_moment : N m, end of the range of the law; infinite for a law without an end
+    stiffness : EI0, N m^2, bending stiffness before any play moves
+    half_widths : r_j, shape (plays,), N m, half-width of each play, positive and increasing
+    compliances : c_j, shape (plays,), 1/(N m^2), compliance of each play, not negative
+    largest_moment : N m, end of the range of the law; infinite for a law with unlimited range
 
     Raises
     ------
     ValueError
-        If a value is out of range, or `half_widths` and `compliances` differ in length.
+        If a parameter is outside its range, or `half_widths` and `compliances` differ in length.
     """
 
     stiffness: float
@@ -71,27 +72,26 @@ class PlayLaw(ArrayRecord):
         require_positive("stiffness", self.stiffness)
         require("largest_moment", self.largest_moment, "> 0", holds=self.largest_moment > 0.0)
         ArrayRecord.__post_init__(self)
-        widths, compliances = self.half_widths, self.compliances
-        require_rising("half_widths", widths)
-        are_valid = bool(np.all((compliances >= 0.0) & np.isfinite(compliances)))
-        require("compliances", compliances.tolist(), "finite and >= 0", holds=are_valid)
+        require_rising("half_widths", self.half_widths)
+        are_valid = bool(np.all((self.compliances >= 0.0) & np.isfinite(self.compliances)))
+        require("compliances", self.compliances.tolist(), "finite and >= 0", holds=are_valid)
 
     def make_unbent_history(self, n_stations: int) -> Floats:
-        """Return the history of a wire that was never bent, shape (n_stations, plays), N m."""
+        """Return the history of a wire never bent before, shape (n_stations, plays), N m."""
         return np.zeros((n_stations, len(self.half_widths)))
 
     def respond(self, moment: Floats, history: Floats) -> Response:
-        """Compute curvatures under new moments, from the history.
+        """Compute curvatures, compliances and history after a change of the moments.
 
         Parameters
         ----------
-        moment : shape (stations,), N m; each moment is reached monotonically
-        history : shape (stations, plays), N m, history before the change of the moment
+        moment : shape (stations,), N m, after the change; each is reached monotonically
+        history : shape (stations, plays), N m, history before the change
 
         Returns
         -------
-        Curvature, compliance and the new history. For a moment of NaN, curvature and history are
-        NaN.
+        Response with the new history, shape (stations, plays), N m. For a moment of NaN, curvature
+        and history are NaN.
 
         Notes
         -----
@@ -99,19 +99,18 @@ class PlayLaw(ArrayRecord):
         """
         column = moment[:, None]
         plays = np.clip(history, column - self.half_widths, column + self.half_widths)
-        is_moving = plays != history
         curvature = moment / self.stiffness + plays @ self.compliances
-        compliance = 1.0 / self.stiffness + is_moving @ self.compliances
+        compliance = 1.0 / self.stiffness + (plays != history) @ self.compliances
         return Response(curvature, compliance, plays)
 
 
 def make_elastic_law(stiffness: float) -> PlayLaw:
-    """Return the linear elastic law kappa = M / EI, without plays; the stiffness is in N m^2."""
+    """Build the linear elastic law kappa = M / EI from the stiffness EI, N m^2."""
     return PlayLaw(stiffness, np.zeros(0), np.zeros(0))
 
 
 def find_corners(law: PlayLaw) -> tuple[Floats, Floats, Floats]:
-    """Return the corners of a law on first loading, from zero; arrays of shape (plays + 1,).
+    """Return the corners of a law on first loading; the first is the origin.
 
     Parameters
     ----------
@@ -119,7 +118,9 @@ def find_corners(law: PlayLaw) -> tuple[Floats, Floats, Floats]:
 
     Returns
     -------
-    Moments, N m; curvatures, 1/m; compliances beyond each corner, 1/(N m^2).
+    moment : shape (plays + 1,), N m
+    curvature : shape (plays + 1,), 1/m
+    compliances : shape (plays + 1,), 1/(N m^2), slope of curvature over moment beyond each corner
     """
     moment = np.append(0.0, law.half_widths)
     compliances = 1.0 / law.stiffness + np.append(0.0, np.cumsum(law.compliances))
@@ -127,11 +128,11 @@ def find_corners(law: PlayLaw) -> tuple[Floats, Floats, Floats]:
 
 
 def compute_first_curvature(law: PlayLaw, moment: Floats) -> Floats:
-    """Return the curvature of first loading at moments, 1/m.
+    """Return the curvature of first loading at each moment, 1/m.
 
     Parameters
     ----------
-    law : law of the wire, continued linearly beyond its end
+    law : law of the wire; beyond its largest moment, it is extrapolated linearly
     moment : shape (n,), N m, not negative
     """
     corner_moment, corner_curvature, compliances = find_corners(law)
@@ -140,50 +141,51 @@ def compute_first_curvature(law: PlayLaw, moment: Floats) -> Floats:
 
 
 def is_within(law: PlayLaw, moment: Floats) -> Flags:
-    """Return whether a law covers moments of any sign, N m, within rounding; shape of `moment`."""
-    rounding = 1e-6  # relative to the largest moment; searches end within it
-    return np.asarray(np.abs(moment) <= law.largest_moment * (1.0 + rounding))
+    """Return whether each moment of either sign, N m, is within the range of a law."""
+    relative_tolerance = 1e-6  # iterations may end this far beyond the largest moment
+    return np.asarray(np.abs(moment) <= law.largest_moment * (1.0 + relative_tolerance))
 
 
 def require_within(law: PlayLaw, moment: Floats, context: str) -> None:
-    """Raise ValueError for moments beyond the end of a law.
+    """Raise ValueError if a moment is beyond the range of a law.
 
     Parameters
     ----------
     law : law of the wire
-    moment : shape (n,), N m
+    moment : shape (n,), N m, either sign
     context : description of the computation, for the message
 
     Raises
     ------
     ValueError
-        If a moment is beyond the end; the message states the curvatures of both.
+        If `is_within` is false for a moment. The message states the curvatures at the largest
+        moment and at the end of the law.
     """
     if is_within(law, moment).all():
         return
-    largest = float(np.max(np.abs(moment)))
-    curvature, last = compute_first_curvature(law, np.array([largest, law.largest_moment]))
+    moments = np.array([np.max(np.abs(moment)), law.largest_moment])
+    curvature, end_curvature = compute_first_curvature(law, moments)
     message = (
-        f"{context}: expected curvatures up to {last:.4g} 1/m, the end of the law, "
+        f"{context}: expected curvatures up to {end_curvature:.4g} 1/m, the end of the law, "
         f"found {curvature:.4g} 1/m"
     )
     raise ValueError(message)
 
 
 def require(name: str, value: object, condition: str, *, holds: bool) -> None:
-    """Raise ValueError for a value that does not meet a condition.
+    """Raise ValueError unless a value meets a condition.
 
     Parameters
     ----------
-    name : name of the value in the message
-    value : value in the message
-    condition : condition in the message, such as ``> 0``
+    name : name of the value, for the message
+    value : value, for the message
+    condition : text of the condition, for the message, such as ``> 0``
     holds : whether the value meets the condition
 
     Raises
     ------
     ValueError
-        If the condition does not hold; the message states name, value and condition.
+        If `holds` is false; the message states name, value and condition.
     """
     if not holds:
         message = f"{name}={value!r}: must be {condition}"
@@ -191,25 +193,24 @@ def require(name: str, value: object, condition: str, *, holds: bool) -> None:
 
 
 def require_positive(name: str, value: float) -> None:
-    """Raise ValueError unless a number is finite and positive; see `require`."""
+    """Raise ValueError unless a value is finite and positive; see `require`."""
     require(name, value, "finite and > 0", holds=bool(0.0 < value < np.inf))
 
 
 def require_not_negative(name: str, value: float) -> None:
-    """Raise ValueError unless a number is finite and not negative; see `require`."""
+    """Raise ValueError unless a value is finite and not negative; see `require`."""
     require(name, value, "finite and >= 0", holds=bool(0.0 <= value < np.inf))
 
 
 def require_rising(name: str, values: Floats) -> None:
-    """Raise ValueError unless numbers are positive and increasing; see `require`."""
+    """Raise ValueError unless values are positive and increasing; see `require`."""
     holds = bool(np.all(np.diff(values, prepend=0.0) > 0.0))
     require(name, values.tolist(), "positive and increasing", holds=holds)
 
 
 def require_finite(name: str, values: Floats | float) -> None:
-    """Raise ValueError unless all numbers are finite; see `require`."""
-    holds = bool(np.all(np.isfinite(values)))
-    require(name, np.asarray(values).tolist(), "finite", holds=holds)
+    """Raise ValueError unless all values are finite; see `require`."""
+    require(name, np.asarray(values).tolist(), "finite", holds=bool(np.isfinite(values).all()))
 
 
 def make_polygon_law(curvature: Floats, moment: Floats) -> PlayLaw:
@@ -218,15 +219,16 @@ def make_polygon_law(curvature: Floats, moment: Floats) -> PlayLaw:
     Parameters
     ----------
     curvature : shape (n,), 1/m, positive and increasing, n >= 1
-    moment : shape (n,), N m; the last moment is the end of the law
+    moment : shape (n,), N m, positive and increasing; the last is the largest moment of the law
 
     Raises
     ------
     ValueError
         If the moment does not increase (softening), or a slope is larger than the preceding slope
-        (stiffening); the message states the curvature.
+        (stiffening). The message states the curvature.
     """
-    slope_tolerance = 1e-7  # relative to the first slope; rounding errors between close corners
+    # Relative to the first slope: allows for rounding errors between close corners.
+    slope_tolerance = 1e-7
     slopes = np.diff(moment, prepend=0.0) / np.diff(curvature, prepend=0.0)
     if not np.all(slopes > 0.0):
         kappa = curvature[int(np.argmin(slopes > 0.0))]
@@ -250,25 +252,25 @@ def make_stick_slip_law(
     last_moment: float,
     n_plays: int = 40,
 ) -> PlayLaw:
-    """Build a law of stick up to a moment and a power law of slip and yield (Ramberg-Osgood).
+    """Build a law of sticking strands up to a moment, with Ramberg-Osgood slip and yield beyond.
 
     The law is a polygon with corners on
     kappa = M / EI0 + (M0 / EI1) (max(M - Ms, 0) / M0)^(1 / n).
 
     Parameters
     ----------
-    stick_stiffness : EI0, N m^2
+    stick_stiffness : EI0, N m^2, bending stiffness while all strands stick
     stick_moment : Ms, N m, moment up to which all strands stick, positive
     slip_stiffness : EI1, N m^2, M0 divided by the curvature of the power law at Ms + M0
-    reference_moment : M0, N m
-    hardening : n, from 0 (perfectly plastic) to 1 (two straight lines), exclusive
-    last_moment : N m, last corner of the polygon; the law continues beyond it
+    reference_moment : M0, N m, unit of the moment in the power law
+    hardening : exponent n, between 0 (perfectly plastic) and 1 (linear), both excluded
+    last_moment : N m, moment at the last point of the polygon; the law continues linearly beyond
     n_plays : number of plays, at least 1
 
     Raises
     ------
     ValueError
-        If a number is out of its range.
+        If a parameter is outside its range.
     """
     require_positive("slip_stiffness", slip_stiffness)
     require_positive("reference_moment", reference_moment)
@@ -287,18 +289,18 @@ CurvatureAndCompliance: TypeAlias = tuple[Floats, Floats]
 
 @dataclass(frozen=True, eq=False)
 class LoadingTable:
-    """Law of first loading as a table; cubic (Hermite) between knots, linear beyond the last.
+    """Table of a law on first loading, a cubic Hermite spline between knots and linear beyond.
 
     Parameters
     ----------
     moment : shape (knots,), N m, from zero, increasing
     curvature : shape (knots,), 1/m
     start_compliance, end_compliance : shape (knots - 1,), 1/(N m^2), derivative of the curvature
-        with respect to the moment at the start and at the end of each panel; it may be
-        discontinuous at knots
+        with respect to the moment, at the start and at the end of each interval between knots. The
+        two values at a knot may differ
     start_sensitivity, end_sensitivity : shape (parameters, knots - 1), 1/m, derivative of the
         curvature at constant moment with respect to the logarithm of each parameter, at the start
-        and at the end of each panel
+        and at the end of each interval between knots. Sensitivities are linear in between
     """
 
     moment: Floats
@@ -310,9 +312,10 @@ class LoadingTable:
 
     @classmethod
     def of_plays(cls, law: PlayLaw) -> LoadingTable:
-        """Tabulate a `PlayLaw`; the table is exact, as the law is linear between its corners."""
+        """Tabulate a `PlayLaw`; the table is exact, because the law is linear between corners."""
         moment, curvature, compliances = find_corners(law)
-        step = moment[-1] or law.stiffness  # the last panel is as wide as all others together
+        # The width of the last interval is arbitrary, because the law is linear beyond its start.
+        step = moment[-1] or law.stiffness
         moment = np.append(moment, moment[-1] + step)
         curvature = np.append(curvature, curvature[-1] + compliances[-1] * step)
         no_sensitivity = np.zeros((0, len(compliances)))
@@ -325,14 +328,15 @@ class LoadingTable:
         chord = np.diff(self.curvature) / width
         cubic = (start + end - 2.0 * chord) / width**2
         square = (3.0 * chord - 2.0 * start - end) / width
-        panels = np.zeros((4, len(width) + 1, 2 + len(self.start_sensitivity)))
-        panels[:, :-1, 0] = cubic, square, start, self.curvature[:-1]
-        panels[2:, -1, 0] = end[-1], self.curvature[-1]  # beyond the last knot
-        panels[1:, :, 1] = np.array([[3.0], [2.0], [1.0]]) * panels[:3, :, 0]
-        panels[2, :-1, 2:] = ((self.end_sensitivity - self.start_sensitivity) / width).T
-        panels[3, :-1, 2:] = self.start_sensitivity.T
-        panels[3, -1, 2:] = self.end_sensitivity[:, -1]
-        return PPoly(panels, np.append(self.moment, 2.0 * self.moment[-1]))
+        # Axes: power from 3 to 0, interval (the last is beyond the last knot), value.
+        coefficients = np.zeros((4, len(width) + 1, 2 + len(self.start_sensitivity)))
+        coefficients[:, :-1, 0] = cubic, square, start, self.curvature[:-1]
+        coefficients[2:, -1, 0] = end[-1], self.curvature[-1]
+        coefficients[1:, :, 1] = np.array([[3.0], [2.0], [1.0]]) * coefficients[:3, :, 0]
+        coefficients[2, :-1, 2:] = ((self.end_sensitivity - self.start_sensitivity) / width).T
+        coefficients[3, :-1, 2:] = self.start_sensitivity.T
+        coefficients[3, -1, 2:] = self.end_sensitivity[:, -1]
+        return PPoly(coefficients, np.append(self.moment, 2.0 * self.moment[-1]))
 
     def bend(self, moment: Floats) -> CurvatureAndCompliance:
         """Return curvature and compliance of first loading at moments, N m, any shape and sign."""
@@ -340,82 +344,88 @@ class LoadingTable:
         return np.sign(moment) * values[..., 0], values[..., 1]
 
     def compute_sensitivities(self, moment: Floats) -> Floats:
-        """Return the derivatives of the curvature of `bend`, 1/m, by logarithms of parameters.
+        """Return the sensitivities of the curvature of `bend`, 1/m.
 
-        Axis 0 of the result is the parameter.
+        They are derivatives with respect to the logarithm of each parameter. Axis 0 is the
+        parameter.
         """
         sensitivities = np.moveaxis(self.curve(np.abs(moment))[..., 2:], -1, 0)
         return np.asarray(np.sign(moment) * sensitivities, dtype=np.float64)
 
-    def bend_from_rest(self, rest: Floats, moment: Floats) -> CurvatureAndCompliance:
-        """Return curvature and compliance after bending from a state at rest.
+    def bend_from_rest(self, rest_moment: Floats, moment: Floats) -> CurvatureAndCompliance:
+        """Return curvature and compliance after bending from rest.
 
         Parameters
         ----------
-        rest : shape (stations,), N m, moment at rest, reached by first loading
+        rest_moment : shape (stations,), N m, moment at rest, reached by first loading
         moment : shape (n, stations), N m; each moment is reached monotonically
 
         Notes
         -----
-        Masing's rule states that after a reversal at M0 the curvature is
-        kappa0 + 2 k((M - M0) / 2) until the moment is -M0, and k(M) from there. k is the law of
-        first loading, and kappa0 the curvature at M0.
+        By Masing's rule, the curvature after a reversal at M0 is kappa0 + 2 k((M - M0) / 2) until
+        the moment is -M0, and k(M) beyond. k is the law of first loading, and kappa0 is the
+        curvature at M0.
         """
         curvature, compliance = self.bend(moment)
-        is_reversed = self._is_reversed(rest, moment)
+        is_reversed = self._is_reversed(rest_moment, moment)
         if is_reversed.any():
-            half_change = 0.5 * (moment - rest)[is_reversed]
+            half_change = 0.5 * (moment - rest_moment)[is_reversed]
             half_curvature_change, reversed_compliance = self.bend(half_change)
-            rest_curvature = np.broadcast_to(self.bend(rest)[0], moment.shape)[is_reversed]
+            rest_curvature = np.broadcast_to(self.bend(rest_moment)[0], moment.shape)[is_reversed]
             curvature[is_reversed] = rest_curvature + 2.0 * half_curvature_change
             compliance[is_reversed] = reversed_compliance
         return curvature, compliance
 
-    def bend_from_peak(self, rest: Floats, peak: Floats, moment: Floats) -> CurvatureAndCompliance:
-        """Return curvature and compliance after bending from rest to a peak, then unloading.
+    def bend_from_peak(
+        self, rest_moment: Floats, peak_moment: Floats, moment: Floats
+    ) -> CurvatureAndCompliance:
+        """Return curvature and compliance after bending from rest to a peak and unloading from it.
 
         Parameters
         ----------
-        rest : as for `bend_from_rest`
-        peak : shape (n, stations), N m, largest moments so far
-        moment : shape (n, stations), N m, current moments
+        rest_moment : as for `bend_from_rest`
+        peak_moment : shape (n, stations), N m, largest moment so far
+        moment : shape (n, stations), N m, current moment
         """
-        curvature, compliance = self.bend_from_rest(rest, peak)
-        is_unloaded = moment < peak
+        curvature, compliance = self.bend_from_rest(rest_moment, peak_moment)
+        is_unloaded = moment < peak_moment
         if is_unloaded.any():
-            half_change = 0.5 * (peak - moment)[is_unloaded]
+            half_change = 0.5 * (peak_moment - moment)[is_unloaded]
             half_curvature_change, compliance[is_unloaded] = self.bend(half_change)
             curvature[is_unloaded] -= 2.0 * half_curvature_change
         return curvature, compliance
 
     def compute_sensitivities_from_rest(
-        self, rest: Floats, moment: Floats, rest_sensitivity: Floats
+        self, rest_moment: Floats, moment: Floats, rest_sensitivity: Floats
     ) -> Floats:
-        """Return the derivatives of the curvature of `bend_from_rest` by logarithms of parameters.
+        """Return the sensitivities of the curvature of `bend_from_rest`.
 
         Parameters
         ----------
-        rest, moment : as for `bend_from_rest`
-        rest_sensitivity : shape (parameters, stations), N m, derivative of the moment at rest
-            with respect to the logarithms of the parameters
+        rest_moment, moment : as for `bend_from_rest`
+        rest_sensitivity : shape (parameters, stations), N m, derivative of `rest_moment` with
+            respect to the logarithm of each parameter
 
         Returns
         -------
-        Shape (parameters, n, stations), 1/m.
+        Derivatives of the curvature with respect to the logarithm of each parameter, shape
+        (parameters, n, stations), 1/m.
         """
         sensitivities = self.compute_sensitivities(moment)
-        is_reversed = self._is_reversed(rest, moment)
+        is_reversed = self._is_reversed(rest_moment, moment)
         if is_reversed.any():
-            half_change = 0.5 * (moment - rest)
-            compliance_difference = self.bend(rest)[1] - self.bend(half_change)[1]
+            half_change = 0.5 * (moment - rest_moment)
+            compliance_difference = self.bend(rest_moment)[1] - self.bend(half_change)[1]
             half_sensitivities = self.compute_sensitivities(half_change)
-            after_reversal = self.compute_sensitivities(rest)[:, None, :] + 2.0 * half_sensitivities
+            after_reversal = self.compute_sensitivities(rest_moment)[:, None, :]
+            after_reversal = after_reversal + 2.0 * half_sensitivities
             after_reversal = after_reversal + compliance_difference * rest_sensitivity[:, None, :]
             sensitivities = np.where(is_reversed, after_reversal, sensitivities)
         return sensitivities
 
     @staticmethod
-    def _is_reversed(rest: Floats, moment: Floats) -> Flags:
-        """Return whether Masing's rule holds: the moment has reversed, but not beyond -rest."""
-        change = moment - rest
-        return np.asarray((change * rest < 0.0) & (np.abs(change) < 2.0 * np.abs(rest)))
+    def _is_reversed(rest_moment: Floats, moment: Floats) -> Flags:
+        """Return whether the moment has reversed and is not yet beyond -rest_moment."""
+        change = moment - rest_moment
+        is_opposite = change * rest_moment < 0.0
+        return np.asarray(is_opposite & (np.abs(change) < 2.0 * np.abs(rest_moment)))

@@ -1,38 +1,39 @@
 """Define moment-curvature laws that compute the moment from the curvature and its history.
 
-Any concave first loading M(kappa) is that of a spring and Coulomb sliders in parallel. A slider is
+A spring and Coulomb sliders in parallel represent any concave first loading M(kappa). A slider is
 a spring of stiffness K_j that slides when its curvature reaches kappa_j:
 
     M(kappa) = EI_0 kappa + sum_j K_j stop_j(kappa)      on first loading: K_j min(kappa, kappa_j)
 
 The law is the dual of `law.plays`, where the curvature follows from the moment. After a reversal a
-slider slides again after 2 kappa_j, so that loops follow Masing's rule and close. The history of a
-slider is its rest curvature a_j, at which it has no moment.
+slider slides again after 2 kappa_j. Loops therefore follow Masing's rule and close. The history of
+a slider is its rest curvature a_j, at which it has no moment.
 
 In three dimensions curvature and moment are vectors normal to the wire, and a slider is a vector
-stop. It sticks while |kappa - a_j| <= kappa_j, else a_j follows (radial return), isotropically.
-Curvatures are in 1/m, moments in N m.
+stop: it sticks while |kappa - a_j| <= kappa_j. Otherwise a_j moves towards kappa until the distance
+is kappa_j (radial return). This law is isotropic. Curvatures are in 1/m, moments in N m.
 
-Annealed copper hardens isotropically and kinematically. A fraction m of the moment of its strands,
-the *isotropic share*, has a limit that grows with the curvature that has slid. It is represented by
-a growing slider. The other fraction follows Masing's rule. First loading is the same for every m,
-but unloading and reloading depend on m.
+Annealed copper hardens isotropically and kinematically. The *isotropic share* m is the fraction of
+the moment of the copper strands whose limit grows with the slid curvature. A growing slider
+represents this fraction. The other fraction follows Masing's rule. First loading is the same for
+every m, but unloading and reloading depend on m.
 
-M is the moment of the strands at a curvature of first loading. The growing slider has the stiffness
-S = m EI of the strands, the slid curvature q = kappa - M / EI, and the limit L(q) = m M, a polygon.
-It sticks while |S (kappa - p)| is at most L(q). Otherwise its rest curvature p follows the
-curvature by as much as q grows. Unlike that of real copper, the limit does not saturate; the law is
-valid for about three cycles.
+M is the moment of the strands on first loading, and EI is their stiffness before yield. The growing
+slider has the stiffness S = m EI, the slid curvature q = kappa - M / EI, and the limit L(q) = m M,
+a piecewise linear function. It sticks while |S (kappa - p)| is at most L(q). Otherwise q increases
+until the moment equals the limit, and the rest curvature p moves by the same amount towards kappa.
+Unlike that of real copper, the limit does not saturate. The law is valid for about three cycles.
 
 For programs without vector sliders, scalar sliders in a few directions replace them. D directions
 normal to the wire, at 180 / D degrees from each other, have the same spring and sliders, which act
-on the component of the curvature in their direction. The springs are isotropic for D >= 2. Sliders
-are not isotropic, because they slide earlier along a direction than between two directions. For one
-slider that slides at kappa_j, a stiffness of 2 K / D and a moment of pi K kappa_j / 2 D in each
-direction give the mean moment K kappa_j once all slide. Before that the moment is smaller, so that
-several sliders are fitted together to the moment of the vector sliders. The directions may be
-rotated from one node of a chain to the next (`TURNS`). The errors then cancel, and four nodes
-together are nearly isotropic.
+on the component of the curvature in their direction. The springs are isotropic for D >= 2. The
+scalar sliders are not: they slide earlier if the curvature is along a direction than if it is
+between two directions. A vector slider that slides at kappa_j is replaced by a scalar slider in
+each direction, with the stiffness 2 K_j / D and the moment pi K_j kappa_j / (2 D) at which it
+slides. Their mean moment is K_j kappa_j once all slide, but smaller before. Several scalar sliders
+are therefore fitted together to the moment of the vector sliders. The directions may be rotated
+from one node of a chain to the next (`ROTATIONS`). Their errors then largely cancel, and four
+nodes together are nearly isotropic.
 """
 
 from __future__ import annotations
@@ -55,7 +56,7 @@ from labpipe.mechanics.law.plays import (
     require_rising,
 )
 from labpipe.mechanics.law.thinning import find_hull, require_concave, thin_law
-from labpipe.records.arrays import ArrayRecord, Floats, Vector
+from labpipe.records.arrays import ArrayRecord, Floats
 
 MAX_SLIDERS = 64
 """Largest number of sliders of a law."""
@@ -69,15 +70,16 @@ class SliderResponse:
     ----------
     moment : shape (stations,), or (stations, 2) for vectors, N m
     stiffness : shape (stations,), or (stations, 2, 2) for vectors, N m^2, derivative of the moment
-        with respect to curvature, consistent with the step
-    rests : shape (stations, n), or (stations, n, 2) for vectors, 1/m, history after the step. First
-        the rest curvature of each slider; then, for each growing slider, its rest curvature and its
-        slid curvature, which is a scalar (in the first component of a vector)
+        at the end of the step with respect to the curvature there (consistent tangent)
+    history : shape (stations, n), or (stations, n, 2) for vectors, 1/m, history after the step. The
+        first values are the rest curvatures of the sliders. The rest curvature and the slid
+        curvature of each growing slider follow. A slid curvature is a scalar; among vectors, it is
+        the first component, and the second is zero
     """
 
     moment: Floats
     stiffness: Floats
-    rests: Floats
+    history: Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,108 +88,115 @@ class GrowingSlider(ArrayRecord):
 
     Parameters
     ----------
-    stiffness : S, N m^2, stiffness while it sticks
-    slid : q, shape (corners,), 1/m, slid curvature, from 0, increasing, at least two corners
-    limits : L(q), shape (corners,), N m, positive, not decreasing; the last slope continues
+    stiffness : S, N m^2, stiffness of the slider while it sticks, positive
+    slid_curvatures : q, shape (corners,), 1/m, from 0, increasing, at least two corners
+    limits : L(q), shape (corners,), N m, moments at which the slider slides, positive, not
+        decreasing; beyond the last corner, the limit continues with the last slope
 
     Raises
     ------
     ValueError
-        If a number is out of its range.
+        If a parameter is outside its range.
     """
 
     stiffness: float
-    slid: Annotated[Floats, "corners"]
+    slid_curvatures: Annotated[Floats, "corners"]
     limits: Annotated[Floats, "corners"]
 
     def __post_init__(self) -> None:
         ArrayRecord.__post_init__(self)
         require_positive("stiffness", self.stiffness)
-        holds = len(self.slid) >= 2 and self.slid[0] == 0.0 and np.all(np.diff(self.slid) > 0.0)
-        require("slid", self.slid.tolist(), "from zero and increasing", holds=bool(holds))
-        holds = self.limits[0] > 0.0 and bool(np.all(np.diff(self.limits) >= 0.0))
-        require("limits", self.limits.tolist(), "positive and not decreasing", holds=holds)
+        slid = self.slid_curvatures
+        holds = len(slid) >= 2 and slid[0] == 0.0 and np.all(np.diff(slid) > 0.0)
+        # Messages name the keys of JSON files from which a slider may be read.
+        require("slid", slid.tolist(), "from zero and increasing", holds=bool(holds))
+        holds = self.limits[0] > 0.0 and np.all(np.diff(self.limits) >= 0.0)
+        require("limits", self.limits.tolist(), "positive and not decreasing", holds=bool(holds))
 
     @cached_property
-    def _growth(self) -> tuple[Floats, Floats]:
-        """Return L(q) + S q at the corners, N m, and the derivative of q with respect to it."""
-        sums = self.limits + self.stiffness * self.slid
-        return sums, np.diff(self.slid) / np.diff(sums)
+    def _sums_and_slopes(self) -> tuple[Floats, Floats]:
+        """Return g = L(q) + S q at the corners, N m, and dq/dg of each segment, 1 / (N m^2)."""
+        sums = self.limits + self.stiffness * self.slid_curvatures
+        return sums, np.diff(self.slid_curvatures) / np.diff(sums)
 
     def scale(self, factor: float) -> GrowingSlider:
-        """Return the slider with moments multiplied by a positive factor."""
-        return GrowingSlider(factor * self.stiffness, self.slid, factor * self.limits)
+        """Return the slider with stiffness and limits multiplied by a positive factor."""
+        return GrowingSlider(factor * self.stiffness, self.slid_curvatures, factor * self.limits)
 
-    def compute_limit(self, slid: Floats) -> Floats:
-        """Return the limit for slid curvatures of any shape, N m."""
-        panel = self.slid[1:-1].searchsorted(slid, side="right")
-        slopes = np.diff(self.limits) / np.diff(self.slid)
-        return np.asarray(self.limits[panel] + slopes[panel] * (slid - self.slid[panel]))
+    def compute_limit(self, slid_curvature: Floats) -> Floats:
+        """Return the limit, N m, at slid curvatures of any shape, 1/m."""
+        segment = self.slid_curvatures[1:-1].searchsorted(slid_curvature, side="right")
+        slopes = np.diff(self.limits) / np.diff(self.slid_curvatures)
+        offset = slid_curvature - self.slid_curvatures[segment]
+        return np.asarray(self.limits[segment] + slopes[segment] * offset)
 
     def compute_first_loading(self, curvature: Floats) -> Floats:
-        """Return the moment of first loading at curvatures of any shape, not negative, N m."""
-        moment = self.stiffness * curvature
-        growth, _ = self._grow(moment, np.zeros_like(moment))
-        return np.asarray(moment - self.stiffness * growth)
+        """Return the moment of first loading, N m, at curvatures >= 0 of any shape, 1/m."""
+        trial_moment = self.stiffness * curvature
+        growth, _ = self._grow(trial_moment, np.zeros_like(trial_moment))
+        return np.asarray(trial_moment - self.stiffness * growth)
 
     def slide(self, curvature: Floats, history: Floats) -> SliderResponse:
-        """Compute the moments after a step to new curvatures, each along a straight line.
+        """Compute moments, tangent stiffnesses and history after a straight step of the curvature.
 
         Parameters
         ----------
-        curvature : shape (stations, axes), 1/m, components of the curvature
-        history : shape (stations, 2, axes), 1/m, rest curvature p, and slid curvature q in the
-            first component
+        curvature : shape (stations, axes), 1/m, components of the curvature after the step
+        history : shape (stations, 2, axes), 1/m, before the step: rest curvature p, and slid
+            curvature q as the first component of the second vector
         """
-        rest, slid = history[:, 0], history[:, 1, 0]
-        trial = self.stiffness * (curvature - rest)
-        size = np.sqrt(np.vecdot(trial, trial))
-        growth, tangent = self._grow(size, slid)
-        divisor = np.where(size > 0.0, size, 1.0)
-        direction = trial / divisor[:, None]
-        lateral = self.stiffness * (1.0 - self.stiffness * growth / divisor)
-        stiffness = (tangent - lateral)[:, None, None] * direction[:, :, None]
+        trial_moment = self.stiffness * (curvature - history[:, 0])
+        magnitude = np.sqrt(np.vecdot(trial_moment, trial_moment))
+        growth, tangent = self._grow(magnitude, history[:, 1, 0])
+        divisor = np.where(magnitude > 0.0, magnitude, 1.0)
+        direction = trial_moment / divisor[:, None]
+        lateral_stiffness = self.stiffness * (1.0 - self.stiffness * growth / divisor)
+        stiffness = (tangent - lateral_stiffness)[:, None, None] * direction[:, :, None]
         stiffness = stiffness * direction[:, None, :]
-        stiffness += lateral[:, None, None] * np.eye(curvature.shape[1])
-        rest, new_history = rest + growth[:, None] * direction, np.zeros_like(history)
-        new_history[:, 0], new_history[:, 1, 0] = rest, slid + growth
-        return SliderResponse(self.stiffness * (curvature - rest), stiffness, new_history)
+        stiffness += lateral_stiffness[:, None, None] * np.eye(curvature.shape[1])
+        new_history = history.copy()
+        new_history[:, 0] += growth[:, None] * direction
+        new_history[:, 1, 0] += growth
+        moment = self.stiffness * (curvature - new_history[:, 0])
+        return SliderResponse(moment, stiffness, new_history)
 
-    def _grow(self, moment: Floats, slid: Floats) -> tuple[Floats, Floats]:
-        """Return the growth of q under a trial moment, 1/m, and the stiffness along it, N m^2.
+    def _grow(self, trial_moment: Floats, slid_curvature: Floats) -> tuple[Floats, Floats]:
+        """Return the increase of q, 1/m, and the stiffness along the trial moment, N m^2.
 
-        The new q solves L(q) + S q = moment + S slid. If it is not larger than `slid`, the slider
-        sticks. With g = L(q) + S q, dM = S (1 - S dq/dg) d(kappa).
+        The new q solves g(q) = L(q) + S q = trial_moment + S slid_curvature. If this q is not
+        larger than `slid_curvature`, the slider sticks. If the slider slides, its stiffness is
+        S (1 - S dq/dg).
         """
-        sums, slopes = self._growth
-        total = moment + self.stiffness * slid
-        panel = sums[1:-1].searchsorted(total, side="right")
-        slope = slopes[panel]
-        growth = np.maximum(self.slid[panel] + slope * (total - sums[panel]) - slid, 0.0)
+        sums, slopes = self._sums_and_slopes
+        total = trial_moment + self.stiffness * slid_curvature
+        segment = sums[1:-1].searchsorted(total, side="right")
+        slope = slopes[segment]
+        solution = self.slid_curvatures[segment] + slope * (total - sums[segment])
+        growth = np.maximum(solution - slid_curvature, 0.0)
         tangent = self.stiffness * np.where(growth > 0.0, 1.0 - self.stiffness * slope, 1.0)
         return growth, tangent
 
 
 def make_growing_slider(curvature: Floats, moment: Floats, share: float) -> GrowingSlider:
-    """Build the growing slider of the isotropic share of the strands' first loading.
+    """Build the growing slider that represents the isotropic share of the strands' moment.
 
     Parameters
     ----------
-    curvature : shape (n,), 1/m, positive; the first point is elastic
+    curvature : shape (n,), 1/m, on first loading, positive; the first point is elastic
     moment : shape (n,), N m, moment of the strands about their own axes
     share : isotropic share m, above 0 and at most 1
 
     Raises
     ------
     ValueError
-        If the share or the curve is out of its range.
+        If `share` or the curve is outside its range.
     """
     require("share", share, "above 0 and at most 1", holds=0.0 < share <= 1.0)
     stiffness = float(moment[0] / curvature[0])
-    slid = np.maximum.accumulate(np.append(0.0, (curvature - moment / stiffness)[1:]))
-    is_rising = np.diff(slid, prepend=-1.0) > 1e-12 * slid[-1]
+    slid_curvatures = np.maximum.accumulate(np.append(0.0, (curvature - moment / stiffness)[1:]))
+    is_rising = np.diff(slid_curvatures, prepend=-1.0) > 1e-12 * slid_curvatures[-1]
     limits = share * np.maximum.accumulate(moment)
-    return GrowingSlider(share * stiffness, slid[is_rising], limits[is_rising])
+    return GrowingSlider(share * stiffness, slid_curvatures[is_rising], limits[is_rising])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -196,115 +205,121 @@ class SliderLaw(ArrayRecord):
 
     Parameters
     ----------
-    stiffness : EI_0, N m^2, stiffness of the spring, which never slides; may be zero
-    stiffnesses : K_j, shape (sliders,), N m^2, positive
+    spring_stiffness : EI_0, N m^2, stiffness of the spring, which never slides; may be zero
+    slider_stiffnesses : K_j, shape (sliders,), N m^2, stiffness of each slider, positive
     slip_curvatures : kappa_j, shape (sliders,), 1/m, positive and increasing
-    first, last : 1/m, ends of the range to which the law was fitted; it is linear beyond the last
-    error : largest difference of the first loading from the law to which it was fitted, between
-        `first` and `last`, relative to the moment; 0 if nothing was fitted
-    growing : further sliders with growing limits (isotropic hardening)
+    min_curvature, max_curvature : 1/m, ends of the range to which the law was fitted; it is linear
+        beyond `max_curvature`
+    error : largest error of the moment of first loading in that range, relative to the moment to
+        which the law was fitted; 0 if it was not fitted
+    growing_sliders : further sliders with growing limits (isotropic hardening)
 
     Raises
     ------
     ValueError
-        If a number is out of its range.
+        If a parameter is outside its range.
     """
 
-    stiffness: float
-    stiffnesses: Annotated[Floats, "sliders"]
+    spring_stiffness: float
+    slider_stiffnesses: Annotated[Floats, "sliders"]
     slip_curvatures: Annotated[Floats, "sliders"]
-    first: float
-    last: float
+    min_curvature: float
+    max_curvature: float
     error: float = 0.0
-    growing: tuple[GrowingSlider, ...] = ()
+    growing_sliders: tuple[GrowingSlider, ...] = ()
 
     def __post_init__(self) -> None:
         ArrayRecord.__post_init__(self)
-        require_not_negative("stiffness", self.stiffness)
-        are_valid = bool(np.all((self.stiffnesses > 0.0) & np.isfinite(self.stiffnesses)))
-        require("stiffnesses", self.stiffnesses.tolist(), "finite and > 0", holds=are_valid)
+        # Messages name the keys of JSON files from which a law may be read.
+        require_not_negative("stiffness", self.spring_stiffness)
+        stiffnesses = self.slider_stiffnesses
+        are_valid = bool(np.all((stiffnesses > 0.0) & np.isfinite(stiffnesses)))
+        require("stiffnesses", stiffnesses.tolist(), "finite and > 0", holds=are_valid)
         require_rising("slip_curvatures", self.slip_curvatures)
-        holds = 0.0 <= self.first < self.last < np.inf
-        require("range", (self.first, self.last), ">= 0 and increasing", holds=holds)
+        low, high = self.min_curvature, self.max_curvature
+        require("range", (low, high), ">= 0 and increasing", holds=0.0 <= low < high < np.inf)
 
     @property
     def history_size(self) -> int:
-        """Return the number of values of the history at a station, n of `SliderResponse`."""
-        return len(self.stiffnesses) + 2 * len(self.growing)
+        """Return n of `SliderResponse`, the number of values or vectors in a station's history."""
+        return len(self.slider_stiffnesses) + 2 * len(self.growing_sliders)
 
     @property
     def first_stiffness(self) -> float:
-        """Return the bending stiffness before sliding, and after every reversal, N m^2."""
-        growing = sum(slider.stiffness for slider in self.growing)
-        return self.stiffness + float(np.sum(self.stiffnesses)) + growing
+        """Return the bending stiffness before any sliding and after each reversal, N m^2."""
+        growing_stiffness = sum(slider.stiffness for slider in self.growing_sliders)
+        return self.spring_stiffness + float(np.sum(self.slider_stiffnesses)) + growing_stiffness
 
 
-def share_hardening(law: SliderLaw, strands: GrowingSlider, share: float) -> SliderLaw:
-    """Replace a fraction of the strands' hardening in a law by a growing slider.
+def split_hardening(law: SliderLaw, strand_slider: GrowingSlider, share: float) -> SliderLaw:
+    """Represent the isotropic share of the strands' moment in a law by a growing slider.
 
     Parameters
     ----------
-    law : law with sliders that contain the bending of the strands about their own axes
-    strands : growing slider of that bending for an isotropic share of 1
+    law : law whose spring and sliders include the moment of the strands about their own axes
+    strand_slider : growing slider that represents all of that moment, as for an isotropic share of
+        1
     share : isotropic share, from 0 to 1; with 0 the law is returned unchanged
 
     Returns
     -------
-    A law with the same moments of first loading at its slip curvatures and at the end of its range.
-    A stiffness that would become negative is zero, or nearly zero for a slider.
+    Law with the same moments of first loading at its slip curvatures and at the end of its range. A
+    spring stiffness that would become negative is 0. A slider stiffness is at least 1e-9 of the
+    first stiffness.
     """
-    min_relative_stiffness = 1e-9  # of a slider, relative to the first stiffness
+    min_relative_stiffness = 1e-9
     if share == 0.0:
         return law
-    growing = strands.scale(share)
-    corners = np.concatenate([[0.0], law.slip_curvatures, [law.last]])
-    slopes = np.diff(growing.compute_first_loading(corners)) / np.diff(corners)
+    growing_slider = strand_slider.scale(share)
+    corners = np.concatenate([[0.0], law.slip_curvatures, [law.max_curvature]])
+    slopes = np.diff(growing_slider.compute_first_loading(corners)) / np.diff(corners)
+    min_stiffness = min_relative_stiffness * law.first_stiffness
     return replace(
         law,
-        stiffness=max(law.stiffness - float(slopes[-1]), 0.0),
-        stiffnesses=np.maximum(
-            law.stiffnesses + np.diff(slopes), min_relative_stiffness * law.first_stiffness
-        ),
-        growing=(*law.growing, growing),
+        spring_stiffness=max(law.spring_stiffness - float(slopes[-1]), 0.0),
+        slider_stiffnesses=np.maximum(law.slider_stiffnesses + np.diff(slopes), min_stiffness),
+        growing_sliders=(*law.growing_sliders, growing_slider),
     )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CurrentSliders:
-    """All sliders of a law with their current limits; growing sliders are the last.
+    """All sliders of a law in their current state; growing sliders are the last.
 
     Parameters
     ----------
-    stiffnesses : shape (sliders,), N m^2
-    slip_curvatures : shape (..., sliders), 1/m
-    rests : shape (..., sliders, 2), 1/m, rest curvatures
+    stiffnesses : shape (sliders,), N m^2, stiffness of each slider
+    slip_curvatures : shape (..., sliders), 1/m, distances from the rest curvatures at which the
+        sliders slide
+    rest_curvatures : shape (..., sliders, 2), 1/m
     """
 
     stiffnesses: Floats
     slip_curvatures: Floats
-    rests: Floats
+    rest_curvatures: Floats
 
 
-def find_current_sliders(law: SliderLaw, rests: Floats) -> CurrentSliders:
-    """Find the current limits of the sliders of a law.
+def get_current_sliders(law: SliderLaw, history: Floats) -> CurrentSliders:
+    """Collect stiffnesses, current slip curvatures and rest curvatures of all sliders of a law.
 
     Parameters
     ----------
     law : law of every station
-    rests : shape (..., n, 2), 1/m, history, as in `SliderResponse`
+    history : shape (..., n, 2), 1/m, as in `SliderResponse`
     """
-    count = len(law.stiffnesses)
-    slips = [np.broadcast_to(law.slip_curvatures, (*rests.shape[:-2], count))]
-    rest_indices = [*range(count), *range(count, rests.shape[-2], 2)]
-    for index, slider in enumerate(law.growing):
-        limit = slider.compute_limit(rests[..., count + 2 * index + 1, 0])
-        slips.append((limit / slider.stiffness)[..., None])
-    stiffnesses = np.append(law.stiffnesses, [slider.stiffness for slider in law.growing])
-    return CurrentSliders(stiffnesses, np.concatenate(slips, axis=-1), rests[..., rest_indices, :])
+    n_sliders = len(law.slider_stiffnesses)
+    slip_curvatures = [np.broadcast_to(law.slip_curvatures, (*history.shape[:-2], n_sliders))]
+    rest_indices = [*range(n_sliders), *range(n_sliders, history.shape[-2], 2)]
+    for index, slider in enumerate(law.growing_sliders):
+        limit = slider.compute_limit(history[..., n_sliders + 2 * index + 1, 0])
+        slip_curvatures.append((limit / slider.stiffness)[..., None])
+    stiffnesses = np.append(law.slider_stiffnesses, [x.stiffness for x in law.growing_sliders])
+    slips = np.concatenate(slip_curvatures, axis=-1)
+    return CurrentSliders(stiffnesses, slips, history[..., rest_indices, :])
 
 
-def compute_slider_moment(law: SliderLaw, curvature: Floats) -> Floats:
-    """Return the moment of first loading, N m.
+def compute_first_loading(law: SliderLaw, curvature: Floats) -> Floats:
+    """Return the moment of first loading, N m, in the shape of the curvature.
 
     Parameters
     ----------
@@ -312,212 +327,211 @@ def compute_slider_moment(law: SliderLaw, curvature: Floats) -> Floats:
     curvature : any shape, 1/m, any sign
     """
     slider_curvature = np.clip(curvature[..., None], -law.slip_curvatures, law.slip_curvatures)
-    moment = np.asarray(law.stiffness * curvature + slider_curvature @ law.stiffnesses)
-    for slider in law.growing:
+    slider_moment = slider_curvature @ law.slider_stiffnesses
+    moment = np.asarray(law.spring_stiffness * curvature + slider_moment)
+    for slider in law.growing_sliders:
         moment = moment + np.sign(curvature) * slider.compute_first_loading(np.abs(curvature))
     return moment
 
 
-def make_unbent_rests(law: SliderLaw, n_stations: int, *, is_vector: bool = False) -> Floats:
-    """Return the history of a wire that was never bent, 1/m, as in `SliderResponse`."""
+def make_unbent_history(law: SliderLaw, n_stations: int, *, is_vector: bool = False) -> Floats:
+    """Return the history of a wire that has never been bent, 1/m, as in `SliderResponse`."""
     return np.zeros((n_stations, law.history_size, *((2,) if is_vector else ())))
 
 
-def slide(law: SliderLaw, curvature: Floats, rests: Floats) -> SliderResponse:
-    """Compute moments at new curvatures in one plane, from the history.
+def slide(law: SliderLaw, curvature: Floats, history: Floats) -> SliderResponse:
+    """Compute moments, tangent stiffnesses and history after a step of curvatures in one plane.
 
     Parameters
     ----------
     law : law of every station
-    curvature : shape (stations,), 1/m; each is reached monotonically
-    rests : shape (stations, n), 1/m, history before the step, as in `SliderResponse`
+    curvature : shape (stations,), 1/m, after the step; each is reached monotonically
+    history : shape (stations, n), 1/m, history before the step, as in `SliderResponse`
 
     Notes
     -----
-    For a curvature of NaN, moment and history are NaN. If a slider just begins to slide, the
-    stiffness is that of a slider that sticks.
+    For a curvature of NaN, moment and history are NaN. A slider exactly at its slip curvature
+    counts as sticking in the stiffness.
     """
-    trial_curvature = curvature[:, None] - rests[:, : len(law.stiffnesses)]
+    trial_curvature = curvature[:, None] - history[:, : len(law.slider_stiffnesses)]
     slider_curvature = np.clip(trial_curvature, -law.slip_curvatures, law.slip_curvatures)
-    moment = law.stiffness * curvature + slider_curvature @ law.stiffnesses
-    stiffness = law.stiffness + (slider_curvature == trial_curvature) @ law.stiffnesses
-    new_rests = [curvature[:, None] - slider_curvature]
-    for slider, history in _split_history(law, rests):
-        response = slider.slide(curvature[:, None], history[:, :, None])
+    moment = law.spring_stiffness * curvature + slider_curvature @ law.slider_stiffnesses
+    is_sticking = slider_curvature == trial_curvature
+    stiffness = law.spring_stiffness + is_sticking @ law.slider_stiffnesses
+    new_history = [curvature[:, None] - slider_curvature]
+    for slider, slider_history in _split_history(law, history):
+        response = slider.slide(curvature[:, None], slider_history[:, :, None])
         moment, stiffness = moment + response.moment[:, 0], stiffness + response.stiffness[:, 0, 0]
-        new_rests.append(response.rests[:, :, 0])
-    return SliderResponse(moment, stiffness, np.concatenate(new_rests, axis=1))
+        new_history.append(response.history[:, :, 0])
+    return SliderResponse(moment, stiffness, np.concatenate(new_history, axis=1))
 
 
-def slide_vector(law: SliderLaw, curvature: Floats, rests: Floats) -> SliderResponse:
-    """Compute moment vectors at new curvature vectors, from the history.
+def slide_vector(law: SliderLaw, curvature: Floats, history: Floats) -> SliderResponse:
+    """Compute moments, tangent stiffnesses and history after a step of curvature vectors.
 
     Parameters
     ----------
     law : law of every station
     curvature : shape (stations, axes), 1/m, components along the axes normal to the wire; each
         vector is reached along a straight line
-    rests : shape (stations, n, axes), 1/m, history before the step, as in `SliderResponse`
+    history : shape (stations, n, axes), 1/m, history before the step, as in `SliderResponse`
 
     Notes
     -----
-    The update is a radial return. A slider with b = kappa - a, |b| > kappa_j, has the moment
+    The update is a radial return. A slider with b = kappa - a_j, |b| > kappa_j, has the moment
     K_j kappa_j b / |b| and d(moment) = K_j kappa_j / |b| (1 - b b^T / |b|^2) d(curvature). A slider
-    that sticks has the stiffness K_j in every direction. The update is exact for a straight path; a
-    curved path requires small steps.
+    that sticks has the stiffness K_j in every direction. The update is exact for a straight path
+    that increases |b|. A curved path requires small steps.
     """
-    count, slips = len(law.stiffnesses), law.slip_curvatures
-    trial_curvature = curvature[:, None, :] - rests[:, :count]
-    size = np.sqrt(np.vecdot(trial_curvature, trial_curvature))
-    elastic_fraction = slips / np.maximum(size, slips)
+    slips = law.slip_curvatures
+    trial_curvature = curvature[:, None, :] - history[:, : len(law.slider_stiffnesses)]
+    magnitude = np.sqrt(np.vecdot(trial_curvature, trial_curvature))
+    elastic_fraction = slips / np.maximum(magnitude, slips)
     slider_curvature = trial_curvature * elastic_fraction[..., None]
-    moment = law.stiffness * curvature + law.stiffnesses @ slider_curvature
-    direction = ((size > slips) / slips)[..., None] * slider_curvature  # zero while it sticks
-    weights = law.stiffnesses * elastic_fraction
-    stiffness = (law.stiffness + weights.sum(axis=1))[:, None, None] * np.eye(curvature.shape[1])
-    stiffness -= np.swapaxes(weights[..., None] * direction, 1, 2) @ direction
-    new_rests = [curvature[:, None, :] - slider_curvature]
-    for slider, history in _split_history(law, rests):
-        response = slider.slide(curvature, history)
+    moment = law.spring_stiffness * curvature + law.slider_stiffnesses @ slider_curvature
+    # The unit vector b / |b| of a slider that slides; zero for a slider that sticks.
+    direction = ((magnitude > slips) / slips)[..., None] * slider_curvature
+    secants = law.slider_stiffnesses * elastic_fraction
+    isotropic_stiffness = law.spring_stiffness + secants.sum(axis=1)
+    stiffness = isotropic_stiffness[:, None, None] * np.eye(curvature.shape[1])
+    stiffness -= np.swapaxes(secants[..., None] * direction, 1, 2) @ direction
+    new_history = [curvature[:, None, :] - slider_curvature]
+    for slider, slider_history in _split_history(law, history):
+        response = slider.slide(curvature, slider_history)
         moment, stiffness = moment + response.moment, stiffness + response.stiffness
-        new_rests.append(response.rests)
-    return SliderResponse(moment, stiffness, np.concatenate(new_rests, axis=1))
+        new_history.append(response.history)
+    return SliderResponse(moment, stiffness, np.concatenate(new_history, axis=1))
 
 
-def _split_history(law: SliderLaw, rests: Floats) -> Iterator[tuple[GrowingSlider, Floats]]:
-    """Yield each growing slider with its history."""
-    for start, slider in zip(
-        range(len(law.stiffnesses), law.history_size, 2), law.growing, strict=True
-    ):
-        yield slider, rests[:, start : start + 2]
+def _split_history(law: SliderLaw, history: Floats) -> Iterator[tuple[GrowingSlider, Floats]]:
+    """Yield each growing slider with its part of the history."""
+    for index, slider in enumerate(law.growing_sliders):
+        start = len(law.slider_stiffnesses) + 2 * index
+        yield slider, history[:, start : start + 2]
 
 
 def bend_to_moment(
-    law: SliderLaw, moment: Floats, curvature: Floats, rests: Floats
+    law: SliderLaw, moment: Floats, curvature: Floats, history: Floats
 ) -> tuple[Floats, SliderResponse]:
-    """Find the curvatures at which the moments have new values, from the history.
+    """Find the curvatures at which the moments have new values.
 
     Parameters
     ----------
     law : law of every station
     moment : shape (stations,), N m; each is reached monotonically
     curvature : shape (stations,), 1/m, curvatures before the step
-    rests : shape (stations, n), 1/m, history before the step
+    history : shape (stations, n), 1/m, history before the step, as in `SliderResponse`
 
     Returns
     -------
-    Curvatures, 1/m, and the response there. For a moment of NaN the curvature is NaN.
+    Curvatures, shape (stations,), 1/m, and the response of the sliders to these. For a moment of
+    NaN the curvature is NaN.
 
     Notes
     -----
-    The magnitude of the change of moment is a concave, piecewise linear function of that of the
-    curvature. Newton's method therefore converges from below in a finite number of steps. It begins
-    with the stiffness of sliders that all stick, for a change of any sign.
+    The magnitude of the change of moment is a concave, piecewise linear function of the magnitude
+    of the change of curvature. Newton's method therefore converges from below in a finite number of
+    steps. The first step assumes that all sliders stick, for a change of either sign.
     """
     max_iterations = 60
-    count = len(law.stiffnesses)
-    start = law.stiffness * curvature + (curvature[:, None] - rests[:, :count]) @ law.stiffnesses
-    for slider, history in _split_history(law, rests):
-        start = start + slider.stiffness * (curvature - history[:, 0])
-    rounding = 1e-13 * max(np.abs(moment).max(initial=0.0), np.abs(start).max(initial=0.0))
-    residual, stiffness = moment - start, law.first_stiffness + np.zeros_like(moment)
+    slider_curvature = curvature[:, None] - history[:, : len(law.slider_stiffnesses)]
+    old_moment = law.spring_stiffness * curvature + slider_curvature @ law.slider_stiffnesses
+    for slider, slider_history in _split_history(law, history):
+        old_moment = old_moment + slider.stiffness * (curvature - slider_history[:, 0])
+    rounding_error = 1e-13 * np.abs([moment, old_moment]).max(initial=0.0)
+    residual, stiffness = moment - old_moment, law.first_stiffness + np.zeros_like(moment)
     for _ in range(max_iterations):
         curvature = curvature + residual / stiffness
-        response = slide(law, curvature, rests)
+        response = slide(law, curvature, history)
         residual, stiffness = moment - response.moment, response.stiffness
-        if np.all(np.abs(residual) <= rounding):
+        if np.all(np.abs(residual) <= rounding_error):
             break
     return curvature, response
 
 
 def convert_to_plays(law: SliderLaw) -> PlayLaw:
-    """Convert a law to plays, up to the end of its range.
+    """Convert a law to plays that are valid up to the end of its range.
 
     Parameters
     ----------
-    law : law with at least one slider, or a stiffness
+    law : law with a slider or a spring stiffness above 0
 
     Notes
     -----
-    Both have the same first loading and follow Masing's rule, so that their loops are the same. The
-    plays have the first loading of growing sliders at the corners only.
+    Without growing sliders, both laws have the same first loading and the same loops, because both
+    follow Masing's rule. Growing sliders are replaced by plays that have the same first loading at
+    the corners and follow Masing's rule.
     """
-    corners = np.append(law.slip_curvatures[law.slip_curvatures < law.last], law.last)
-    corners = np.append(0.5 * corners[0], corners) if len(corners) == 1 else corners
-    return make_polygon_law(corners, compute_slider_moment(law, corners))
+    slips = law.slip_curvatures[law.slip_curvatures < law.max_curvature]
+    corners = np.append(slips if len(slips) else 0.5 * law.max_curvature, law.max_curvature)
+    return make_polygon_law(corners, compute_first_loading(law, corners))
 
 
 def fit_sliders(curvature: Floats, moment: Floats, n_sliders: int) -> SliderLaw:
-    """Fit sliders to the points of a first loading so that the largest error is smallest.
+    """Fit a law of sliders to a curve of first loading; the largest relative error is minimised.
 
     Parameters
     ----------
     curvature : shape (n,), 1/m, from 0, increasing
     moment : shape (n,), N m, from 0, increasing, concave
-    n_sliders : largest number of sliders; there are fewer if the law has fewer corners
+    n_sliders : largest number of sliders; there are fewer if the curve has fewer corners
 
     Raises
     ------
     ValueError
-        As `thin_law` and `require_concave`. If `n_sliders` is out of its range.
+        If `n_sliders` is outside its range, or for the reasons of `thin_law` and `require_concave`.
 
     Notes
     -----
-    Chords between the best points of the law (`thin_law`) lie below it by at most a fraction e. If
-    they are multiplied by 1 + e / (2 - e), they are within e / (2 - e) of the law, on both sides.
-    Their slopes decrease, so that the differences of the slopes are the K_j > 0 with the smallest
-    error.
-    Non-negative least squares on a grid of kappa_j, thinned afterwards, have a larger error.
+    The chords between the best points of the curve (`thin_law`) are below it by at most a fraction
+    e. Multiplied by 1 + e / (2 - e), they differ from it by at most e / (2 - e) on both sides. The
+    slopes of the chords decrease. Each K_j is the decrease of the slope at kappa_j and therefore
+    positive. A non-negative least-squares fit on a grid of kappa_j, followed by thinning, has a
+    larger error.
     """
-    is_allowed = 1 <= n_sliders <= MAX_SLIDERS
-    require("n_sliders", n_sliders, f"from 1 to {MAX_SLIDERS}", holds=is_allowed)
+    require("n_sliders", n_sliders, f"from 1 to {MAX_SLIDERS}", holds=1 <= n_sliders <= MAX_SLIDERS)
     chords = thin_law(curvature, moment, max_points=n_sliders + 2)
     require_concave(curvature, moment, find_hull(curvature, moment))
     ratios = np.interp(curvature[1:], chords.curvature, chords.moment) / moment[1:]
     scale = 2.0 / (float(ratios.max()) + float(ratios.min()))
     slopes = scale * np.diff(chords.moment) / np.diff(chords.curvature)
     return SliderLaw(
-        stiffness=float(slopes[-1]),
-        stiffnesses=-np.diff(slopes),
+        spring_stiffness=float(slopes[-1]),
+        slider_stiffnesses=-np.diff(slopes),
         slip_curvatures=chords.curvature[1:-1],
-        first=float(curvature[1]),
-        last=float(curvature[-1]),
+        min_curvature=float(curvature[1]),
+        max_curvature=float(curvature[-1]),
         error=float(np.max(np.abs(scale * ratios - 1.0))),
     )
 
 
-def make_linear_law(stiffness: float, last: float) -> SliderLaw:
-    """Build a law of constant stiffness, without sliders.
+def make_linear_law(stiffness: float, max_curvature: float) -> SliderLaw:
+    """Build a law with constant stiffness and no sliders.
 
     Parameters
     ----------
-    stiffness : N m^2
-    last : 1/m, end of the range
+    stiffness : bending stiffness, N m^2, positive
+    max_curvature : end of the range of the law, 1/m
     """
     require_positive("stiffness", stiffness)
-    return SliderLaw(stiffness, np.zeros(0), np.zeros(0), 0.0, last)
-
-
-def compute_slip_moments(law: SliderLaw) -> Vector:
-    """Return the moments at which the sliders slide, K_j kappa_j, N m."""
-    return np.asarray(law.stiffnesses * law.slip_curvatures)
+    return SliderLaw(stiffness, np.zeros(0), np.zeros(0), 0.0, max_curvature)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MixedLaw(PlayLaw):
-    """A law of a wire with partly isotropic hardening, which computes curvature from moment.
+    """Law of a wire with partly isotropic hardening that computes the curvature from the moment.
 
-    Its plays are those of first loading. They define the stiffness and the range.
+    The plays describe first loading. They define the stiffness and the range of the law.
 
     Parameters
     ----------
-    sliders : law with the same first loading, which computes all responses
+    slider_law : law with the same first loading; it computes all responses
     """
 
-    sliders: SliderLaw = field(kw_only=True, repr=False)
+    slider_law: SliderLaw = field(kw_only=True, repr=False)
 
     def make_unbent_history(self, n_stations: int) -> Floats:
-        """Return the history of a wire that was never bent, 1/m.
+        """Return the history of a wire that has never been bent.
 
         Parameters
         ----------
@@ -525,10 +539,10 @@ class MixedLaw(PlayLaw):
 
         Returns
         -------
-        Shape (stations, 1 + n), curvature and history of the sliders, as in `SliderResponse`.
+        Shape (stations, 1 + n), 1/m: the curvature, then the history of the sliders, as in
+        `SliderResponse`.
         """
-        slider_history = make_unbent_rests(self.sliders, n_stations)
-        return np.concatenate([np.zeros((n_stations, 1)), slider_history], axis=1)
+        return np.zeros((n_stations, 1 + self.slider_law.history_size))
 
     def respond(self, moment: Floats, history: Floats) -> Response:
         """Compute the curvatures under new moments.
@@ -541,11 +555,11 @@ class MixedLaw(PlayLaw):
 
         Returns
         -------
-        The response; its `plays` are the new history, shape (stations, 1 + n), 1/m. For a moment of
-        NaN, curvature and history of the station are NaN.
+        Response with the new history, shape (stations, 1 + n), 1/m. For a moment of NaN, curvature
+        and history of the station are NaN.
         """
-        curvature, response = bend_to_moment(self.sliders, moment, history[:, 0], history[:, 1:])
-        new_history = np.concatenate([curvature[:, None], response.rests], axis=1)
+        curvature, response = bend_to_moment(self.slider_law, moment, history[:, 0], history[:, 1:])
+        new_history = np.concatenate([curvature[:, None], response.history], axis=1)
         return Response(curvature, 1.0 / response.stiffness, new_history)
 
 
@@ -555,35 +569,37 @@ def make_mixed_law(plays: PlayLaw, corners: Floats, growing_slider: GrowingSlide
     Parameters
     ----------
     plays : law of the wire on first loading
-    corners : shape (plays + 1,), 1/m, curvatures at the half-widths of `plays` and at its largest
-        moment
-    growing_slider : part of the moment of the strands about their own axes that hardens
-        isotropically
+    corners : shape (plays + 1,), 1/m, curvatures at the half-widths and at the largest moment of
+        `plays`
+    growing_slider : slider that represents the isotropic share of the moment of the strands about
+        their own axes
     """
     moment = np.append(plays.half_widths, plays.largest_moment)
     masing_moment = moment - growing_slider.compute_first_loading(corners)
     slopes = np.diff(masing_moment, prepend=0.0) / np.diff(corners, prepend=0.0)
     slope_drops = -np.diff(np.minimum.accumulate(slopes))
     has_slider = slope_drops > 0.0
-    sliders = SliderLaw(
-        max(float(slopes.min()), 0.0),  # for a bare solid wire the slopes are only rounding
-        slope_drops[has_slider],
-        corners[:-1][has_slider],
-        0.0,
-        float(corners[-1]),
-        growing=(growing_slider,),
+    law = SliderLaw(
+        # For a bare solid wire, all slopes are rounding errors of either sign.
+        spring_stiffness=max(float(slopes.min()), 0.0),
+        slider_stiffnesses=slope_drops[has_slider],
+        slip_curvatures=corners[:-1][has_slider],
+        min_curvature=0.0,
+        max_curvature=float(corners[-1]),
+        growing_sliders=(growing_slider,),
     )
-    numbers = plays.stiffness, plays.half_widths, plays.compliances, plays.largest_moment
-    return MixedLaw(*numbers, sliders=sliders)
+    return MixedLaw(
+        plays.stiffness, plays.half_widths, plays.compliances, plays.largest_moment, slider_law=law
+    )
 
 
 MAX_SCALAR_SLIDERS = 16
-"""Largest number of scalar sliders in each direction."""
-TURNS = (0.0, 0.5, 0.25, 0.75)
+"""Default of the largest number of scalar sliders in each direction."""
+ROTATIONS = (0.0, 0.5, 0.25, 0.75)
 """Rotations of successive nodes, relative to the angle between two directions."""
 
-_N_ANGLES = 13
-"""Number of angles of the curvature between two directions at which moments are compared."""
+_N_ANGLE_STEPS = 13
+"""Number of steps of a grid of angles of the curvature."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -592,141 +608,149 @@ class DirectionalLaw(ArrayRecord):
 
     Parameters
     ----------
-    directions : D, number of directions; the first direction is the first axis normal to the wire
-    stiffness : N m^2, stiffness of the spring in each direction
-    stiffnesses : shape (sliders,), N m^2, stiffnesses of the sliders in each direction
+    n_directions : D, number of directions; the first direction is the first axis normal to the wire
+    spring_stiffness : N m^2, stiffness of the spring in each direction
+    slider_stiffnesses : shape (sliders,), N m^2, stiffnesses of the sliders in each direction
     slip_curvatures : shape (sliders,), 1/m, component of the curvature at which each slider slides
-    error : largest difference between the moments along the curvature of scalar and vector sliders,
-        on first loading in any direction, relative to that of the vector sliders
-    sideways : largest moment normal to the curvature, relative to that along it
+    error : largest error of the moment component along the curvature, on first loading in any
+        direction, relative to the moment of the vector sliders
+    transverse_ratio : largest moment component normal to the curvature, on first loading in
+        any direction, relative to the moment of the vector sliders
     """
 
-    directions: int
-    stiffness: float
-    stiffnesses: Annotated[Floats, "sliders"]
+    n_directions: int
+    spring_stiffness: float
+    slider_stiffnesses: Annotated[Floats, "sliders"]
     slip_curvatures: Annotated[Floats, "sliders"]
-    error: float
-    sideways: float
+    error: float = 0.0
+    transverse_ratio: float = 0.0
 
-    @property
-    def normals(self) -> Floats:
-        """Return unit vectors of the directions, shape (directions, 2)."""
-        return self.compute_normals(0.0)
+    def compute_unit_vectors(self, rotation: float) -> Floats:
+        """Return unit vectors of the directions, shape (directions, 2), after a rotation.
 
-    def compute_normals(self, turn: float) -> Floats:
-        """Return unit vectors of the directions, rotated by a fraction of their angle."""
-        angle = np.pi * (np.arange(self.directions) + turn) / self.directions
+        The rotation is relative to the angle between two directions.
+        """
+        angle = np.pi * (np.arange(self.n_directions) + rotation) / self.n_directions
         return np.column_stack([np.cos(angle), np.sin(angle)])
 
 
 @lru_cache(maxsize=16)  # laws are hashed by identity
 def fit_directions(
-    law: SliderLaw, directions: int, *, max_sliders: int = MAX_SCALAR_SLIDERS
+    law: SliderLaw, n_directions: int, *, max_sliders: int = MAX_SCALAR_SLIDERS
 ) -> DirectionalLaw:
-    """Fit scalar sliders in a few directions to vector sliders.
+    """Fit scalar sliders in a few directions to the vector sliders of a law.
 
     Parameters
     ----------
     law : law with vector sliders
-    directions : number of directions D, at least 2
+    n_directions : number of directions D, at least 2
     max_sliders : largest number of sliders in each direction
 
     Raises
     ------
     ValueError
-        If there are fewer than two directions, or no slider is allowed.
+        If `n_directions` is less than 2, or `max_sliders` is less than 1.
 
     Notes
     -----
-    The moment along the curvature, as a mean over all directions, is fitted relative to that of the
-    vector sliders. The fit is by non-negative least squares on a grid of slip curvatures. The two
-    nearest slip curvatures are then merged until at most `max_sliders` remain.
+    The moment component along the curvature is averaged over the orientation of the curvature and
+    fitted to the moment of the vector sliders; errors are relative. The fit is by non-negative
+    least squares on a grid of slip curvatures. Slip curvatures without stiffness are dropped, and
+    the nearest two are merged until at most `max_sliders` remain.
     """
-    n_slips = 48  # number of slip curvatures of the grid
-    last_factor = 1.6  # times the last slip curvature, because scalar sliders slide later
-    require("directions", directions, ">= 2", holds=directions >= 2)
+    n_grid_slips = 48
+    # Some scalar sliders slide at a larger curvature than the vector sliders, because only a
+    # component of the curvature acts on them.
+    last_slip_factor = 1.6
+    require("n_directions", n_directions, ">= 2", holds=n_directions >= 2)
     require("max_sliders", max_sliders, ">= 1", holds=max_sliders >= 1)
-    size = _space_curvatures(law)
-    target = compute_slider_moment(law, size)
-    if not law.stiffnesses.size:
-        slips, stiffnesses = np.zeros(0), np.array([law.stiffness])
+    curvature = _space_curvatures(law)
+    target_moment = compute_first_loading(law, curvature)
+    if not law.slider_stiffnesses.size:
+        slips, stiffnesses = np.zeros(0), np.array([law.spring_stiffness])
     else:
-        ends = (0.5 * law.slip_curvatures[0], min(last_factor * law.slip_curvatures[-1], law.last))
-        slips = np.geomspace(*ends, n_slips)
-        if max_sliders < MAX_SCALAR_SLIDERS:  # start from the fit of more sliders
-            slips = fit_directions(law, directions).slip_curvatures
-        stiffnesses = _fit_stiffnesses(size, target, slips, directions)
+        last_slip = min(last_slip_factor * law.slip_curvatures[-1], law.max_curvature)
+        slips = np.geomspace(0.5 * law.slip_curvatures[0], last_slip, n_grid_slips)
+        if max_sliders < MAX_SCALAR_SLIDERS:  # merging begins with a fit of more sliders
+            slips = fit_directions(law, n_directions).slip_curvatures
+        stiffnesses = _fit_stiffnesses(curvature, target_moment, slips, n_directions)
         while np.count_nonzero(stiffnesses[1:]) > max_sliders or not np.all(stiffnesses[1:]):
             slips = _reduce_slips(slips, stiffnesses[1:])
-            stiffnesses = _fit_stiffnesses(size, target, slips, directions)
-    springs = 2.0 * stiffnesses / directions
-    scalar_law = DirectionalLaw(directions, float(springs[0]), springs[1:], slips, 0.0, 0.0)
+            stiffnesses = _fit_stiffnesses(curvature, target_moment, slips, n_directions)
+    stiffnesses = 2.0 * stiffnesses / n_directions
+    scalar_law = DirectionalLaw(n_directions, float(stiffnesses[0]), stiffnesses[1:], slips)
     return _set_errors(law, scalar_law)
 
 
-def turn_directions(law: SliderLaw, node_law: DirectionalLaw) -> DirectionalLaw:
-    """Average the laws of successive nodes with directions rotated by `TURNS`.
+def average_rotations(law: SliderLaw, node_law: DirectionalLaw) -> DirectionalLaw:
+    """Average the laws of successive nodes with directions rotated by `ROTATIONS`.
 
     Parameters
     ----------
     law : law with vector sliders
-    node_law : law of each node with scalar sliders
+    node_law : law with scalar sliders of each node
 
     Returns
     -------
-    The mean of four nodes: four times the directions, each with a quarter of the stiffness.
+    The mean of four nodes. It has four times the directions, each with a quarter of the stiffness.
     """
-    count = len(TURNS)
-    mean = replace(
+    n_nodes = len(ROTATIONS)
+    mean_law = replace(
         node_law,
-        directions=count * node_law.directions,
-        stiffness=node_law.stiffness / count,
-        stiffnesses=node_law.stiffnesses / count,
+        n_directions=n_nodes * node_law.n_directions,
+        spring_stiffness=node_law.spring_stiffness / n_nodes,
+        slider_stiffnesses=node_law.slider_stiffnesses / n_nodes,
     )
-    return _set_errors(law, mean)
+    return _set_errors(law, mean_law)
 
 
 def _space_curvatures(law: SliderLaw) -> Floats:
-    """Return curvatures over the range of a law, 1/m; four decades if the range starts at 0."""
-    n_curvatures = 80
-    return np.geomspace(law.first or 1e-4 * law.last, law.last, n_curvatures)
+    """Return 80 curvatures over the range of a law, 1/m; over four decades if it starts at 0."""
+    return np.geomspace(law.min_curvature or 1e-4 * law.max_curvature, law.max_curvature, 80)
 
 
 def _set_errors(law: SliderLaw, scalar_law: DirectionalLaw) -> DirectionalLaw:
-    """Return the scalar law with its errors computed against the vector sliders."""
+    """Return the scalar law with its errors relative to the vector sliders of `law`."""
     curvature = _space_curvatures(law)
-    target = compute_slider_moment(law, curvature)
-    along, normal = _compute_components(scalar_law, curvature)
+    target_moment = compute_first_loading(law, curvature)[:, None]
+    parallel_moment, transverse_moment = _compute_components(scalar_law, curvature)
     return replace(
         scalar_law,
-        error=float(np.max(np.abs(along / target[:, None] - 1.0))),
-        sideways=float(np.max(np.abs(normal / target[:, None]))),
+        error=float(np.max(np.abs(parallel_moment / target_moment - 1.0))),
+        transverse_ratio=float(np.max(np.abs(transverse_moment / target_moment))),
     )
 
 
-def _fit_stiffnesses(size: Floats, target: Floats, slips: Floats, directions: int) -> Floats:
-    """Fit stiffnesses of vector sliders, N m^2, the spring first; shape (1 + slips,)."""
-    columns = np.column_stack([size, _average_sliders(size, slips, directions)]) / target[:, None]
-    return np.asarray(nnls(columns, np.ones(len(size)))[0])
+def _fit_stiffnesses(curvature: Floats, target: Floats, slips: Floats, n_directions: int) -> Floats:
+    """Fit D / 2 times the stiffnesses in each direction to target moments, N m^2.
 
-
-def _average_sliders(size: Floats, slips: Floats, directions: int) -> Floats:
-    """Return the mean slider curvature along the curvature, over all its directions, 1/m.
-
-    The shape is (curvatures, slips). A slider whose direction has the cosine p with the curvature
-    slides from a curvature of slip / p on. If the sliders are sorted by p, the last ones slide.
+    The shape is (1 + slips,). The spring is first.
     """
-    angle = np.linspace(0.0, np.pi / directions, _N_ANGLES)[:-1]
-    cosines = np.cos(angle[:, None] - np.pi * np.arange(directions) / directions)
+    slider_curvatures = _average_slider_curvatures(curvature, slips, n_directions)
+    columns = np.column_stack([curvature, slider_curvatures]) / target[:, None]
+    return np.asarray(nnls(columns, np.ones(len(curvature)))[0])
+
+
+def _average_slider_curvatures(curvature: Floats, slips: Floats, n_directions: int) -> Floats:
+    """Return the component of the slider curvatures along the curvature, 1/m.
+
+    The component is 2 / D times the sum over the directions, averaged over the orientation of the
+    curvature. The shape is (curvatures, slips). If c is the cosine of the angle between the
+    curvature and the direction of a slider, the slider slides at curvatures above slip / c. Of the
+    sliders sorted by c, the first ones stick and the others slide.
+    """
+    angle = np.linspace(0.0, np.pi / n_directions, _N_ANGLE_STEPS)[:-1]
+    cosines = np.cos(angle[:, None] - np.pi * np.arange(n_directions) / n_directions)
     cosines = np.sort(np.abs(cosines).ravel())
-    n_sticking = np.searchsorted(cosines, slips / size[:, None])
-    sticking = np.append(0.0, np.cumsum(cosines**2))[n_sticking]
-    sliding = np.append(np.cumsum(cosines[::-1])[::-1], 0.0)[n_sticking]
-    return 2.0 / directions / len(angle) * (sticking * size[:, None] + sliding * slips)
+    n_sticking = np.searchsorted(cosines, slips / curvature[:, None])
+    sticking_sum = np.append(0.0, np.cumsum(cosines**2))[n_sticking]
+    sliding_sum = np.append(np.cumsum(cosines[::-1])[::-1], 0.0)[n_sticking]
+    component_sum = sticking_sum * curvature[:, None] + sliding_sum * slips
+    return 2.0 / n_directions / len(angle) * component_sum
 
 
 def _reduce_slips(slips: Floats, stiffnesses: Floats) -> Floats:
-    """Drop slip curvatures without stiffness; if there are none, merge the two nearest."""
+    """Drop slip curvatures without stiffness; if all have stiffness, merge the nearest two."""
     stiff_slips = slips[stiffnesses > 0.0]
     if len(stiff_slips) < len(slips):
         return np.asarray(stiff_slips)
@@ -735,18 +759,20 @@ def _reduce_slips(slips: Floats, stiffnesses: Floats) -> Floats:
     return np.concatenate([slips[:closest], [middle], slips[closest + 2 :]])
 
 
-def _compute_components(law: DirectionalLaw, size: Floats) -> tuple[Floats, Floats]:
-    """Return the moments along and normal to the curvature, N m, shape (curvatures, angles).
+def _compute_components(law: DirectionalLaw, curvature: Floats) -> tuple[Floats, Floats]:
+    """Return moment components parallel and normal to the curvature, N m.
 
-    The angles are from a direction to the middle between two directions; others follow by symmetry.
+    The shape is (curvatures, angles). The angles are from a direction to the middle between two
+    directions. The moments at other angles follow by symmetry.
     """
-    angle = np.linspace(0.0, 0.5 * np.pi / law.directions, _N_ANGLES + 1)
-    unit = np.column_stack([np.cos(angle), np.sin(angle)])
-    normal = np.column_stack([-unit[:, 1], unit[:, 0]])
-    corners = np.concatenate([[0.0], law.slip_curvatures, [2.0 * max(size[-1], 1.0)]])
-    corner_moment = np.minimum(corners[:, None], law.slip_curvatures) @ law.stiffnesses
-    corner_moment = law.stiffness * corners + corner_moment
-    component = size[:, None, None] * (unit @ law.normals.T)
+    angle = np.linspace(0.0, 0.5 * np.pi / law.n_directions, _N_ANGLE_STEPS + 1)
+    parallel_unit = np.column_stack([np.cos(angle), np.sin(angle)])
+    normal_unit = np.column_stack([-parallel_unit[:, 1], parallel_unit[:, 0]])
+    directions = law.compute_unit_vectors(0.0)
+    corners = np.concatenate([[0.0], law.slip_curvatures, [2.0 * max(curvature[-1], 1.0)]])
+    slider_moment = np.minimum(corners[:, None], law.slip_curvatures) @ law.slider_stiffnesses
+    corner_moment = law.spring_stiffness * corners + slider_moment
+    component = curvature[:, None, None] * (parallel_unit @ directions.T)
     moment = np.sign(component) * np.interp(np.abs(component), corners, corner_moment)
-    vectors = moment @ law.normals
-    return np.sum(vectors * unit, axis=2), np.sum(vectors * normal, axis=2)
+    vectors = moment @ directions
+    return np.sum(vectors * parallel_unit, axis=2), np.sum(vectors * normal_unit, axis=2)

@@ -1,4 +1,4 @@
-"""Choose the few points of a concave law whose linear interpolation has the smallest error."""
+"""Choose a few points of a concave law so that linear interpolation has the smallest error."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from labpipe.records.arrays import ArrayRecord, Floats, Ints, Vector
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ThinnedLaw(ArrayRecord):
-    """Points of a moment-curvature law with decreasing slopes between them.
+    """Points chosen from a moment-curvature law, with decreasing slopes between them.
 
     Parameters
     ----------
     curvature : shape (points,), 1/m, from 0 to the end of the range
     moment : shape (points,), N m
-    error : largest difference between the polygon through these points and that through all points
-        of the law, relative to the moment of the latter
+    error : largest difference between the polygon through these points and the moments of the law,
+        relative to these moments
     """
 
     curvature: Vector
@@ -28,7 +28,7 @@ class ThinnedLaw(ArrayRecord):
 
 
 def thin_law(curvature: Floats, moment: Floats, *, max_points: int) -> ThinnedLaw:
-    """Choose points of a law, including zero and the end.
+    """Choose the points of a law with the smallest interpolation error, including both ends.
 
     Parameters
     ----------
@@ -44,20 +44,21 @@ def thin_law(curvature: Floats, moment: Floats, *, max_points: int) -> ThinnedLa
     Raises
     ------
     ValueError
-        If there are fewer than two points or fewer are requested, a moment is not finite, the law
-        does not begin at zero, the curvature does not increase, or the law softens (the message
-        states the curvature).
+        If `curvature` and `moment` differ in length or have fewer than two points, `max_points` is
+        less than 2, a moment is not finite, the first point is not (0, 0), the curvature does not
+        increase, or the moment does not increase (the message states the curvature).
 
     Notes
     -----
-    The error relative to the moment is a quotient of straight lines between neighbouring points of
-    the law, so that it is largest at one of these points.
+    Between neighbouring points of the law, the relative error is a quotient of two linear
+    functions. It is therefore largest at a point of the law.
 
-    The points are corners of the concave hull (Andrew's monotone chain [2]_). On a concave polygon
-    the error between two corners increases with their distance, so that a greedy choice within a
-    tolerance needs the fewest points [1]_. The tolerance is found by bisection. When few choices
-    remain, a slightly smaller error than the last is required instead. For a concave law no other
-    choice has a smaller error. The error includes that of the hull.
+    The chosen points are corners of the concave hull (Andrew's monotone chain [2]_). On a concave
+    polygon the error of a chord increases with the distance of its two corners. A greedy choice
+    within a tolerance therefore needs the fewest points [1]_. The tolerance is found by bisection.
+    When few choices remain, each search requires an error slightly smaller than the smallest so
+    far. For a concave law no other choice has a smaller error. The error includes the difference
+    between law and hull.
 
     References
     ----------
@@ -75,7 +76,7 @@ def thin_law(curvature: Floats, moment: Floats, *, max_points: int) -> ThinnedLa
 
 
 def _require_law(curvature: Floats, moment: Floats, max_points: int) -> None:
-    """Refuse points that are no law, and fewer than two requested points."""
+    """Raise the errors of `thin_law`."""
     require("max_points", max_points, ">= 2", holds=max_points >= 2)
     lengths = len(curvature), len(moment)
     require("numbers of points", lengths, "equal and >= 2", holds=1 < lengths[0] == lengths[1])
@@ -84,13 +85,13 @@ def _require_law(curvature: Floats, moment: Floats, max_points: int) -> None:
     require("first point", first, "(0, 0), and all moments finite", holds=holds)
     require_rising("curvature", curvature[1:])
     if np.any(np.diff(moment) <= 0.0):
-        first_drop = curvature[int(np.argmax(np.diff(moment) <= 0.0)) + 1]
-        message = f"the law softens before curvature={first_drop:.6g} 1/m: the moment must increase"
+        kappa = curvature[int(np.argmax(np.diff(moment) <= 0.0)) + 1]
+        message = f"the law softens before curvature={kappa:.6g} 1/m: the moment must increase"
         raise ValueError(message)
 
 
 def find_hull(curvature: Floats, moment: Floats, *, min_slope_drop: float = 1e-6) -> Ints:
-    """Return the indices of the corners of the concave hull, including both ends.
+    """Return the indices of the corners of the concave hull of a law, including both ends.
 
     Parameters
     ----------
@@ -100,12 +101,12 @@ def find_hull(curvature: Floats, moment: Floats, *, min_slope_drop: float = 1e-6
     slopes = np.diff(moment) / np.diff(curvature)
     if np.all(slopes[1:] < slopes[:-1] * (1.0 - min_slope_drop)):
         return np.arange(len(moment))
-    x, y = curvature.tolist(), moment.tolist()  # lists are faster for single numbers
+    x, y = curvature.tolist(), moment.tolist()  # indexing a list is faster than an array
     corners: list[int] = [0]
     for point in range(1, len(x)):
         while len(corners) > 1:
-            second, last = corners[-2], corners[-1]
-            slope_in = (y[last] - y[second]) / (x[last] - x[second])
+            previous, last = corners[-2], corners[-1]
+            slope_in = (y[last] - y[previous]) / (x[last] - x[previous])
             slope_out = (y[point] - y[last]) / (x[point] - x[last])
             if slope_out < slope_in * (1.0 - min_slope_drop):
                 break
@@ -115,36 +116,35 @@ def find_hull(curvature: Floats, moment: Floats, *, min_slope_drop: float = 1e-6
 
 
 def require_concave(curvature: Floats, moment: Floats, hull: Ints) -> None:
-    """Refuse a law that lies too far below its concave hull.
+    """Raise ValueError if a law is too far below its concave hull.
 
     Parameters
     ----------
     curvature, moment : as for `thin_law`
-    hull : corners of the hull, from `find_hull`
+    hull : indices of the corners of the hull, from `find_hull`
 
     Raises
     ------
     ValueError
-        If the hull is more than 1 % of the moment above the law; the message states the curvature.
+        If the hull is more than 1 % of the moment above the law. The message states the curvature.
     """
-    max_excess = 0.01  # relative to the moment
+    max_excess = 0.01  # relative to the moment of the law
     hull_moment = np.interp(curvature[1:], curvature[hull], moment[hull])
     excess = hull_moment / moment[1:] - 1.0
     if np.any(excess > max_excess):
         worst = int(np.argmax(excess))
         message = (
             f"the law stiffens at curvature={curvature[worst + 1]:.6g} 1/m: its concave hull is "
-            f"{100.0 * excess[worst]:.2g} % above it; expected at most "
-            f"{100.0 * max_excess:.0f} %"
+            f"{100.0 * excess[worst]:.2g} % above it; expected at most {100.0 * max_excess:.0f} %"
         )
         raise ValueError(message)
 
 
 def make_concave_law(curvature: Floats, moment: Floats) -> PlayLaw:
-    """Build the law of the concave hull of points of a first loading.
+    """Build the law whose first loading is the concave hull of given points.
 
-    Where the points stiffen, as they may because of rounding in a table or under tension, the law
-    is that of the hull. Elsewhere it is that of `make_polygon_law`.
+    The points may stiffen because of rounding in a table, or under tension. The hull replaces such
+    points. The result is otherwise that of `make_polygon_law`.
 
     Parameters
     ----------
@@ -154,7 +154,7 @@ def make_concave_law(curvature: Floats, moment: Floats) -> PlayLaw:
     Raises
     ------
     ValueError
-        If the hull does not increase. Also as `require_concave`.
+        If the hull does not increase, or for the reasons of `require_concave`.
     """
     x, y = np.append(0.0, curvature), np.append(0.0, moment)
     hull = find_hull(x, y, min_slope_drop=0.0)
@@ -163,33 +163,39 @@ def make_concave_law(curvature: Floats, moment: Floats) -> PlayLaw:
 
 
 def _choose_corners(x: Floats, y: Floats, max_points: int) -> Ints:
-    """Return the choice of at most `max_points` corners with the smallest error."""
-    end_width = 1e-6  # relative width of the bracket at which the search ends
-    bisection_width = 0.02  # relative width of the bracket at which the bisection ends
+    """Return the indices of at most `max_points` corners with the smallest error.
+
+    The smallest error is between `low`, which needs more points, and `high`, that of `best`.
+    """
+    end_width = 1e-6  # relative width of the interval at which the search ends
+    bisection_width = 0.02  # relative width of the interval at which the bisection ends
     best = np.array([0, len(x) - 1])
     low, high = 0.0, _compute_error(x[best], y[best], x, y)
     x_list, y_list = x.tolist(), y.tolist()
     while high - low > end_width * high:
-        # Errors decrease with the square of the number of chords.
-        middle = float(np.sqrt(low * high) or high * ((len(best) - 1) / (max_points - 0.5)) ** 2)
+        # The first tolerance assumes that errors decrease with the square of the number of chords.
+        tolerance = float(np.sqrt(low * high) or high * ((len(best) - 1) / (max_points - 0.5)) ** 2)
         if high - low < bisection_width * high:  # few better choices remain, often none
-            middle = (1.0 - 0.9 * end_width) * high
-        choice = _skip_corners(x_list, y_list, middle, max_points)
+            tolerance = (1.0 - 0.9 * end_width) * high
+        choice = _skip_corners(x_list, y_list, tolerance, max_points)
         if len(choice) > max_points:
-            low = middle
+            low = tolerance
         else:
             best = np.array(choice)
-            high = min(middle, _compute_error(x[best], y[best], x, y))
+            high = min(tolerance, _compute_error(x[best], y[best], x, y))
     return best
 
 
 def _skip_corners(x: list[float], y: list[float], tolerance: float, max_points: int) -> list[int]:
-    """Choose the fewest corners within a tolerance; stop at one more than `max_points`."""
+    """Choose the fewest corners with errors within a relative tolerance.
+
+    The choice stops at one more than `max_points`.
+    """
     choice, min_slope, factor = [0], -np.inf, 1.0 - tolerance
     start_x, start_y = x[0], y[0]
     for point in range(1, len(x)):
         width, moment = x[point] - start_x, y[point]
-        # A chord lies below the skipped corners. Each corner is a lower limit of its slope.
+        # A chord is below the skipped corners. Each of these gives a lower limit of its slope.
         if moment - start_y < min_slope * width:
             choice.append(point - 1)
             if len(choice) == max_points:
@@ -202,6 +208,6 @@ def _skip_corners(x: list[float], y: list[float], tolerance: float, max_points: 
 
 
 def _compute_error(x: Floats, y: Floats, curvature: Floats, moment: Floats) -> float:
-    """Return the largest error at the points of the law, relative to the moment."""
-    polygon = np.interp(curvature[1:], x, y)
-    return float(np.max(np.abs(polygon / moment[1:] - 1.0)))
+    """Return the largest relative error of the polygon through (x, y) at the points of a law."""
+    polygon_moment = np.interp(curvature[1:], x, y)
+    return float(np.max(np.abs(polygon_moment / moment[1:] - 1.0)))

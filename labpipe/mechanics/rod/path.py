@@ -7,7 +7,7 @@ from typing import Annotated
 
 import numpy as np
 
-from labpipe.mechanics.law.sliders import find_current_sliders
+from labpipe.mechanics.law.sliders import get_current_sliders
 from labpipe.mechanics.rod.assembly import Assembly, Balance, Shape
 from labpipe.mechanics.rod.boundaries import Boundary
 from labpipe.mechanics.rod.equilibrium import Equilibrium
@@ -241,8 +241,8 @@ def compute_lost_energy(assembly: Assembly, start_rests: Floats, end_rests: Floa
         start and at the end
     """
     law = assembly.line.section.law
-    start, end = (find_current_sliders(law, rests) for rests in (start_rests, end_rests))
-    distances = np.linalg.norm(end.rests - start.rests, axis=2)
+    start, end = (get_current_sliders(law, rests) for rests in (start_rests, end_rests))
+    distances = np.linalg.norm(end.rest_curvatures - start.rest_curvatures, axis=2)
     slips = 0.5 * (start.slip_curvatures + end.slip_curvatures)
     return float(assembly.supports.lengths @ (distances * slips) @ start.stiffnesses)
 

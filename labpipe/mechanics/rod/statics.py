@@ -380,7 +380,7 @@ class _PathSolver:
         state = build_state(self.assembly, self.schedule, self.grips, self.current, step)
         self.states.append(state)
         self.losses.append((self.lost_energy, self.jump_energy))
-        curvatures, max_curvature = state.bending_curvatures, self.line.section.law.last
+        curvatures, max_curvature = state.bending_curvatures, self.line.section.law.max_curvature
         node = int(np.argmax(curvatures))
         if curvatures[node] > max_curvature and not self._has_reason("beyond_law"):
             self.reasons.append(

@@ -332,7 +332,7 @@ def bend_cells(
         psi,
         curvatures,
         moments,
-        response.rests,
+        response.history,
         turn_maps,
         np.matvec(turn_maps, moments),
         0.5 * (stiffnesses + stiffnesses.mT),

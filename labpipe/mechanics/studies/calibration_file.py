@@ -69,12 +69,10 @@ def build_json(study: CalibrationStudy) -> dict[str, object]:
     study : calibration with its comparisons; a missing number becomes None
     """
     calibration, share = study.calibration, study.calibration.isotropic_share
-    names = ("widening", "levels", "n_points", "n_samples", "sse", "rmse", "rmse_share")
+    error_names = ("sse", "rmse", "rmse_share")
+    names = ("widening", "levels", "n_points", "n_samples", *error_names)
     solution_names = ("rise", "likelihood", "rmse", "limit", "covariance", "mixture")
-    curve_names = (
-        *("test", "sample", "length", "sample_factor"),
-        *("sse", "rmse", "rmse_share", "runs_p"),
-    )
+    curve_names = ("test", "sample", "length", "sample_factor", *error_names, "runs_p")
     return {
         "schema": SCHEMA,
         "labpipe": __version__,
@@ -149,7 +147,7 @@ def _build_group(group: ValidationGroup) -> dict[str, object]:
 
 def _build_errors(errors: CurveErrors | None) -> dict[str, float | None]:
     """Build the entries of errors; each is None if there are no errors."""
-    names = {"rmse": "rmse", "rmse_share": "rmse_share", "inside_band": "inside"}
+    names = {"rmse": "rmse", "rmse_share": "rmse_share", "inside_band": "coverage"}
     return dict.fromkeys(names) if errors is None else select_json(errors, **names)
 
 
@@ -173,7 +171,7 @@ def build_comparison_json(comparison: ExternalCurveComparison) -> dict[str, obje
 def _build_match(match: CurveMatch) -> dict[str, object]:
     """Build the entry of the comparison of an external curve with another curve."""
     n_points = 0 if match.errors is None else match.errors.n
-    entries = select_json(match, "left_out", force="reference", reason="explanation")
+    entries = select_json(match, left_out="n_excluded", force="reference", reason="explanation")
     return {"n": n_points, **entries, **_build_errors(match.errors)}
 
 

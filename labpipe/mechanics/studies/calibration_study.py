@@ -16,7 +16,7 @@ from labpipe.mechanics.law.plays import PlayLaw
 from labpipe.mechanics.studies.calibration_file import CalibrationStudy, build_json
 from labpipe.mechanics.studies.first_loadings import (
     FirstLoading,
-    note_sheet_weight,
+    make_sheet_weight_notes,
     read_first_loadings,
     set_self_weight,
 )
@@ -24,8 +24,8 @@ from labpipe.mechanics.studies.model_comparisons import (
     compare_external_curves,
     compare_shapes,
     compare_tests,
-    note_insulations,
-    note_misfits,
+    make_insulation_notes,
+    make_misfit_notes,
     read_external_curves,
 )
 from labpipe.mechanics.studies.study_files import write_study
@@ -105,7 +105,7 @@ def calibrate_tests(
     curves = read_external_curves(settings, plan, sheet)
     files = find_results(targets)
     loadings, left_out = read_first_loadings(
-        files, points=settings.points, up_to=settings.up_to, say=say
+        files, min_points=settings.points, max_deflection=settings.up_to, report_name=say
     )
     if not loadings:
         raise ProcessingError("\n".join(left_out.values()))
@@ -116,26 +116,24 @@ def calibrate_tests(
         sheet.find_wire(loading.curve.wire, f"test {loading.curve.test}, specimen.type")
     tested_wires = sorted({loading.curve.wire for loading in loadings})
     needed_wires = sorted({*tested_wires, *(curve.wire for curve in curves)})
-    wires_by_name = {wire: build_sheet_wire(specs[wire], wires) for wire in needed_wires}
-    loadings_of_wire = [loading for loading in loadings if loading.curve.wire == name]
-    weight_notes = [*note_sheet_weight(loadings_of_wire, wires_by_name[name].self_weight)]
+    models = {wire: build_sheet_wire(specs[wire], wires) for wire in needed_wires}
+    weight_notes = [*make_sheet_weight_notes(loadings, name, models[name].self_weight)]
     loadings = [
-        set_self_weight(loading, wires_by_name[loading.curve.wire].self_weight)
-        for loading in loadings
+        set_self_weight(loading, models[loading.curve.wire].self_weight) for loading in loadings
     ]
     loadings_of_wire = [loading for loading in loadings if loading.curve.wire == name]
     measured_curves = [loading.curve for loading in loadings_of_wire]
     say("calibration")
     stress_tables = [curve.table for curve in sheet.curves[name].values()]
-    calibration = _calibrate(wires_by_name[name], loadings_of_wire, settings, stress_tables)
+    calibration = _calibrate(models[name], loadings_of_wire, settings, stress_tables)
     isotropic_share = _calibrate_share(specs[name], calibration, loadings_of_wire)
-    groups = compare_tests(calibration, wires_by_name, loadings)
+    groups = compare_tests(calibration, models, loadings)
     notes = [
         *calibration.notes,
         *_list_share_notes(specs[name], isotropic_share),
         *weight_notes,
-        *note_insulations(calibration, wires_by_name, specs, loadings),
-        *note_misfits(groups),
+        *make_insulation_notes(calibration, models, specs, loadings),
+        *make_misfit_notes(groups),
     ]
     calibration = replace(calibration, isotropic_share=isotropic_share, notes=tuple(notes))
     study = CalibrationStudy(
@@ -144,11 +142,13 @@ def calibrate_tests(
         groups=groups,
         left_out=left_out | copies,
         files=(),
-        comparisons=compare_external_curves(
-            curves, calibration, wires_by_name, groups, loadings_of_wire + loadings
+        comparisons=tuple(
+            compare_external_curves(
+                curves, calibration, models, groups, loadings_of_wire + loadings
+            )
         ),
         tested_curvature=find_tested_curvature(
-            wires_by_name[name], calibration.solutions[0].values, measured_curves
+            models[name], calibration.solutions[0].values, measured_curves
         ),
         stress_tables=sheet.curves[name],
     )
@@ -320,7 +320,7 @@ def _calibrate(
             )
             for name, choice in chosen.items()
         },
-        gain=max(loading.gain for loading in loadings),
+        gain=max(loading.gain_uncertainty for loading in loadings),
         scatter=plan.scatter,
     )
     outcome = calibrate(wire, [loading.curve for loading in loadings], settings)

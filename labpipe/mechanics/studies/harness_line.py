@@ -27,7 +27,7 @@ import numpy as np
 from labpipe.errors import ReadError
 from labpipe.mechanics.law.loss_card import fit_wire_sliders
 from labpipe.mechanics.law.plays import require
-from labpipe.mechanics.law.sliders import GrowingSlider, SliderLaw, make_linear_law, share_hardening
+from labpipe.mechanics.law.sliders import GrowingSlider, SliderLaw, make_linear_law, split_hardening
 from labpipe.mechanics.rod import boundaries as rod
 from labpipe.mechanics.rod.bands import (
     InputDistribution,
@@ -72,8 +72,8 @@ from labpipe.protocol.model_files import (
     String,
     Waypoint,
     compute_path,
-    find_line_start,
-    find_named_file,
+    get_line_start,
+    resolve_file_name,
 )
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote
@@ -157,7 +157,7 @@ def _place_nodes(harness: HarnessFile) -> Floats:
 def _build_line(harness: HarnessFile, section: Section, stations: Floats) -> Line:
     """Build the line in its shape at rest: straight, or an arc with the curvature of the spool."""
     steep_rise = 0.9  # z of the unit direction; the axis d1 of a steeper line does not point up
-    start, direction = (np.array(vector) for vector in find_line_start(harness))
+    start, direction = (np.array(vector) for vector in get_line_start(harness))
     spool = harness.line.spool
     if spool is None:
         positions = start + stations[:, None] * direction
@@ -349,7 +349,7 @@ def read_material(harness: HarnessFile, file: Path, wires: Path | None = None) -
     if block.wire is not None:
         material = _read_wire_material(block, file, wires)
     elif block.sliders is not None:
-        material = _read_deck_material(block, find_named_file(block.sliders, file))
+        material = _read_deck_material(block, resolve_file_name(block.sliders, file))
     else:
         material = _build_stiffness_material(block)
     deviations = [(LAW_FACTOR, block.stiffness_uncertainty or 0.0, "stiffness as stated")]
@@ -389,12 +389,12 @@ def describe_file(role: str, path: Path) -> InputFile:
 def _read_wire_material(block: SectionBlock, file: Path, wires: Path | None) -> Material:
     """Read the material of a wire of a sheet, with its calibration if the file names one."""
     max_stretch = 1e-3  # copper yields beyond this strain
-    sheet = wires or find_named_file(block.sheet or DEFAULT_SHEET, file)
+    sheet = wires or resolve_file_name(block.sheet or DEFAULT_SHEET, file)
     spec = read_wire_sheet(sheet).find_wire(str(block.wire), f"{file}, line.section.wire")
     files = [describe_file("wires", sheet)]
     calibration = None
     if block.calibration is not None:
-        path = find_named_file(block.calibration, file)
+        path = resolve_file_name(block.calibration, file)
         calibration = read_calibration(path)
         files.append(describe_file("calibration", path))
     values_by_solution: list[dict[str, float]] = [{}]
@@ -493,7 +493,7 @@ def make_section_function(spec: WireSpec, values: Mapping[str, float]) -> Sectio
     table = tabulate_wire(set_parameters(spec, values))
     base_law = fit_wire_sliders(table)
     chord_scale = compute_chord_ratio(base_law, table)
-    corners = np.concatenate([[0.0], base_law.slip_curvatures, [base_law.last]])
+    corners = np.concatenate([[0.0], base_law.slip_curvatures, [base_law.max_curvature]])
 
     def build_section(inputs: Mapping[str, float]) -> Section:
         """Build the section of a line for other inputs."""
@@ -501,7 +501,7 @@ def make_section_function(spec: WireSpec, values: Mapping[str, float]) -> Sectio
         wire = build_wire(set_parameters(spec, {**values, **changed}))
         slopes = chord_scale * compute_hull_slopes(corners, wire.compute_curve(corners).moment)
         stiffnesses = np.maximum(-np.diff(slopes), min_slider_stiffness * slopes[0])
-        law = replace(base_law, stiffness=float(slopes[-1]), stiffnesses=stiffnesses)
+        law = replace(base_law, spring_stiffness=float(slopes[-1]), slider_stiffnesses=stiffnesses)
         share = inputs.get(ISOTROPIC_SHARE, spec.isotropic_share or 0.0)
         layers, factor = wire.section.layers, chord_scale
         strands = make_strand_slider(layers, corners[1:], factor=factor) if share > 0.0 else None
@@ -557,7 +557,7 @@ def _read_deck_material(block: SectionBlock, path: Path) -> Material:
         str(deck.get("wire", path.stem)),
         (partial(_adjust_section, section, strands, low if low == high else 0.0),),
         *_find_lowest_limit(
-            {"the range of the deck": section.law.last, _INSULATION_LIMIT: doubtful_curvature}
+            {"the range of the deck": last_curvature, _INSULATION_LIMIT: doubtful_curvature}
         ),
         files=(describe_file("sliders", path),),
         distributions=distributions,
@@ -596,16 +596,16 @@ def _adjust_section(
     law = section.law
     if strands is not None:
         share = min(max(inputs.get(ISOTROPIC_SHARE, default_share), 0.0), 1.0)
-        law = share_hardening(law, strands, share)
+        law = split_hardening(law, strands, share)
     factors = [math.exp(inputs.get(name, 0.0)) for name in FACTORS]
     moment_factor, torsion_factor, mass_factor = factors
     return replace(
         section,
         law=replace(
             law,
-            stiffness=moment_factor * law.stiffness,
-            stiffnesses=moment_factor * law.stiffnesses,
-            growing=tuple(slider.scale(moment_factor) for slider in law.growing),
+            spring_stiffness=moment_factor * law.spring_stiffness,
+            slider_stiffnesses=moment_factor * law.slider_stiffnesses,
+            growing_sliders=tuple(slider.scale(moment_factor) for slider in law.growing_sliders),
         ),
         torsional_stiffness=torsion_factor * section.torsional_stiffness,
         mass_per_length=mass_factor * section.mass_per_length,

@@ -22,7 +22,7 @@ from typing import Literal
 
 import numpy as np
 
-from labpipe.mechanics.law.sliders import SliderLaw, find_current_sliders
+from labpipe.mechanics.law.sliders import SliderLaw, get_current_sliders
 from labpipe.mechanics.rod import boundaries as rod
 from labpipe.mechanics.rod.bands import collect_step_fields, compute_node_curvature
 from labpipe.mechanics.rod.line import Line, format_place
@@ -160,19 +160,19 @@ def compute_released_curvature(law: SliderLaw, rests: Floats) -> Floats:
     """
     max_iterations, relative_tolerance = 1000, 1e-9
     curvature = np.zeros((*rests.shape[:-2], 2))
-    sliders = find_current_sliders(law, rests)
-    stiffnesses, slips = sliders.stiffnesses, sliders.slip_curvatures
-    if not len(stiffnesses):
+    sliders = get_current_sliders(law, rests)
+    slips, rest_curvatures = sliders.slip_curvatures, sliders.rest_curvatures
+    if not len(sliders.stiffnesses):
         return curvature
-    weights = np.broadcast_to(stiffnesses, slips.shape)
+    weights = np.broadcast_to(sliders.stiffnesses, slips.shape)
     for _ in range(max_iterations):
-        total = law.stiffness + weights.sum(axis=-1)
+        total = law.spring_stiffness + weights.sum(axis=-1)
         previous = curvature
-        curvature = np.einsum("...j,...jx->...x", weights, sliders.rests) / total[..., None]
+        curvature = np.einsum("...j,...jx->...x", weights, rest_curvatures) / total[..., None]
         if np.max(np.abs(curvature - previous)) <= relative_tolerance * np.max(np.abs(curvature)):
             break
-        strains = np.linalg.norm(curvature[..., None, :] - sliders.rests, axis=-1)
-        weights = stiffnesses * slips / np.maximum(strains, slips)
+        strains = np.linalg.norm(curvature[..., None, :] - rest_curvatures, axis=-1)
+        weights = sliders.stiffnesses * slips / np.maximum(strains, slips)
     return curvature
 
 
@@ -352,7 +352,7 @@ def _describe_numbers(path: RodPath) -> dict[str, str]:
     residual = compute_residual_curvature(path.last, law)
     node = int(np.argmax(residual))
     if residual[node]:
-        suffix = "" if law.growing else ", by Masing's rule"
+        suffix = "" if law.growing_sliders else ", by Masing's rule"
         remarks[RESIDUAL] = f"{format_place(stations[node])}; if released{suffix}"
     return remarks
 
@@ -495,7 +495,7 @@ def find_unloading_doubt(path: RodPath) -> Doubt | None:
     """
     max_ratio = 1.1  # ratio of the bound of the residual curvature to the curvature by the rule
     law = path.line.section.law
-    if law.growing:
+    if law.growing_sliders:
         return None
     bound = bound_residual_curvature(path, law)
     node = int(np.argmax(bound))
@@ -526,8 +526,8 @@ def bound_residual_curvature(path: RodPath, law: SliderLaw) -> Floats:
     """
     if not law.history_size:
         return np.zeros(len(path.last.positions))
-    steps = [find_current_sliders(law, state.rests) for state in path.states]
-    moments = [np.einsum("j,nsjx->nsx", sliders.stiffnesses, sliders.rests) for sliders in steps]
+    steps = [get_current_sliders(law, state.rests) for state in path.states]
+    moments = [np.einsum("j,nsjx->nsx", x.stiffnesses, x.rest_curvatures) for x in steps]
     return np.asarray(np.linalg.norm(moments, axis=-1).max(axis=(0, 2)) / law.first_stiffness)
 
 
@@ -627,7 +627,7 @@ def depends_on_history(line: RodPath | PreparedLine) -> bool:
     """
     planes = [boundary for boundary in line.boundaries if isinstance(boundary, rod.Plane)]
     has_friction = any(plane.friction > 0.0 for plane in planes)
-    return len(line.line.section.law.stiffnesses) > 0 or has_friction
+    return len(line.line.section.law.slider_stiffnesses) > 0 or has_friction
 
 
 def select_coarse_steps(boundaries: Sequence[rod.Boundary], n_steps: int) -> Ints:

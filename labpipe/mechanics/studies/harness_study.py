@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from labpipe import __version__
-from labpipe.mechanics.decks.mujoco_line import write_line_deck
+from labpipe.mechanics.decks.mujoco_line import format_line_deck
 from labpipe.mechanics.rod import boundaries as rod
 from labpipe.mechanics.rod.bands import StateBands
 from labpipe.mechanics.rod.line import Line
@@ -77,7 +77,7 @@ def follow_harness(
     Parameters
     ----------
     file : path of the harness file
-    wires : wire sheet that replaces the one that the file names; None to keep it
+    wires : path of a wire sheet to use instead of the one that the file names; None to use that one
     out : folder of the results; None for ``processed/harness/<name of the file>`` in the working
         folder
     figures : whether figures are drawn
@@ -86,13 +86,13 @@ def follow_harness(
 
     Returns
     -------
-    The harness with its numbers and files. If the line cannot be solved to the last step, only
+    The solution of the harness, with its files. If the line cannot be solved to the last step, only
     ``failure.json`` is written, and earlier results are kept.
 
     Raises
     ------
     LabpipeError
-        If the file or one that it names has faults; earlier results are then kept.
+        If the harness file, or a file that it names, has faults. Earlier results are then kept.
     """
     harness = load_harness(file)
     material = read_material(harness, file, wires)
@@ -110,7 +110,7 @@ def follow_harness(
 
 
 def _write_failure(solution: HarnessSolution) -> None:
-    """Write ``failure.json``; keep earlier results."""
+    """Write ``failure.json``, and keep the results of earlier runs."""
     states = solution.path.states
     last_positions = states[-1].positions if states else solution.path.line.positions
     content = {
@@ -124,7 +124,7 @@ def _write_failure(solution: HarnessSolution) -> None:
 
 
 def _format_json(content: Mapping[str, object]) -> str:
-    """Format the content of a JSON file."""
+    """Return content as the text of a JSON file."""
     return json.dumps(content, indent=1, ensure_ascii=False) + "\n"
 
 
@@ -136,7 +136,7 @@ def _write_solution(solution: HarnessSolution, *, figures: bool, png: bool) -> H
         SHAPE_FILE: format_shape(path, solution.steps, bands),
         FORCES_FILE: format_forces(path, bands),
         VTK_FILE: format_vtk(path, solution.steps, title),
-        DECK_FILE: write_line_deck(path.line, path.boundaries, title=title),
+        DECK_FILE: format_line_deck(path.line, path.boundaries, title=title),
         SUMMARY_FILE: _format_json(build_json(solution)),
     }
     if solution.sweep:
@@ -150,22 +150,23 @@ def _write_solution(solution: HarnessSolution, *, figures: bool, png: bool) -> H
 
 
 _LENGTH, _RADIUS, _RADIUS_ON_PATH = "length [m]", f"{RADIUS} [m]", f"{RADIUS_ON_PATH} [m]"
-"""Columns of ``sweep.csv``."""
+"""Names of columns of ``sweep.csv``."""
 
 
 def _build_sweep_row(solution: HarnessSolution) -> dict[str, object]:
     """Build the row of ``sweep.csv`` for the solution of one length."""
-    bend, path_bend, lowest_point = solution.final_sharpest_bend, solution.sharpest_bend, math.nan
+    lowest_point = math.nan
     if solution.status is not Status.FAILED:
         lowest_point = float(compute_heights(solution.path.last.positions, solution.path).min())
-    ends = None if solution.bands is None else solution.bands.intervals[RADIUS]
+    radius_interval = solution.intervals.get(RADIUS)
+    path_bend, final_bend = solution.sharpest_bend, solution.final_sharpest_bend
     reason = solution.reasons[0] if solution.reasons else Reason("", "")
     return {
         _LENGTH: solution.harness.line.length,
-        _RADIUS: bend.radius,
-        "lower [m]": ends.lower if ends else math.nan,
-        "upper [m]": ends.upper if ends else math.nan,
-        "place [m]": bend.arc_length,
+        _RADIUS: final_bend.radius,
+        "lower [m]": radius_interval.lower if radius_interval else math.nan,
+        "upper [m]": radius_interval.upper if radius_interval else math.nan,
+        "place [m]": final_bend.arc_length,
         _RADIUS_ON_PATH: path_bend.radius,
         "step": "" if solution.status is Status.FAILED else str(path_bend.step),
         "lowest_point [m]": lowest_point,
@@ -178,20 +179,20 @@ def _build_sweep_row(solution: HarnessSolution) -> dict[str, object]:
 def _build_header(solution: HarnessSolution) -> dict[str, object]:
     """Build the first entries of ``summary.json`` and ``failure.json``."""
     files = (describe_file("harness", solution.file), *solution.material.files)
-    fingerprints = "".join([__version__, *(file.sha256 for file in files)])
+    hashes = "".join([__version__, *(file.sha256 for file in files)])
     return {
         "schema": SCHEMA,
         "harness": solution.file.stem,
         "about": solution.harness.about,
         "labpipe": __version__,
-        "run": hashlib.sha256(fingerprints.encode()).hexdigest(),
+        "run": hashlib.sha256(hashes.encode()).hexdigest(),
         "inputs": [select_json(file, "role", "file", "sha256") for file in files],
         "status": str(solution.status),
     }
 
 
 def build_json(solution: HarnessSolution) -> dict[str, object]:
-    """Build the content of ``summary.json`` in SI units; a missing number is None.
+    """Build the content of ``summary.json`` in SI units, with None for a missing value.
 
     Parameters
     ----------
@@ -201,8 +202,7 @@ def build_json(solution: HarnessSolution) -> dict[str, object]:
     section, bend, limit = line.section, solution.sharpest_bend, solution.limit
     section_fields = ("diameter", "mass_per_length", "torsional_stiffness", "axial_stiffness")
     sweep_names = (_LENGTH, "status", _RADIUS, "lower [m]", "upper [m]", _RADIUS_ON_PATH)
-    sweep_rows = map(_build_sweep_row, solution.sweep)
-    allowed = select_json(limit, allowed="radius", allowed_from="source", assumed="is_assumed")
+    limit_json = select_json(limit, allowed="radius", allowed_from="source", assumed="is_assumed")
     return {
         **_build_header(solution),
         **select_json(solution, "reasons"),
@@ -212,11 +212,11 @@ def build_json(solution: HarnessSolution) -> dict[str, object]:
             "elements": len(line.lengths),
             **select_json(section, *section_fields),
             "first_bending_stiffness": section.law.first_stiffness,
-            "sliders": len(section.law.stiffnesses),
+            "sliders": len(section.law.slider_stiffnesses),
             **select_json(material, backed_curvature="curvature_limit", backed_by="limit_source"),
         },
         "bend_radius": {
-            **allowed,
+            **limit_json,
             **select_json(bend, "step", place="arc_length", smallest="radius"),
             "kept": bend.radius >= limit.radius,
             "doubtful": solution.is_bend_doubtful,
@@ -224,9 +224,10 @@ def build_json(solution: HarnessSolution) -> dict[str, object]:
         "results": [build_result_entry(result) for result in solution.results],
         "sweep": [
             {name.removesuffix(" [m]"): to_json(row[name]) for name in sweep_names}
-            for row in sweep_rows
+            for row in map(_build_sweep_row, solution.sweep)
         ],
-        # the kind of the bands, and the share of each cause in their variance
+        # The key "shares" has the fraction of the variance of the bands that each cause
+        # contributes.
         "bands": {"kind": None, "reason": format_sentence("mechanics.studies.no_bands")}
         if bands is None
         else {"kind": "pointwise 95 %"}
@@ -246,15 +247,16 @@ _TABLE_UNITS: Mapping[str, str] = {
     "stiffness": "N*m^2",
     "axial_stiffness": "N",
 }
+"""SI units of the quantities in ``summary.json``, except for those of the results."""
 
 
 def _format_csv(table: pd.DataFrame | list[dict[str, object]]) -> str:
     """Format a table as CSV with nine digits; NaN is an empty cell, and infinity is ``inf``."""
-    frame = pd.DataFrame(table)
-    return frame.to_csv(index=False, float_format="%.9g", lineterminator="\n")
+    return pd.DataFrame(table).to_csv(index=False, float_format="%.9g", lineterminator="\n")
 
 
-_AXIS_NAMES = "xyz"
+_POSITION_COLUMNS = ("x [m]", "y [m]", "z [m]")
+"""Names of the columns of ``shape.csv`` with the positions of the nodes."""
 
 
 def compute_columns(state: RodState, line: Line) -> dict[str, Floats]:
@@ -267,30 +269,30 @@ def compute_columns(state: RodState, line: Line) -> dict[str, Floats]:
 
     Notes
     -----
-    Tension at a node is the mean of both elements. Torque and bending moment are those of the side
-    where their magnitude is larger.
+    The tension at a node is the mean of the tensions of both elements. The torque and the bending
+    moment at a node are each that of the side where its magnitude is larger.
     """
     curvature = compute_curvature(state)
-    axes = to_matrices(state.frames)[:, :, 2]
-    tension = np.vecdot(state.forces, axes)
-    sides = np.stack([np.concatenate([axes[:1], axes]), np.concatenate([axes, axes[-1:]])], axis=1)
-    torque = np.vecdot(state.moments, sides)
-    bending = np.sqrt(np.maximum(np.sum(state.moments**2, axis=2) - torque**2, 0.0))
-    positions = {f"{axis} [m]": state.positions[:, k] for k, axis in enumerate(_AXIS_NAMES)}
+    tangents = to_matrices(state.frames)[:, :, 2]
+    tension = np.vecdot(state.forces, tangents)
+    start_tangents = np.vstack([tangents[:1], tangents])  # on the side of the start of each node
+    end_tangents = np.vstack([tangents, tangents[-1:]])
+    torque = np.vecdot(state.moments, np.stack([start_tangents, end_tangents], axis=1))
+    bending_moment = np.sqrt(np.maximum(np.sum(state.moments**2, axis=2) - torque**2, 0.0))
     return {
         "along [m]": line.stations,
-        **positions,
+        **dict(zip(_POSITION_COLUMNS, state.positions.T, strict=True)),
         "curvature [1/m]": curvature,
         "bend_radius [m]": compute_radius(curvature),
         "kept_curvature [1/m]": compute_residual_curvature(state, line.section.law),
         "tension [N]": 0.5 * (np.append(tension[:1], tension) + np.append(tension, tension[-1:])),
-        "bending_moment [N*m]": bending.max(axis=1),
+        "bending_moment [N*m]": bending_moment.max(axis=1),
         "torque [N*m]": np.where(np.abs(torque[:, 0]) > np.abs(torque[:, 1]), *torque.T),
     }
 
 
 def format_shape(path: RodPath, steps: Sequence[int], bands: Mapping[int, StateBands]) -> str:
-    """Format ``shape.csv``, a table of the nodes in some steps.
+    """Return the text of ``shape.csv``, a table of the nodes in some steps.
 
     Parameters
     ----------
@@ -303,10 +305,10 @@ def format_shape(path: RodPath, steps: Sequence[int], bands: Mapping[int, StateB
         columns: dict[str, object] = {"step": step, "node": np.arange(len(path.line.stations))}
         columns |= compute_columns(path.states[step], path.line)
         if band := bands.get(step):
-            ends = (band.positions.lower, band.positions.upper)
-            columns |= _build_band_columns([f"{axis} [m]" for axis in _AXIS_NAMES], *ends)
-            ends = (band.curvature.lower[:, None], band.curvature.upper[:, None])
-            columns |= _build_band_columns(["curvature [1/m]"], *ends)
+            lower, upper = band.positions.lower, band.positions.upper
+            columns |= _build_band_columns(_POSITION_COLUMNS, lower, upper)
+            lower, upper = band.curvature.lower[:, None], band.curvature.upper[:, None]
+            columns |= _build_band_columns(["curvature [1/m]"], lower, upper)
         tables.append(pd.DataFrame(columns))
     return _format_csv(pd.concat(tables))
 
@@ -316,8 +318,8 @@ def _build_band_columns(names: Sequence[str], lower: Floats, upper: Floats) -> d
 
     Parameters
     ----------
-    names : names of the columns of the quantities
-    lower, upper : shape (..., n_names), ends of the band
+    names : names of the columns of the quantities, which have a unit, such as ``x [m]``
+    lower, upper : shape (..., n_names), ends of the band, in the units of the columns
     """
     return {
         name.replace(" ", f"_{end} "): column
@@ -327,19 +329,18 @@ def _build_band_columns(names: Sequence[str], lower: Floats, upper: Floats) -> d
 
 
 def format_forces(path: RodPath, bands: Mapping[int, StateBands]) -> str:
-    """Format ``forces.csv``: forces and moments of each boundary on the line in every step.
+    """Return the text of ``forces.csv``: forces and moments of boundaries on the line in each step.
 
     Parameters
     ----------
     path : path of the line
-    bands : bands of the shape, keyed by step; the cells of steps without bands are empty
+    bands : bands of the shape and forces, keyed by step; the cells of steps without bands are empty
 
     Notes
     -----
-    The weight is omitted. In each step, it is minus the sum of all forces.
+    The weight is omitted. In each step, the weight is minus the sum of all forces.
     """
-    force_names = [f"f{axis} [N]" for axis in _AXIS_NAMES]
-    moment_names = [f"m{axis} [N*m]" for axis in _AXIS_NAMES]
+    force_names, moment_names = ["fx [N]", "fy [N]", "fz [N]"], ["mx [N*m]", "my [N*m]", "mz [N*m]"]
     rows = []
     for step, state in enumerate(path.states):
         for index, boundary in enumerate(path.boundaries):
@@ -358,14 +359,14 @@ def format_forces(path: RodPath, bands: Mapping[int, StateBands]) -> str:
 
 
 def format_vtk(path: RodPath, steps: Sequence[int], title: str) -> str:
-    """Format the shapes of some steps as legacy VTK lines, for ParaView, PyVista or meshio.
+    """Return the shapes in some steps as legacy VTK text, for ParaView, PyVista or meshio.
 
     Parameters
     ----------
     path : path of the line
-    steps : steps, each of which becomes a line
-    title : title of one line, which is cut after 255 characters; characters that are not ASCII
-        become ``?``
+    steps : numbers of the steps; the shape in each step becomes a polyline
+    title : title, without line breaks, which is cut after 255 characters; characters that are not
+        ASCII become ``?``
 
     Notes
     -----
@@ -375,7 +376,7 @@ def format_vtk(path: RodPath, steps: Sequence[int], title: str) -> str:
     states = [path.states[step] for step in steps]
     n_nodes = len(path.line.stations)
     points = np.vstack([state.positions for state in states])
-    nodes = np.arange(len(points)).reshape(len(states), n_nodes).tolist()
+    point_indices = np.arange(len(points)).reshape(len(states), n_nodes).tolist()
     lines = [
         "# vtk DataFile Version 3.0",
         title.encode("ascii", "replace").decode()[:255],
@@ -384,19 +385,19 @@ def format_vtk(path: RodPath, steps: Sequence[int], title: str) -> str:
         f"POINTS {len(points)} double",
         *(" ".join(f"{value:.9g}" for value in row) for row in points.tolist()),
         f"LINES {len(states)} {len(states) * (n_nodes + 1)}",
-        *(" ".join(map(str, [n_nodes, *row])) for row in nodes),
+        *(" ".join(map(str, [n_nodes, *indices])) for indices in point_indices),
         f"CELL_DATA {len(states)}",
         *_format_scalars("step", np.array(steps)),
         f"POINT_DATA {len(points)}",
     ]
     columns = pd.concat([pd.DataFrame(compute_columns(state, path.line)) for state in states])
-    for name in columns.columns.drop([f"{axis} [m]" for axis in _AXIS_NAMES]):
+    for name in columns.columns.drop([*_POSITION_COLUMNS]):
         lines += _format_scalars(name.split()[0], columns[name].to_numpy())
     return "\n".join(lines) + "\n"
 
 
 def _format_scalars(name: str, values: Floats | Ints) -> list[str]:
-    """Format a column of point or cell data of VTK; numbers that are not finite become 0."""
+    """Return the lines of point or cell data of VTK; values that are not finite become 0."""
     finite_values = np.where(np.isfinite(values), values, 0.0)
     rows = [f"{value:.9g}" for value in finite_values.tolist()]
     return [f"SCALARS {name} double 1", "LOOKUP_TABLE default", *rows]
@@ -425,7 +426,7 @@ def build_drawn_harness(solution: HarnessSolution) -> DrawnHarness:
 
 
 def _build_drawn_shape(step: int, state: RodState, bands: StateBands | None) -> DrawnShape:
-    """Build the data of the shape of a step for a figure, with its bands if there are any."""
+    """Build the data for the figure of the shape in a step, with bands if there are any."""
     shape = DrawnShape(step, state.positions, compute_radius(compute_curvature(state)))
     if bands is None:
         return shape
@@ -438,19 +439,19 @@ def _build_drawn_shape(step: int, state: RodState, bands: StateBands | None) -> 
 
 
 def _format_caption(solution: HarnessSolution) -> str:
-    """Write the footnote of the figures of a harness."""
-    limit = f"Allowed bend radius {1e3 * solution.limit.radius:.3g} mm, {solution.limit.source}."
-    about = solution.harness.about.strip()
+    """Return the footnote of the figures of a harness."""
+    limit, about, line = solution.limit, solution.harness.about.strip(), solution.path.line
     sentences = [about if about[-1] in ".?!" else f"{about}."] if about else []
-    line = f"Line of {solution.material.name}, {len(solution.path.line.lengths)} elements."
-    doubts = [f"Doubtful: {solution.reasons[0].message}."] if solution.reasons else []
-    return " ".join([*sentences, line, limit, *doubts])
+    sentences.append(f"Line of {solution.material.name}, {len(line.lengths)} elements.")
+    sentences.append(f"Allowed bend radius {1e3 * limit.radius:.3g} mm, {limit.source}.")
+    sentences += [f"Doubtful: {reason.message}." for reason in solution.reasons[:1]]
+    return " ".join(sentences)
 
 
 def _build_marks(solution: HarnessSolution) -> Iterator[DrawnMark]:
-    """Yield the symbols of clips, grips and other boundaries at the last step."""
+    """Yield the symbols of the boundaries at the last step; planes and weight have no symbol."""
     last_state, steps = solution.path.last, solution.harness.steps
-    # The last boundary of the path may be the weight, which has no symbol.
+    # The path has all boundaries of the file. The weight may follow them.
     pairs = zip(solution.harness.boundaries, solution.path.boundaries, strict=False)
     for file_boundary, boundary in pairs:
         path, direction, is_holding = np.zeros((0, 3)), None, True
@@ -486,8 +487,8 @@ def build_drawn_sweep(solution: HarnessSolution) -> DrawnSweep | None:
     """
     if not solution.sweep:
         return None
-    sweep = sorted(solution.sweep, key=lambda variant: variant.harness.line.length)
-    table = pd.DataFrame(map(_build_sweep_row, sweep))
+    variants = sorted(solution.sweep, key=lambda variant: variant.harness.line.length)
+    table = pd.DataFrame(map(_build_sweep_row, variants))
     lower, upper = table["lower [m]"].to_numpy(), table["upper [m]"].to_numpy()
     return DrawnSweep(
         name=solution.file.stem,
@@ -498,7 +499,7 @@ def build_drawn_sweep(solution: HarnessSolution) -> DrawnSweep | None:
         radius_band=None if np.isnan(lower).all() else (lower, upper),
         shapes=tuple(
             np.empty((0, 3)) if variant.status is Status.FAILED else variant.path.last.positions
-            for variant in sweep
+            for variant in variants
         ),
         allowed_radius=solution.limit.radius,
         is_doubtful=table["status"].to_numpy() == str(Status.DOUBTFUL),

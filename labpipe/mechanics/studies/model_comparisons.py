@@ -1,4 +1,4 @@
-"""Compare a calibrated model with tests, by wire and length, and with external curves."""
+"""Compare a calibrated model with tests, grouped by wire and length, and with external curves."""
 
 from __future__ import annotations
 
@@ -45,17 +45,17 @@ from labpipe.statistics.groups import compute_band, interpolate_curves
 from labpipe.store.result_files import read_result
 
 N_SHAPES = 6
-"""Number of shapes of a sample, at evenly spaced deflections."""
+"""Number of evenly spaced deflections at which shapes are compared."""
 
 
 def compare_shapes(
-    file: Path, wire: Wire, length: float, rig: StringRig | None, max_deflection: float
+    result_file: Path, wire: Wire, length: float, rig: StringRig | None, max_deflection: float
 ) -> tuple[BentShape, ...]:
-    """Compute shapes of a sample and of the model at evenly spaced deflections.
+    """Compare the shapes of a sample and of the model at evenly spaced deflections.
 
     Parameters
     ----------
-    file : result.h5 of a test with a shape
+    result_file : path of the result.h5 of a test
     wire : model of the wire with the calibrated parameters
     length : free length, m
     rig : string that applies the load; None for an end load normal to the axis
@@ -63,39 +63,40 @@ def compare_shapes(
 
     Returns
     -------
-    `N_SHAPES` shapes in the frame of the clamp; empty for a test without a fitted shape. Measured
-    markers are on the surface of the sample; the fitted shape and the model are axes.
+    At most `N_SHAPES` shapes, in the coordinates of the clamp. A deflection that no video frame
+    reaches has no shape. A test without a fitted shape has none. Measured markers are on the
+    surface of the sample. The fitted shape and the model are axes.
 
     Raises
     ------
     ValueError
         If the model has no equilibrium at one of the deflections.
     """
-    shape = read_result(file).shape
+    shape = read_result(result_file).shape
     if shape is None or not shape.coefficients.size:
         return ()
-    tip_height = shape.positions[:, -1, 1] - shape.positions[:, 0, 1]
+    tip_height = shape.positions[:, -1, 1] - shape.positions[:, 0, 1]  # above the first marker
     deflection = tip_height - tip_height[np.flatnonzero(np.isfinite(tip_height))[0]]
-    wire_law = wire.law
-    max_curvature, _ = wire_law.find_known_range(wire_law.nominal)
-    powers = np.vander(np.linspace(0.0, 1.0, 60), shape.coefficients.shape[2], increasing=True)
+    max_curvature, _ = wire.law.find_known_range(wire.law.nominal)
+    relative_arc_length = np.linspace(0.0, 1.0, 60)
+    powers = np.vander(relative_arc_length, shape.coefficients.shape[2], increasing=True)
     shapes = []
     for target_deflection in max_deflection * np.arange(1, N_SHAPES + 1) / N_SHAPES:
         frames = np.flatnonzero(deflection >= target_deflection)
         if len(frames):
             frame = int(frames[0])
-            model = _bend_model(wire, length, rig, float(deflection[frame]), max_curvature)
+            model_axis = _bend_model(wire, length, rig, float(deflection[frame]), max_curvature)
             is_measured = np.isin(shape.flags[frame], (PointFlag.MEASURED, PointFlag.RELABELLED))
             markers = shape.positions[frame, is_measured, :2]
-            axis = powers @ shape.coefficients[frame, :2].T
-            shapes.append(BentShape(float(deflection[frame]), markers, axis, model))
+            fitted_axis = powers @ shape.coefficients[frame, :2].T
+            shapes.append(BentShape(float(deflection[frame]), markers, fitted_axis, model_axis))
     return tuple(shapes)
 
 
 def _bend_model(
     wire: Wire, length: float, rig: StringRig | None, deflection: float, max_curvature: float
 ) -> Floats:
-    """Bend the model from rest to a deflection of its tip.
+    """Compute the axis of the model at a tip deflection, starting from rest.
 
     Parameters
     ----------
@@ -103,15 +104,16 @@ def _bend_model(
     length : free length, m
     rig : string that applies the load; None for an end load normal to the axis
     deflection : deflection of the tip, m
-    max_curvature : largest curvature at which the law is known, 1/m
+    max_curvature : largest curvature at which the law of the wire is defined, 1/m
 
     Returns
     -------
     Positions of the axis, shape (n, 2), m.
     """
-    # The law is fitted up to a curvature that is larger than that at the clamp. At the clamp of an
-    # elastic wire, it is 3 u / length for a small relative deflection u, and grows faster than u.
-    u = min(deflection / length, 0.9)
+    # The law is fitted up to a curvature that is larger than the curvature at the clamp. For a
+    # small relative deflection u, the curvature at the clamp of a linear elastic wire is 3 u /
+    # length. For larger u, it grows faster than u.
+    u = min(deflection / length, 0.9)  # at 1, the curvature below would be infinite
     law = fit_play_law(
         wire.section,
         wire.contacts,
@@ -119,14 +121,14 @@ def _bend_model(
         orientation=wire.orientation,
     )
     state = make_straight(law, self_weight=wire.self_weight)
-    for target in (0.0, deflection):
+    for target in (0.0, deflection):  # the deflection 0 applies the self-weight
         state = deflect(law, state, length, target, rig)
     shape = compute_shape(state, length)
     return np.column_stack([shape.x, shape.y])
 
 
 _DEFLECTION_GRID = np.linspace(0.0, 1.0, 200) ** 1.5
-"""Deflections of a prediction as fractions of the largest one, denser at the start of the curve."""
+"""Deflections of a prediction, relative to the largest deflection, denser at the curve's start."""
 
 
 def compare_tests(
@@ -142,8 +144,9 @@ def compare_tests(
 
     Returns
     -------
-    One group for each wire and length; groups of the calibrated wire come first.
+    One group for each wire and length. Groups of the calibrated wire come first.
     """
+    # keys: whether the wire is another than the calibrated one, name of the wire, free length
     groups: dict[tuple[bool, str, float], list[MeasuredCurve]] = {}
     for curve in (loading.curve for loading in loadings):
         key = (curve.wire != calibration.wire, curve.wire, round(curve.length, 6))
@@ -156,32 +159,32 @@ def _compare_group(
 ) -> ValidationGroup:
     """Compare a calibration with tests of one wire and length."""
     max_deflection = max(float(np.nanmax(curve.deflection)) for curve in curves)
-    noise = float(np.mean([curve.point_error for curve in curves]))
-    first_curve = curves[0]
-    prediction, errors, reason, doubtful_deflection = None, None, None, np.inf
+    force_noise = float(np.mean([curve.point_error for curve in curves]))
+    first_curve, doubtful_deflection = curves[0], np.inf
+    prediction, errors, reason = None, None, None
+    grid = max_deflection * _DEFLECTION_GRID
     try:
-        deflection = max_deflection * _DEFLECTION_GRID
         wire = replace(wire, self_weight=first_curve.self_weight)
         prediction = predict(
-            calibration, wire, first_curve.length, deflection, rig=first_curve.rig, noise=noise
+            calibration, wire, first_curve.length, grid, rig=first_curve.rig, noise=force_noise
         )
     except ValueError as error:
         reason = Reason("no_prediction", str(error))
     else:
-        measured = np.concatenate([curve.deflection for curve in curves])
-        model_and_band = (
-            np.interp(measured, prediction.deflection, values)
-            for values in (prediction.force, prediction.lower, prediction.upper)
+        measured_deflection = np.concatenate([curve.deflection for curve in curves])
+        force_and_band = (
+            np.interp(measured_deflection, prediction.deflection, force)
+            for force in (prediction.force, prediction.lower, prediction.upper)
         )
-        force = np.concatenate([curve.force for curve in curves])
-        errors = compute_curve_errors(force, *model_and_band)
-        values = calibration.solutions[0].values
-        solution = compute_calibrated_curve(
-            wire, values, first_curve.length, first_curve.rig, max_deflection
+        measured_force = np.concatenate([curve.force for curve in curves])
+        errors = compute_curve_errors(measured_force, *force_and_band)
+        parameters = calibration.solutions[0].values
+        path = compute_calibrated_curve(
+            wire, parameters, first_curve.length, first_curve.rig, max_deflection
         )
-        curvature, deflection = solution.clamp_curvature, solution.deflection
-        limit = np.interp(wire.linear_range, curvature, deflection, right=np.inf)
-        doubtful_deflection = float(limit)
+        curvature, deflection = path.clamp_curvature, path.deflection
+        limit_deflection = np.interp(wire.linear_range, curvature, deflection, right=np.inf)
+        doubtful_deflection = float(limit_deflection)
     return ValidationGroup(
         wire=first_curve.wire,
         length=first_curve.length,
@@ -198,8 +201,9 @@ def _compare_group(
 def _compute_band(curves: Sequence[MeasuredCurve], prediction: Prediction | None) -> Band:
     """Compute the mean of curves and its band from block means.
 
-    The mean over a block of a curved line is biased, near its start by 8 % of the force. Therefore
-    the prediction, if there is one, is subtracted before averaging and added afterwards.
+    The block mean of a nonlinear curve is biased. Near the start of the curve, the bias is 8 % of
+    the force. Therefore the prediction, if there is one, is subtracted before averaging and added
+    afterwards.
     """
     n_blocks = 50  # a band of single points would show noise, not the scatter of samples
 
@@ -217,13 +221,13 @@ def _compute_band(curves: Sequence[MeasuredCurve], prediction: Prediction | None
     return compute_band(replace(residuals, force=force))
 
 
-def note_insulations(
+def make_insulation_notes(
     calibration: Calibration,
     wires: Mapping[str, Wire],
     specs: Mapping[str, WireSpec],
     loadings: Sequence[FirstLoading],
 ) -> Iterator[QualityNote]:
-    """Yield notes on wires that tests bend beyond the linear range of their insulation.
+    """Yield notes on wires that the tests bend beyond the linear range of the insulation.
 
     Parameters
     ----------
@@ -234,14 +238,14 @@ def note_insulations(
 
     Yields
     ------
-    One note for each wire. A predicted wire without a solution in the range of the tests has no
-    note, because its group states the reason.
+    One note for each such wire. A wire for which the model has no solution in the range of the
+    tests has no note, because its group states the reason.
     """
-    values = calibration.solutions[0].values
+    parameters = calibration.solutions[0].values
     for name in sorted({loading.curve.wire for loading in loadings}):
         curves = [loading.curve for loading in loadings if loading.curve.wire == name]
         try:
-            tested_curvature = find_tested_curvature(wires[name], values, curves)
+            tested_curvature = find_tested_curvature(wires[name], parameters, curves)
         except ValueError:
             continue
         if tested_curvature > wires[name].linear_range:
@@ -251,15 +255,15 @@ def note_insulations(
                 else "mechanics.studies.soft_insulation_predicted",
                 name,
                 wire=name,
-                tested=tested_curvature,
-                limit=wires[name].linear_range,
-                strain=100.0 * specs[name].insulation_strain,
-                calibrated=calibration.wire,
+                tested_curvature=tested_curvature,
+                limit_curvature=wires[name].linear_range,
+                strain_percent=100.0 * specs[name].insulation_strain,
+                calibrated_wire=calibration.wire,
             )
 
 
-def note_misfits(groups: Sequence[ValidationGroup]) -> tuple[QualityNote, ...]:
-    """Return notes on calibrating tests that lie outside the 95 % band of their calibration.
+def make_misfit_notes(groups: Sequence[ValidationGroup]) -> tuple[QualityNote, ...]:
+    """Return notes on tests that lie outside the 95 % band of the calibration that used them.
 
     Parameters
     ----------
@@ -267,68 +271,78 @@ def note_misfits(groups: Sequence[ValidationGroup]) -> tuple[QualityNote, ...]:
 
     Returns
     -------
-    A note for each group with less than 80 % of its points inside the band. With the right wire,
-    hardly any campaign of the virtual lab had less than 95 %.
+    A note for each group with less than 80 % of its points inside the band. In simulated campaigns
+    with the correct wire specification, the fraction was rarely below 95 %.
     """
     min_inside_fraction = 0.8
     return tuple(
         QualityNote.of(
             "mechanics.studies.model_misses_tests",
             f"{group.wire}, {1e3 * group.length:.4g} mm",
-            share=100.0 * group.errors.inside,
+            inside_percent=100.0 * group.errors.coverage,
         )
         for group in groups
-        if group.is_calibrated and group.errors and group.errors.inside < min_inside_fraction
+        if group.is_calibrated and group.errors and group.errors.coverage < min_inside_fraction
     )
 
 
 def read_external_curves(
-    settings: CalibrationPlan, plan: Path | None, sheet: WireSheet
+    plan: CalibrationPlan, plan_path: Path | None, sheet: WireSheet
 ) -> tuple[ExternalCurve, ...]:
     """Read all external curves of a plan.
 
     Parameters
     ----------
-    settings : content of the plan
-    plan : path of the plan, in whose folder the files of the curves are; None without a plan
+    plan : calibration plan
+    plan_path : path of the plan, whose folder contains the files of the curves; None for the
+        working folder
     sheet : wire sheet
+
+    Returns
+    -------
+    The curves, in the order of the plan.
 
     Raises
     ------
     UsageError
-        If curves cannot be read, or are of a wire that is not in the sheet. The message states all
-        faults.
+        If a curve cannot be read, or its wire is not in the sheet. The message lists all errors.
     """
-    folder = Path() if plan is None else plan.parent
-    curves, faults = [], []
-    for comparison in settings.comparisons:
+    folder = Path() if plan_path is None else plan_path.parent
+    curves, messages = [], []
+    for comparison in plan.comparisons:
         try:
-            sheet.find_wire(
-                comparison.wire, f"{plan or 'plan'}, comparison '{comparison.name}', wire"
-            )
+            place = f"{plan_path or 'plan'}, comparison '{comparison.name}', wire"
+            sheet.find_wire(comparison.wire, place)
         except UsageError as error:
-            faults.append(str(error))
+            messages.append(str(error))
         try:
             curves.append(_read_external_curve(comparison, folder))
         except ReadError as error:
-            faults.append(str(error))
-    if faults:
-        raise UsageError("\n".join(faults))
+            messages.append(str(error))
+    if messages:
+        raise UsageError("\n".join(messages))
     return tuple(curves)
 
 
 def _read_external_curve(comparison: Comparison, folder: Path) -> ExternalCurve:
-    """Read the external curve of a comparison in a plan."""
+    """Read the external curve to which a comparison of a plan refers."""
     path = folder / comparison.file
     if not path.resolve().is_relative_to(folder.resolve()):
         raise ReadError.about("mechanics.studies.curve_outside_plan", path)
-    columns = ("deflection", "m", comparison.deflection), ("force", "N", comparison.force)
     deflection, force = read_curve(
-        path, *(CurveColumn(name, unit, c.column, c.unit, c.sign) for name, unit, c in columns)
+        path,
+        CurveColumn("deflection", "m", **dict(comparison.deflection)),
+        CurveColumn("force", "N", **dict(comparison.force)),
     )
     return ExternalCurve(
-        *(comparison.name, comparison.file, comparison.wire, comparison.length),
-        *(deflection, force, comparison.load == "normal", comparison.because),
+        name=comparison.name,
+        file=comparison.file,
+        wire=comparison.wire,
+        length=comparison.length,
+        deflection=deflection,
+        force=force,
+        is_normal=comparison.load == "normal",
+        source=comparison.because,
     )
 
 
@@ -338,7 +352,7 @@ def compare_external_curves(
     wires: Mapping[str, Wire],
     groups: Sequence[ValidationGroup],
     loadings: Sequence[FirstLoading],
-) -> tuple[ExternalCurveComparison, ...]:
+) -> Iterator[ExternalCurveComparison]:
     """Compare external curves with the mean of the tests and with the model.
 
     Parameters
@@ -347,19 +361,21 @@ def compare_external_curves(
     calibration : calibration of the model
     wires : models of the wires, keyed by name
     groups : groups of tests of one wire and length
-    loadings : first loadings of all tests. If no test has the wire and length of a curve, its rig
-        is that of the first loading
+    loadings : first loadings of all tests. If no test has the wire and length of a curve, the rig
+        of the first loading is used, with the anchor of the string at the free length of the curve
+
+    Yields
+    ------
+    One comparison for each curve.
     """
-    comparisons, tests = [], [loading.curve for loading in loadings]
+    tests = [loading.curve for loading in loadings]
     for curve in curves:
         matches = (g for g in groups if _has_wire_and_length(curve, g.wire, g.length))
         group = next(matches, None)
-        rig = tests[0].rig and replace(tests[0].rig, anchor_x=curve.length)
+        default_rig = tests[0].rig and replace(tests[0].rig, anchor_x=curve.length)
         rigs = (test.rig for test in tests if _has_wire_and_length(curve, test.wire, test.length))
-        rig = next(rigs, rig)
-        comparison = _compare_external_curve(curve, calibration, wires[curve.wire], group, rig)
-        comparisons.append(comparison)
-    return tuple(comparisons)
+        rig = next(rigs, default_rig)
+        yield _compare_external_curve(curve, calibration, wires[curve.wire], group, rig)
 
 
 def _has_wire_and_length(curve: ExternalCurve, wire: str, length: float) -> bool:
@@ -383,14 +399,15 @@ def _compare_external_curve(
     calibration : calibration of the model
     wire : model of the wire
     group : tests of the wire and length of the curve; None if there are none
-    rig : rig of the tests, which is used unless the load of the curve is normal to the axis
+    rig : string that applies the load in the tests; not used if the load of the curve is normal to
+        the axis
     """
-    tests, prediction, max_deflection = None, None, float(curve.deflection[-1])
+    test_match, prediction, max_deflection = None, None, float(curve.deflection[-1])
     if group is not None:
         band = group.band
         max_deflection = max(float(np.max(band.displacement, initial=0.0)), max_deflection)
         bounds = band.lower, band.upper
-        tests = compare_curves(curve, band.displacement, band.mean, bounds, "the tests")
+        test_match = compare_curves(curve, band.displacement, band.mean, bounds, "the tests")
     grid = np.linspace(0.0, min(max_deflection, MAX_DEFLECTION * curve.length), 200)
     model_rig = None if curve.is_normal else rig
     try:
@@ -398,20 +415,24 @@ def _compare_external_curve(
     except ValueError as error:
         reason = format_sentence("mechanics.studies.no_such_curve", error=error)
         no_force = np.full(len(curve.deflection), np.nan)
-        model = CurveMatch(no_force, None, len(no_force), reason)
+        model_match = CurveMatch(no_force, None, n_excluded=len(no_force), explanation=reason)
     else:
         bounds = prediction.lower_mean, prediction.upper_mean
-        model = compare_curves(curve, prediction.deflection, prediction.force, bounds, "the model")
-    notes = list(_note_comparison(curve, tests, model))
-    if model_rig is not rig:
-        notes += _note_load_direction(curve, group, prediction)
-    return ExternalCurveComparison(curve, tests, model, prediction, tuple(notes))
+        deflection, force = prediction.deflection, prediction.force
+        model_match = compare_curves(curve, deflection, force, bounds, "the model")
+    notes = list(_make_comparison_notes(curve, test_match, model_match))
+    if curve.is_normal and rig is not None:
+        notes += _make_load_direction_notes(curve, group, prediction)
+    return ExternalCurveComparison(curve, test_match, model_match, prediction, tuple(notes))
 
 
-def _note_load_direction(
+def _make_load_direction_notes(
     curve: ExternalCurve, group: ValidationGroup | None, prediction: Prediction | None
 ) -> Iterator[QualityNote]:
-    """Yield a note on the forces of the model with the rig of the tests and with a normal load."""
+    """Yield a note on the forces of the model with the rig of the tests and with a normal load.
+
+    There is no note if one of the two predictions is missing.
+    """
     rig_prediction = None if group is None else group.prediction
     if rig_prediction is None or prediction is None:
         return
@@ -425,21 +446,19 @@ def _note_load_direction(
         "mechanics.studies.external_curve_load",
         curve.name,
         deflection=1e3 * common_deflection,
-        tested=1e3 * rig_force,
-        normal=1e3 * normal_force,
+        rig_force=1e3 * rig_force,
+        normal_force=1e3 * normal_force,
     )
 
 
-def _note_comparison(
-    curve: ExternalCurve, tests: CurveMatch | None, model: CurveMatch
+def _make_comparison_notes(
+    curve: ExternalCurve, test_match: CurveMatch | None, model_match: CurveMatch
 ) -> Iterator[QualityNote]:
     """Yield notes on an external curve without tests, and on points that were not compared."""
-    if tests is None:
-        length = 1e3 * curve.length
-        yield QualityNote.of(
-            "mechanics.studies.external_curve_untested", curve.name, wire=curve.wire, length=length
-        )
-    for match in (tests, model):
+    if test_match is None:
+        values = {"wire": curve.wire, "length": 1e3 * curve.length}
+        yield QualityNote.of("mechanics.studies.external_curve_untested", curve.name, **values)
+    for match in (test_match, model_match):
         if match is not None and match.explanation:
             yield QualityNote.of(
                 "mechanics.studies.external_curve_not_compared"

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from labpipe import __version__
 from labpipe.errors import ProcessingError, UsageError
-from labpipe.mechanics.decks import list_deck_paths, make_deck_texts, write_texts
+from labpipe.mechanics.decks import list_deck_paths, make_deck_texts, write_deck_texts
 from labpipe.mechanics.studies.study_files import FIGURES_FOLDER, write_study
 from labpipe.mechanics.studies.wire_sheets import (
     StatedCurve,
@@ -99,7 +99,7 @@ def model_wires(
 
     def write_others(folder: Path) -> list[Path]:
         """Write the decks and the workbook."""
-        decks = write_texts({table.name: texts for table, texts in wires}, folder)
+        decks = write_deck_texts({table.name: texts for table, texts in wires}, folder)
         workbook = folder / WORKBOOK_FILE
         save_wire_workbook(tables, workbook, refusals=refused, stress_tables=descriptions)
         return [workbook, *decks]

@@ -694,7 +694,7 @@ def _solve_next(
     rotation = stations.from_clamp @ (bent.curvature[0] - state.curvature)
     if np.max(np.abs(rotation)) > max_rotation:
         return None
-    result = bent.moment[0], bent.curvature[0], responses[-1].plays, bent.tip_force.force[0]
+    result = bent.moment[0], bent.curvature[0], responses[-1].history, bent.tip_force.force[0]
     return WireState(*result, bent.load.item(), travel, state.self_weight, last)
 
 

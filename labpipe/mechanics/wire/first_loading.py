@@ -414,11 +414,11 @@ def compute_end_load_path(
         """Make the state at a point of the curve from the history at the largest moments."""
         moment, load = curve.moment[row], float(curve.tension[row])
         response, deflection = law.respond(moment, history), float(curve.deflection[row])
-        bent = moment, response.curvature, response.plays, np.array([0.0, load])
+        bent = moment, response.curvature, response.history, np.array([0.0, load])
         return WireState(*bent, load, deflection, self_weight)
 
     rest_state = make_state(0, law.make_unbent_history(n_stations))
-    state = make_state(-1, law.respond(curve.moment.max(axis=0), rest_state.plays).plays)
+    state = make_state(-1, law.respond(curve.moment.max(axis=0), rest_state.plays).history)
     rows = np.append(0, 1 + np.searchsorted(grid, rising_deflections))
     load, clamp_moment = curve.tension[rows], curve.clamp_moment[rows]
     for deflection in deflections[len(rising_deflections) :].tolist():

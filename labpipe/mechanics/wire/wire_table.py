@@ -495,7 +495,7 @@ def set_parameters(spec: WireSpec, values: Mapping[str, float]) -> WireSpec:
 
 def compute_chord_ratio(law: SliderLaw, table: WireTable) -> float:
     """Compute the first slope of a fitted law divided by that of the first chord of its table."""
-    corners = np.concatenate([[0.0], law.slip_curvatures, [law.last]])
+    corners = np.concatenate([[0.0], law.slip_curvatures, [law.max_curvature]])
     moment = np.interp(corners, table.curvature, table.moment)
     return law.first_stiffness / float(compute_hull_slopes(corners, moment)[0])
 

@@ -2,17 +2,17 @@
 
 **Writes this file**: the programs of the cards in ``dialects``, which are MTS TestSuite and 793,
 Instron Bluehill and 8800, ZwickRoell testXpert, Lloyd Nexygen, Shimadzu Trapezium, Walter+Bai Dion,
-HBM catman, Deben Microtest, TA Instruments DMA Q800 and TestResources; a lab adds its own.
+HBM catman, Deben Microtest, TA Instruments DMA Q800 and TestResources. A lab can add cards.
 
-**Recording**: the channels of one test; with several specimens, each on its own clock.
+**Recording**: the channels of one test, or of several specimens, each with its own clock.
 
-**Units**: `unit_in_file` as in the export, values in that unit; time in seconds.
+**Units**: those of the export, except for time, which is in seconds.
 
-**Missing data**: blank cells and the codes of the card become NaN, noted per channel.
+**Missing data**: blank cells and the codes of the card become NaN, with a note for each channel.
 
 **Clock and frame**: the time column, converted to seconds; row numbers if there is none.
 
-**File structure**: as in the card; see docs/how-to/new-dialect.md.
+**File structure**: as the card states; see docs/how-to/new-dialect.md.
 
 **Known versions**: as in the cards.
 """
@@ -46,7 +46,7 @@ from labpipe.readers.load_frame.tables import (
     read_sheets,
     read_text,
 )
-from labpipe.readers.number_table import compare_row_counts
+from labpipe.readers.number_table import make_row_count_notes
 from labpipe.readers.raw_files import (
     ContentError,
     add_file_name,
@@ -68,7 +68,7 @@ __all__ = ["assemble_recording", "choose_card", "read", "recognise", "recognise_
 _SEPARATOR_LINE = re.compile(r"\A\"?sep=.\"?\n")
 """Pattern of a first line that states the separator to a spreadsheet."""
 CardNames = str | Sequence[str] | None
-"""Name of the card that must fit, or names of which one must; None for any."""
+"""Name of the card that must fit, or names of the cards of which one must fit; None for any."""
 
 
 def recognise(path: Path) -> bool:
@@ -89,7 +89,8 @@ def read(
     ----------
     path : the export
     channels : names or paths of the wanted channels, None for all
-    dialect : name of the card that must fit, or names of which one must; None for any
+    dialect : name of the card that must fit, or names of the cards of which one must fit; None for
+        any
     part : name of the wanted specimen or sheet of an export with several, None for all
 
     Returns
@@ -127,7 +128,7 @@ def assemble_recording(
     Parameters
     ----------
     export : tables of the export
-    card : card of its dialect
+    card : card that describes the export
     path : path of the export, for the error on a channel
     channels : names or paths of the wanted channels, None for all
     part : name of the wanted specimen or sheet, None for all
@@ -142,37 +143,38 @@ def assemble_recording(
     ContentError, NoChannelError
         If a channel or part does not exist, or the unit of time is missing or wrong.
     """
-    tables = [_drop_rows_apart(_clean_table(table, card), card) for table in export.tables]
+    tables = [_drop_distant_rows(_clean_table(table, card), card) for table in export.tables]
     if part is not None and tables:
         tables = _choose_part(tables, part)
     notes = [*export.notes]
     if len(export.tables) == 1 and tables:
-        notes += _compare_counts(export, tables[0], card)
+        notes += _make_count_notes(export, tables[0], card)
     if card.fallback:
         notes.append(QualityNote.of("readers.dialect_generic", "file"))
-    parts = [_convert_table(table, card, is_alone=len(tables) == 1) for table in tables]
-    chosen = read = [channel for recording in parts for channel in recording.channels]
+    recordings = [_convert_table(table, card, is_only_table=len(tables) == 1) for table in tables]
+    selected = all_channels = [channel for x in recordings for channel in x.channels]
     if channels is not None:
-        indices = sorted(set(find_channels(channels, chosen, path))) if chosen else []
-        chosen = [chosen[i] for i in indices]
-        used_clocks = {channel.clock for channel in chosen}
-        if len(used_clocks) == 1:
-            notes += compare_alternatives(channels, [x for x in read if x.clock in used_clocks])
-        parts = [recording for recording in parts if recording.clocks[0].name in used_clocks]
+        indices = sorted(set(find_channels(channels, selected, path))) if selected else []
+        selected = [selected[i] for i in indices]
+        clock_names = {channel.clock for channel in selected}
+        if len(clock_names) == 1:
+            candidates = [channel for channel in all_channels if channel.clock in clock_names]
+            notes += compare_alternatives(channels, candidates)
+        recordings = [x for x in recordings if x.clocks[0].name in clock_names]
     model, version = (
         match[1].strip() if pattern is not None and (match := pattern.search(export.head)) else ""
         for pattern in (card.model, card.version)
     )
-    clocks = {recording.clocks[0].name: recording.metadata for recording in parts}
-    notes += [note for recording in parts for note in recording.notes]
+    clocks = {recording.clocks[0].name: recording.metadata for recording in recordings}
+    notes += [note for recording in recordings for note in recording.notes]
     return Recording(
         reader="load-frame",
         program=f"{card.program} {model}".strip(),
         program_version=version,
-        clocks=tuple(recording.clocks[0] for recording in parts),
-        channels=tuple(chosen),
+        clocks=tuple(recording.clocks[0] for recording in recordings),
+        channels=tuple(selected),
         metadata={"dialect": card.name, **export.properties, "clocks": clocks},
-        notes=(*notes, *_make_missing_notes(chosen, card), *make_channel_notes(chosen)),
+        notes=(*notes, *_make_missing_notes(selected, card), *make_channel_notes(selected)),
     )
 
 
@@ -183,31 +185,32 @@ def _clean_table(table: Table, card: Card) -> Table:
         for i, values in table.columns.items()
     }
     last_row = {table.names[i]: values[-1] for i, values in columns.items() if len(values)}
-    mark = {**dict.fromkeys(card.last_zeros, 0.0), **card.last_code}
-    if not card.last_zeros or any(last_row.get(name) != value for name, value in mark.items()):
+    marker = {**dict.fromkeys(card.last_zeros, 0.0), **card.last_code}
+    if not card.last_zeros or any(last_row.get(name) != value for name, value in marker.items()):
         return replace(table, columns=columns)
-    text = ", ".join(f"{name} {value:g}" for name, value in mark.items())
+    text = ", ".join(f"{name} {value:g}" for name, value in marker.items())
     note = QualityNote.of("readers.last_row_left_out", "file", row=table.n_rows, values=text)
     columns = {i: values[:-1] for i, values in columns.items()}
     return replace(table, columns=columns, notes=(*table.notes, note))
 
 
-def _drop_rows_apart(table: Table, card: Card) -> Table:
-    """Omit up to three last rows apart from the samples, such as statistics without a label.
+def _drop_distant_rows(table: Table, card: Card) -> Table:
+    """Omit up to `max_rows` last rows far from the samples, such as statistics without a label.
 
-    At the first of them, time and another column jump, or all columns if there is no time. A jump
-    is ten times the longest earlier step.
+    In the first omitted row, two or more columns jump, which are all columns or include the time. A
+    jump is larger than `jump_factor` times the largest earlier step of the column.
     """
     max_rows, jump_factor = 3, 10.0
     steps = {i: np.abs(np.diff(values)) for i, values in table.columns.items()}
     time = find_time_column(table.names, table.units, card)
     for first in range(max(table.n_rows - max_rows, MIN_TEST_ROWS), table.n_rows):
-        jumping = {
+        jumping_columns = {
             i
             for i, step in steps.items()
             if step[first - 1] > jump_factor * np.nanmax(step[: first - 1], initial=0.0)
         }
-        if len(jumping) > 1 and (time in jumping or jumping == steps.keys()):
+        is_all = jumping_columns == steps.keys()
+        if len(jumping_columns) > 1 and (time in jumping_columns or is_all):
             columns = {i: values[:first] for i, values in table.columns.items()}
             text = ", ".join(f"{table.names[i]} {table.columns[i][first]:g}" for i in steps)
             note = QualityNote.of("readers.rows_apart", "file", row=first + 1, values=text)
@@ -217,91 +220,87 @@ def _drop_rows_apart(table: Table, card: Card) -> Table:
 
 def _choose_part(tables: list[Table], part: str) -> list[Table]:
     """Choose the tables of a specimen or sheet, or raise ContentError if there are none."""
-    if chosen := [table for table in tables if part in {table.part, table.sheet_name} - {""}]:
-        return chosen
+    if matches := [table for table in tables if part in {table.part, table.sheet_name} - {""}]:
+        return matches
     names = [table.part or table.sheet_name for table in tables if table.part or table.sheet_name]
     nearest_names = ", ".join(f"'{name}'" for name in sort_by_likeness(part, names))
+    facts = {"count": len(tables), "nearest": nearest_names}
     raise ContentError.of(
-        "readers.no_such_part" if nearest_names else "readers.no_parts",
-        f"part '{part}'",
-        count=len(tables),
-        nearest=nearest_names,
+        "readers.no_such_part" if nearest_names else "readers.no_parts", f"part '{part}'", **facts
     )
 
 
-def _compare_counts(export: Export, table: Table, card: Card) -> list[QualityNote]:
-    """Compare the stated numbers of samples and of columns with the actual ones."""
-    rows, columns = (
+def _make_count_notes(export: Export, table: Table, card: Card) -> list[QualityNote]:
+    """Make notes if the export states other numbers of samples or columns than the table has."""
+    stated_rows, stated_columns = (
         parse_count(str(export.properties.get(key, "")))
         for key in (card.stated_rows, card.stated_columns)
     )
-    notes, count = compare_row_counts(rows, table.n_rows), len(table.names)
-    if columns not in {None, count}:
-        notes.append(QualityNote.of("readers.columns_differ", "file", stated=columns, held=count))
+    notes = make_row_count_notes(stated_rows, table.n_rows)
+    facts = {"stated": stated_columns, "held": len(table.names)}
+    if stated_columns not in {None, len(table.names)}:
+        notes.append(QualityNote.of("readers.columns_differ", "file", **facts))
     return notes
 
 
-def _convert_table(table: Table, card: Card, *, is_alone: bool) -> Recording:
-    """Convert one table to a recording with one clock, to which its metadata belong."""
-    name, prefix = ("time", "") if is_alone else (table.part, f"{table.part}/")
-    column = find_time_column(table.names, table.units, card)
-    if column is not None and np.isnan(table.columns[column]).any():
-        # Rows without any value are omitted, since the times of other rows show lost samples.
+def _convert_table(table: Table, card: Card, *, is_only_table: bool) -> Recording:
+    """Convert one table to a recording with one clock; the metadata describe this clock."""
+    clock_name, prefix = ("time", "") if is_only_table else (table.part, f"{table.part}/")
+    time_column = find_time_column(table.names, table.units, card)
+    if time_column is not None and np.isnan(table.columns[time_column]).any():
+        # Blank rows can be omitted, because the times of the other rows show lost samples.
         is_blank = np.isnan([*table.columns.values()]).all(axis=0)
         if is_blank.any():
             columns = {i: values[~is_blank] for i, values in table.columns.items()}
             note = QualityNote.of("readers.blank_rows", "file", count=is_blank.sum())
             table = replace(table, columns=columns, notes=(*table.notes, note))
     paths = make_names_unique(table.names)
+    names = [name or path for name, path in zip(table.names, paths, strict=True)]
     channels = [
-        Channel(table.names[i] or paths[i], prefix + paths[i], values, name, None, table.units[i])
+        Channel(names[i], prefix + paths[i], values, clock_name, unit_in_file=table.units[i])
         for i, values in table.columns.items()
-        if i != column
+        if i != time_column
     ]
-    metadata, notes = dict[str, object](), [*table.notes]
-    if column is None:
-        clock = Clock(name, np.arange(table.n_rows, dtype=np.float64), unit="1")
-        notes.append(QualityNote.of("readers.no_time", f"clock {name}", rows=table.n_rows))
+    metadata, notes, place = dict[str, object](), [*table.notes], f"clock {clock_name}"
+    if time_column is None:
+        clock = Clock(clock_name, np.arange(table.n_rows, dtype=np.float64), unit="1")
+        notes.append(QualityNote.of("readers.no_time", place, rows=table.n_rows))
     else:
-        unit = table.units[column] or card.time_unit
-        factor, time = _compute_time_factor(unit, table.names[column]), table.columns[column]
-        clock = Clock(name, time if factor == 1.0 else factor * time)
-        metadata |= {"time": table.names[column], "unit_in_file": unit}
+        unit, time = table.units[time_column] or card.time_unit, table.columns[time_column]
+        factor = _get_time_factor(unit, table.names[time_column])
+        clock = Clock(clock_name, time if factor == 1.0 else factor * time)
+        metadata |= {"time": table.names[time_column], "unit_in_file": unit}
         notes += make_clock_notes(clock, is_variable=card.variable_rate)
     if 0 < table.n_rows < MIN_TEST_ROWS:
-        notes.append(QualityNote.of("readers.few_samples", f"clock {name}", rows=table.n_rows))
+        notes.append(QualityNote.of("readers.few_samples", place, rows=table.n_rows))
     if part := table.part or table.sheet_name:
         metadata["part"] = part
     return Recording("", "", "", (clock,), tuple(channels), metadata=metadata, notes=tuple(notes))
 
 
-def _compute_time_factor(unit: str, name: str) -> float:
+def _get_time_factor(unit: str, name: str) -> float:
+    """Get the factor to seconds of the unit of a time column, or raise ContentError."""
     for spelling in (unit, unit.casefold()):
         with suppress(ValueError):
             return get_conversion_factor(spelling or "none", "s")
+    place = f"column '{name}'"
     raise ContentError.of(
-        "readers.no_unit_of_time" if unit else "readers.time_without_unit",
-        f"column '{name}'",
-        unit=unit,
+        "readers.no_unit_of_time" if unit else "readers.time_without_unit", place, unit=unit
     )
 
 
 def _make_missing_notes(channels: Sequence[Channel], card: Card) -> Iterator[QualityNote]:
+    """Make a note on each channel in which values are missing."""
     codes = " or ".join(f"{code:.0f}" for code in card.missing)
+    codes_text = f" (blank or {codes})" if codes else ""
     for channel in channels:
         if len(rows := np.flatnonzero(np.isnan(channel.values))):
-            yield QualityNote.of(
-                "readers.missing_values",
-                channel.path,
-                count=len(rows),
-                total=len(channel.values),
-                codes=f" (blank or {codes})" if codes else "",
-                first=rows[0] + 1,
-            )
+            facts = {"count": len(rows), "total": len(channel.values), "first": rows[0] + 1}
+            yield QualityNote.of("readers.missing_values", channel.path, **facts, codes=codes_text)
 
 
 def recognise_card(path: Path) -> Card | None:
-    """Find the card of an export, trying a lab's own cards first and fallback cards last.
+    """Find the card that fits an export.
 
     Parameters
     ----------
@@ -309,33 +308,34 @@ def recognise_card(path: Path) -> Card | None:
 
     Returns
     -------
-    The card; None if none fits.
+    The card; None if none fits. A lab's own card has priority over a card of labpipe, and fallback
+    cards of labpipe are tried last.
 
     Raises
     ------
     ReadError
-        If the file cannot be read, two cards of the same rank fit, or a lab's card is wrong.
+        If the file cannot be read, two cards of equal priority fit, or a lab's card is invalid.
     """
     kind = "workbook" if is_workbook(path) else "text"
     list_heads = _build_head_reader(path)
     shipped_cards = load_shipped_cards().values()
-    ranks = (
+    cards_by_priority = (
         load_lab_cards().values(),
         [card for card in shipped_cards if not card.fallback],
         [card for card in shipped_cards if card.fallback],
     )
-    for cards in ranks:
-        fitting = [
+    for cards in cards_by_priority:
+        matches = [
             card
             for card in cards
             if card.kind == kind
             and any(_fits_card(card, head, sheet) for sheet, head in list_heads(card))
         ]
-        if len(fitting) > 1:
-            names = " and ".join(card.name for card in fitting)
+        if len(matches) > 1:
+            names = " and ".join(card.name for card in matches)
             raise ReadError.about("readers.several_cards", path, cards=names)
-        if fitting:
-            return fitting[0]
+        if matches:
+            return matches[0]
     return None
 
 
@@ -345,17 +345,18 @@ def choose_card(path: Path, dialect: CardNames) -> Card:
     Parameters
     ----------
     path : the export
-    dialect : name of the card that must fit, or names of which one must; None for any
+    dialect : name of the card that must fit, or names of the cards of which one must fit; None for
+        any
 
     Returns
     -------
-    The card. If no vendor's card recognises the export, it is the single requested one, and the
-    structure is checked on reading.
+    The card that fits the export. If no card or only a fallback card fits, the single named card is
+    returned, and the structure of the export is checked on reading.
 
     Raises
     ------
     ReadError
-        If there is no such card, or the export fits another one or none.
+        If there is no card of a given name, or only another card or no card fits the export.
     """
     cards = {**load_shipped_cards(), **load_lab_cards()}
     named_dialects = [dialect] if isinstance(dialect, str) else list(dialect or ())
@@ -377,9 +378,11 @@ def choose_card(path: Path, dialect: CardNames) -> Card:
 
 
 def _build_head_reader(path: Path) -> Callable[[Card], list[tuple[str, str]]]:
-    """Build a function that lists name and head of each sheet, or of a text decoded by a card."""
-    # The patterns of a card are searched in so many characters; the longest known header has 3300.
-    head_length = 16384
+    """Build a function that lists, for a card, the names and the heads of the sheets of an export.
+
+    A text has one head, with an empty name. It is decoded with the encodings of the card.
+    """
+    head_length = 16384  # characters; the longest known header has 3300
     if is_workbook(path):
         with suppress(ReadError):
             heads = [(name, format_head(rows)) for name, rows in open_sheets(path).items()]
@@ -403,10 +406,10 @@ def _build_head_reader(path: Path) -> Callable[[Card], list[tuple[str, str]]]:
 def _fits_card(card: Card, head: str, sheet: str) -> bool:
     """Return whether a head fits a card.
 
-    A head that fits a fallback card must be that of a test: it has a column of time, and another
-    unit or names that fit the card.
+    For a fallback card, the head must also be that of a test, with a column of time, and with a
+    unit of another column or names that fit the card.
     """
-    if not head:  # the file has only a byte order mark, and the card is for such files
+    if not head:  # the file has only a byte order mark, which the card allows
         return True
     if not card.fits(head) or not card.fallback:
         return card.fits(head)
@@ -415,7 +418,5 @@ def _fits_card(card: Card, head: str, sheet: str) -> bool:
     except ContentError:
         return False
     time_column = find_time_column(header.names, header.units, card)
-    if time_column is None:
-        return False
     has_units = any(unit for i, unit in enumerate(header.units) if i != time_column)
-    return has_units or card.fits("\t".join(header.names))
+    return time_column is not None and (has_units or card.fits("\t".join(header.names)))

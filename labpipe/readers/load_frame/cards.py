@@ -26,11 +26,12 @@ from labpipe.errors import ReadError
 from labpipe.readers.raw_files import map_read_errors, require
 
 LAB_FOLDER = "dialects"
-"""Folder of a lab's own cards, in the working folder beside ``protocols``."""
+"""Folder of a lab's own cards, in the working folder."""
 _CARD_NAME = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
 
 
 def _compile_pattern(value: object, *, flags: re.RegexFlag) -> re.Pattern[str]:
+    """Compile a pattern, or raise ValueError if it is invalid or too complex."""
     try:
         return re.compile(str(value), flags)
     except (re.error, OverflowError, RecursionError) as error:
@@ -39,11 +40,13 @@ def _compile_pattern(value: object, *, flags: re.RegexFlag) -> re.Pattern[str]:
 
 
 def _check_group(pattern: re.Pattern[str]) -> re.Pattern[str]:
+    """Refuse a pattern that does not have exactly one group."""
     require(pattern.groups == 1, "a pattern needs one group in round brackets")
     return pattern
 
 
 def _check_encoding(name: str) -> str:
+    """Refuse a name that is neither that of an encoding nor ``detect``."""
     is_known = name == "detect"
     with suppress(LookupError):
         is_known = is_known or bool(codecs.lookup(name))
@@ -52,6 +55,7 @@ def _check_encoding(name: str) -> str:
 
 
 def _parse_separator(sign: str) -> str:
+    """Parse a separator, which is one ASCII character or the word ``blanks``."""
     is_sign = sign == "blanks" or (len(sign) == 1 and sign.isascii())
     require(is_sign, 'should be one sign, or "blanks"')
     return " " if sign == "blanks" else sign
@@ -66,26 +70,28 @@ _Pattern = Annotated[
 _NamePattern = Annotated[
     re.Pattern[str], BeforeValidator(partial(_compile_pattern, flags=re.IGNORECASE))
 ]
-_Group = Annotated[_Pattern, AfterValidator(_check_group)]
+_GroupPattern = Annotated[_Pattern, AfterValidator(_check_group)]
 _Encoding = Annotated[_Text, AfterValidator(_check_encoding)]
 _Separator = Annotated[str, AfterValidator(_parse_separator)]
 
 
 class Card(BaseModel):
-    """A dialect, with data to recognise and read the exports of one program.
+    """Description of a dialect: how the exports of one program are recognised and read.
 
     Parameters
     ----------
-    name : name in protocols, and of the card's file
+    name : name of the dialect in protocols, and of the file of the card
     about : description in one sentence
-    program : program that wrote the export, empty in a fallback card
+    program : program that writes the exports; empty in a fallback card
     kind : ``text`` or ``workbook`` (xlsx, xls)
-    recognise : patterns that must all be found in the head of the text, or of one sheet whose
-        cells are separated by tabs
+    recognise : patterns that must all be found in the head of the text, or in that of one sheet, in
+        which tabs separate the cells
     fallback : whether the card is tried only if no other card recognises the export
     blank : whether a file with only a byte order mark is an export without samples
-    version, model : patterns whose group is the version, or text that follows the program's name
-    encodings : encodings that are tried in order without a byte order mark; ``detect`` detects it
+    version : pattern whose group is the version of the program
+    model : pattern whose group is added to the name of the program
+    encodings : encodings that are tried in this order if there is no byte order mark; ``detect``
+        detects the encoding
     separators : characters that may separate cells, of which the first one that fits is used;
         ``blanks`` for any number of blanks
     decimal : decimal sign, or ``auto``
@@ -97,14 +103,14 @@ class Card(BaseModel):
     listed : pattern of the line of one column, whose group is the name with the unit
     start : pattern of the line after which the samples begin
     units : units that the export does not state, keyed by name of the column
-    time : patterns of the name of the time column, preferred first
+    time : patterns of the name of the time column, in order of preference
     time_unit : unit of time if the export does not state it
     variable_rate : whether the program samples at a variable rate, so that no samples are lost in
         long steps
     words : names of columns of text
-    missing : numbers for a missing value
-    last_zeros : columns that are zero in a last row that is not a sample
-    last_code : columns and their values in such a row
+    missing : numbers that stand for a missing value
+    last_zeros : names of the columns that are zero in a last row that is not a sample
+    last_code : other values in such a row, keyed by name of the column
     stated_rows, stated_columns : keys of the preamble that state the numbers of samples and columns
     layout : arrangement of specimens and blocks
     source : file of the card, for messages
@@ -121,16 +127,16 @@ class Card(BaseModel):
     kind: Literal["text", "workbook"] = "text"
     fallback: _Flag = False
     blank: _Flag = False
-    version: _Group | None = None
-    model: _Group | None = None
+    version: _GroupPattern | None = None
+    model: _GroupPattern | None = None
     encodings: tuple[_Encoding, ...] = ("utf-8", "cp1252")
     separators: tuple[_Separator, ...] = ("\t", ";", ",")
     decimal: Literal[".", ",", "auto"] = "auto"
-    decimal_pattern: _Group | None = None
+    decimal_pattern: _GroupPattern | None = None
     brackets: Literal["", "()", "[]"] = ""
     name_starts: _Pattern | None = None
     header_words: tuple[_Text, ...] = ()
-    listed: _Group | None = None
+    listed: _GroupPattern | None = None
     start: _Pattern | None = None
     units: Mapping[str, _Text] = {}
     time_unit: _Text = ""
@@ -146,13 +152,13 @@ class Card(BaseModel):
 
     @model_validator(mode="after")
     def _check_names(self) -> Self:
-        """Refuse a card without the keys that its kind of names needs, or without a pattern."""
-        needs = {
+        """Refuse a card without a pattern, or without keys that its location of names requires."""
+        requirements = {
             "alone": ("header_words", self.header_words),
             "listed": ("listed and start", self.listed and self.start),
             "with units": ("brackets", self.brackets),
         }
-        keys, values = needs.get(self.names, ("", True))
+        keys, values = requirements.get(self.names, ("", True))
         require(bool(values), f"names = '{self.names}' needs {keys}")
         require(bool(self.recognise or self.blank), "recognise needs at least one pattern")
         return self
@@ -178,8 +184,8 @@ def parse_card(text: str, *, name: str, source: object) -> Card:
     Raises
     ------
     ReadError
-        If the name is wrong, the text is not TOML, keys contradict each other, or keys are unknown,
-        missing or of the wrong type, which are all reported together.
+        If the name is invalid, the text is not TOML, keys contradict each other, or keys are
+        unknown, missing or of the wrong type. All faults of the keys are reported together.
     """
     if not _CARD_NAME.fullmatch(name):
         raise ReadError.about("readers.name_of_card", source, name=name)
@@ -223,7 +229,7 @@ def load_lab_cards() -> Mapping[str, Card]:
     Raises
     ------
     ReadError
-        If a card is wrong, or has the name of a card of labpipe.
+        If a card is invalid, or has the name of a card of labpipe.
     """
     cards = {}
     for file in list_lab_card_files():

@@ -1,6 +1,6 @@
 """Read the tables of load-frame exports, whether side by side, in blocks or on sheets.
 
-A dialect, whose data are a `Card`, describes the names, the units and the arrangement of an export.
+The `Card` of a dialect describes the names, the units and the arrangement of an export.
 """
 
 from __future__ import annotations
@@ -50,6 +50,7 @@ from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote
 
 _TIME_WORD = re.compile(r"(?i)time|zeit|temps|tempo|tiempo|czas|tijd|时间|時間")
+"""Pattern of a word for time in the name of a column."""
 Rows = Sequence[Sequence[str]]
 """Cells of each row."""
 _Cells = tuple[str, ...]
@@ -57,7 +58,7 @@ _Cells = tuple[str, ...]
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """The rows above the samples of a table.
+    """Contents of the rows above the samples of a table.
 
     Parameters
     ----------
@@ -84,72 +85,83 @@ class Header:
 def find_header(
     lines: Sequence[str], card: Card, first_line: int = 1, *, sheet: str = ""
 ) -> Header:
-    """Find names and units in the head of a text or a sheet, and ignore blank rows among them.
+    """Find the names and the units of columns in the head of a text or a sheet.
 
     Parameters
     ----------
-    lines : lines of the head, without line ends; cells of a sheet are separated by tabs
-    card : dialect that describes the header
-    first_line : number of the first of the lines in the file, counted from 1
+    lines : lines of the head, without line ends; tabs separate the cells of a sheet
+    card : card that describes the header
+    first_line : number of the first line of the head in the file, counted from 1
     sheet : name of the sheet; empty for a text
 
     Returns
     -------
-    The header. Its separator is the first separator of the dialect that splits the lines into a row
-    of numbers or, if names have no row of units, into the row of names that the dialect requires.
+    The header, without blank rows. Its separator is the first one of the card with which a row of
+    numbers is found or, if the names have no row of units, the row of the names.
 
     Raises
     ------
     ContentError
         If there is no row of names, no required row of units, or no numbers.
     """
-    head = lines[:400]  # the longest known header has 56 lines
+    max_head_lines = 400  # the longest known header has 56 lines
+    head = lines[:max_head_lines]
     if card.names == "listed":
-        return _read_listed_names(head, card)
+        return _parse_listed_names(head, card)
     separators = ("\t",) if sheet else card.separators
     if card.names == "alone":
         words = card.header_words
-        rows_of_head = split_head(
+        split_rows = split_head(
             head, separators, lambda row: tuple(map(str.strip, row[: len(words)])) == words
         )
     else:
-        rows_of_head = split_head(head, separators)
-    if rows_of_head is None:
+        split_rows = split_head(head, separators)
+    if split_rows is None:
         last_line = first_line + len(head) - 1
         place = f"sheet '{sheet}', row 1" if sheet else f"lines {first_line} to {last_line}"
         raise ContentError.of("readers.no_table", place)
-    separator, rows = rows_of_head
+    separator, rows = split_rows
     if card.names == "alone":
-        rows.append([])  # the first row of samples is not among the rows of the head
+        rows.append([])  # the last row is that of the names, so add one for the first sample
     first_row = len(rows) - 1
     filled_rows = [i for i, row in enumerate(rows[:first_row]) if any(cell.strip() for cell in row)]
     cells = [tuple(map(str.strip, rows[i])) for i in filled_rows]
     header_rows = [row[: 1 + max(i for i, cell in enumerate(row) if cell)] for row in cells]
+    sheet_label = f"sheet '{sheet}'" if sheet else ""
 
     def describe_row_above(n_rows: int) -> str:
+        """Describe the place of the n-th filled row above the samples, for a message."""
         row = filled_rows[max(len(filled_rows) - n_rows, 0)] if filled_rows else 0
-        return f"sheet '{sheet}', row {first_line + row}" if sheet else f"line {first_line + row}"
+        return f"{sheet_label}, row {first_line + row}" if sheet else f"line {first_line + row}"
 
     if separator == " " and card.name_starts is not None and len(header_rows) > 1:
         text, n_columns = " ".join(rows[filled_rows[-2]]), len(rows[-1])
-        # A name may contain blanks, and begins where the pattern of the dialect matches.
+        # A name may contain blanks, and begins where the pattern of the card matches.
         starts = [match.start() for match in card.name_starts.finditer(text)]
-        edges = [0, *filter(None, starts), len(text)]
-        header_rows[-2] = tuple(text[start:stop].strip() for start, stop in pairwise(edges))
-        if (count := len(header_rows[-2])) != n_columns:
-            facts = {"wanted": n_columns, "count": count, "text": quote_cells([text])}
+        bounds = [0, *filter(None, starts), len(text)]
+        header_rows[-2] = tuple(text[start:stop].strip() for start, stop in pairwise(bounds))
+        if (n_names := len(header_rows[-2])) != n_columns:
+            facts = {"wanted": n_columns, "count": n_names, "text": quote_cells([text])}
             raise ContentError.of("readers.names_with_blanks", describe_row_above(2), **facts)
-    names, units, n_rows = _find_names([(), (), *header_rows][-2:], card, describe_row_above(1))
+    last_rows = [(), (), *header_rows][-2:]  # rows that do not exist are empty
+    names, units, n_rows = _find_names(last_rows, card, describe_row_above(1))
     preamble = header_rows[:-n_rows]
     has_specimens = card.names == "above units" and card.layout in _SPECIMEN_LAYOUTS
-    specimens = preamble.pop() if preamble and has_specimens else ()
-    label = f"sheet '{sheet}'" if sheet else ""
-    return Header(names, units, first_row, preamble, separator, specimens, first_line, label)
+    return Header(
+        names=names,
+        units=units,
+        first_row=first_row,
+        specimens=preamble.pop() if preamble and has_specimens else (),
+        preamble=preamble,
+        separator=separator,
+        first_line=first_line,
+        sheet_label=sheet_label,
+    )
 
 
-def _read_listed_names(lines: Sequence[str], card: Card) -> Header:
-    """Read a header that lists one name per line and ends with the start line of the dialect."""
-    assert card.listed is not None  # a dialect without these patterns is refused
+def _parse_listed_names(lines: Sequence[str], card: Card) -> Header:
+    """Parse a header that lists one name per line and ends with the start line of the card."""
+    assert card.listed is not None  # a card of listed names without these patterns is refused
     assert card.start is not None
     start = next((i for i, line in enumerate(lines) if card.start.search(line)), None)
     if start is None:
@@ -161,55 +173,59 @@ def _read_listed_names(lines: Sequence[str], card: Card) -> Header:
         raise ContentError.of("readers.no_listed_names", f"lines 1 to {start}", pattern=pattern)
     preamble = [split_line(line, "\t") for line in lines[:start]]
     names, units = zip(*(split_name_and_unit(cell) or (cell, "") for cell in cells), strict=True)
-    return Header(names, units, start + 1, preamble, card.separators[0])
+    separator = card.separators[0]
+    return Header(names, units, first_row=start + 1, preamble=preamble, separator=separator)
 
 
 def _find_names(rows: Sequence[_Cells], card: Card, place: str) -> tuple[_Cells, _Cells, int]:
     """Find the names and the units of the columns in the last two rows above the samples.
 
-    The names have no units, units in the same cells, or a row of units below them.
+    The units are in the row below the names, in the cells of the names, or not stated.
 
     Returns
     -------
     names, units : names and units of the columns
     n_rows : number of rows that contain them
     """
-    previous, last = rows
+    row_above, last_row = rows
     if card.names == "alone":
-        return last, tuple(card.units.get(name, "") for name in last), 1
+        return last_row, tuple(card.units.get(name, "") for name in last_row), 1
     width = max(map(len, rows))
     names, unit_cells = (row + ("",) * (width - len(row)) for row in rows)
-    # A unit cell may repeat the name above it, as for a counter.
+    # The unit cell of a counter may repeat the name above it.
     units = tuple("" if x == name else x for name, x in zip(names, unit_cells, strict=True))
-    pairs = [split_name_and_unit(cell, card.brackets) for cell in last]
-    has_numbers, has_names = any(map(is_number, last)), not _lacks_names(names, unit_cells)
-    has_names_with_units = card.names != "above units" and any(x and x[0] for x in pairs)
-    if has_names and not has_numbers and not has_names_with_units and _are_units(units, card):
+    pairs = [split_name_and_unit(cell, card.brackets) for cell in last_row]
+    has_numbers = any(map(is_number, last_row))
+    has_names_with_units = card.names != "above units" and any(pair and pair[0] for pair in pairs)
+    is_unit_row = not has_numbers and not has_names_with_units and _are_units(units, card)
+    if is_unit_row and _are_names(names, unit_cells):
         return names, tuple(map(strip_brackets, units)), 2
-    has_names_in_last_row = any(last if card.names == "any" else pairs)
-    if card.names == "above units" or has_numbers or not has_names_in_last_row:
-        expected = _HEADER_TEXTS[card.names].format(f" in {card.brackets}" if card.brackets else "")
-        found = " below ".join(map(quote_cells, filter(any, (last, previous)))) or "nothing"
-        raise ContentError.of("readers.no_titles", place, wanted=expected, rows=found)
-    names, units = zip(*(x or (cell, "") for x, cell in zip(pairs, last, strict=True)), strict=True)
+    has_names = any(last_row) if card.names == "any" else any(pairs)
+    if card.names == "above units" or has_numbers or not has_names:
+        wanted = _HEADER_TEXTS[card.names].format(f" in {card.brackets}" if card.brackets else "")
+        texts = " below ".join(map(quote_cells, filter(any, (last_row, row_above)))) or "nothing"
+        raise ContentError.of("readers.no_titles", place, wanted=wanted, rows=texts)
+    pairs = [pair or (cell, "") for pair, cell in zip(pairs, last_row, strict=True)]
+    names, units = zip(*filter(None, pairs), strict=True)
     return names, units, 1
 
 
 def _are_units(cells: _Cells, card: Card) -> bool:
-    """Return whether a row contains units: in the brackets of the dialect, or known units."""
+    """Return whether cells are units, either in the brackets of the card, or known ones."""
     if card.names == "any":
         return are_units(cells)
-    filled = [cell for cell in cells if cell]
+    filled_cells = [cell for cell in cells if cell]
     if not card.brackets:
-        return has_unit(filled)
-    return bool(filled) and all(cell[0] + cell[-1] == card.brackets for cell in filled)
+        return has_unit(filled_cells)
+    return bool(filled_cells) and all(x[0] + x[-1] == card.brackets for x in filled_cells)
 
 
-def _lacks_names(names: _Cells, units: _Cells) -> bool:
-    """Return whether a unit has no name, all names are equal, or the first name is a number."""
+def _are_names(names: _Cells, units: _Cells) -> bool:
+    """Return whether each unit has a name, the names differ, and the first one is no number."""
     has_unnamed_unit = any(unit and not name for name, unit in zip(names, units, strict=True))
-    filled = [name for name in names if name]
-    return has_unnamed_unit or len(set(filled)) == 1 < len(filled) or any(map(is_number, names[:1]))
+    filled_names = [name for name in names if name]
+    are_equal = len(set(filled_names)) == 1 < len(filled_names)
+    return not (has_unnamed_unit or are_equal or any(map(is_number, names[:1])))
 
 
 def find_time_column(names: Sequence[str], units: Sequence[str], card: Card) -> int | None:
@@ -218,15 +234,18 @@ def find_time_column(names: Sequence[str], units: Sequence[str], card: Card) -> 
     Parameters
     ----------
     names, units : names and units of the columns
-    card : dialect with patterns of the name of the column, preferred first
+    card : card with patterns of the name of the column of time, in order of preference
 
     Returns
     -------
-    Index of the column. The patterns are tried in their order on all names as written, and then on
-    all names without the prefix of a channel number or an underscore (``_Time``); the first column
-    whose whole name matches is taken. Without a match, it is the only column that has a unit of
-    time and a word for time in its name. None if there is no such column or several. Columns of
-    text are ignored.
+    Index of the column; None if it is not found.
+
+    Notes
+    -----
+    The patterns are tried in their order on all names as written, and then on all names without the
+    prefix of a channel number or an underscore (``_Time``). The first column whose whole name
+    matches is chosen. If no name matches, the column is the only one that has a unit of time and a
+    word for time in its name. Columns of text are ignored.
     """
     names = ["" if name in card.words else name for name in names]
     for spellings in (names, [normalise_name(name) for name in names]):
@@ -246,15 +265,16 @@ MIN_TEST_ROWS = 10
 """Smallest number of samples of a complete test."""
 _BLANK_LINES = re.compile(r"(?<=\n)((?:[ \t\r]*\n)+)")
 _SEPARATOR_CELL = re.compile(r"sep=.?")
+"""Pattern of a line ``sep=;``, which tells a spreadsheet the separator."""
 _SPECIMEN_LAYOUTS = ("side by side", "specimen above")
 _HEADER_TEXTS = {
     "above units": "a row of names, then a row of units{}, above the numbers",
     "with units": "names with their units{} above the numbers",
     "any": "a row of names above the numbers",
 }
-"""Rows above the numbers that a dialect requires, for messages, keyed by `Card.names`."""
-Channels = Sequence[ChannelChoice] | None
-"""Names or paths of the wanted channels; None for all."""
+"""Rows that a card requires above the numbers, for messages, keyed by `Card.names`."""
+ChannelChoices = Sequence[ChannelChoice] | None
+"""Names or paths of the channels to read; None for all."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -304,26 +324,27 @@ class Export:
     head: str = ""
 
 
-def read_text(content: Content, card: Card, path: Path, channels: Channels = None) -> Export:
+def read_text(content: Content, card: Card, path: Path, channels: ChannelChoices = None) -> Export:
     """Read all tables of a text export.
 
     Parameters
     ----------
     content : bytes of the export
-    card : dialect that describes the arrangement, the names and the units of the export
+    card : card that describes the arrangement, the names and the units of the export
     path : path of the export, for the error on a channel
-    channels : channels to read; None for all. In blocks, or if there are several specimens, all
-        channels are read.
+    channels : channels to read; None for all. If the export consists of blocks or has several
+        specimens, all channels are read.
 
     Returns
     -------
-    The export. It has no tables if its file contains only a byte order mark.
+    The export. It has no tables if the file contains only a byte order mark or white space.
 
     Raises
     ------
     ContentError
-        If names, units or numbers are not where the dialect states, or a channel to read does not
-        exist.
+        If names, units or numbers are not where the card states.
+    NoChannelError
+        If a channel to read does not exist, or its name is ambiguous.
     """
     head = decode(content.data[:HEAD_BYTES], content, card.encodings)
     if is_blank(content.data):
@@ -340,16 +361,16 @@ def read_text(content: Content, card: Card, path: Path, channels: Channels = Non
         return _read_blocks(text, decimal, card)
     header = find_header(split_lines(head), card)
     specimens = _find_specimens(header, card)
-    subset = None
+    wanted = None
     if channels is not None and len(specimens) == 1:
-        subset = _select_columns(header, card, channels, path)
-    body, columns, notes = _read_rows(content.data, header, card, columns=subset, decimal=decimal)
+        wanted = _select_columns(header, card, channels, path)
+    body, columns, notes = _read_rows(content.data, header, card, columns=wanted, decimal=decimal)
     tables = []
     for part, indices in specimens:
         names, units = (row[indices.start : indices.stop] for row in (header.names, header.units))
         # A column without a name and a unit separates two specimens.
-        named = (i for i in indices if header.names[i] or header.units[i])
-        padded_columns = {i - indices.start: columns[i] for i in named if i in columns}
+        titled_columns = (i for i in indices if header.names[i] or header.units[i])
+        padded_columns = {i - indices.start: columns[i] for i in titled_columns if i in columns}
         n_rows = count_filled_rows(padded_columns)  # blank rows pad a shorter specimen
         tables.append(Table(part, names, units, {i: x[:n_rows] for i, x in padded_columns.items()}))
     properties = _parse_preamble(header.preamble) | _list_texts(body, header, card)
@@ -368,25 +389,25 @@ def _read_rows(
 
     Parameters
     ----------
-    data : bytes of a text, or of a sheet or block as text, that begin with the header
+    data : bytes of a text, a sheet or a block, which begin with the first line of the head
     header : header of the table
-    card : dialect of the export
-    columns : indices of the columns to read, by default those of all columns of numbers
+    card : card that describes the export
+    columns : indices of the columns to read; None for all columns of numbers
     decimal : decimal sign
 
     Returns
     -------
-    body : rows below the header, as text
+    body : rows below the header, which are not yet split into cells
     values : values of each column that was read, shape (n_rows,), keyed by index of the column
     notes : quality notes on the rows
     """
     body = Body(
-        skip_lines(data, header.first_row),
-        make_names_unique(header.names),
-        _list_number_columns(header, card) if columns is None else columns,
-        header.first_line + header.first_row,
-        header.separator,
-        decimal,
+        data=skip_lines(data, header.first_row),
+        names=make_names_unique(header.names),
+        columns=_list_number_columns(header, card) if columns is None else columns,
+        first_line=header.first_line + header.first_row,
+        separator=header.separator,
+        decimal=decimal,
         others_numeric=not card.words,
         sheet=header.sheet_label,
     )
@@ -394,14 +415,14 @@ def _read_rows(
 
 
 def _list_number_columns(header: Header, card: Card) -> list[int]:
-    """List the indices of columns that do not contain text."""
+    """List the indices of the columns of numbers, which the card does not declare as text."""
     return [i for i, name in enumerate(header.names) if name not in card.words]
 
 
 def _select_columns(
     header: Header, card: Card, channels: Sequence[ChannelChoice], path: object
 ) -> list[int]:
-    """Select the columns of channels and their alternatives, of time, and of the end marker."""
+    """Select the columns of channels and their alternatives, of time, and of end markers."""
     names, unique_names = header.names, make_names_unique(header.names)
     time = find_time_column(names, header.units, card)
     candidates = [i for i in _list_number_columns(header, card) if i != time]
@@ -418,13 +439,13 @@ def _find_specimens(header: Header, card: Card) -> list[tuple[str, range]]:
     """Find the name and the indices of the columns of each specimen.
 
     The columns of a specimen begin below a filled cell of the row of specimens. If that row is
-    incomplete, they begin at each repetition of the name of the first column.
+    incomplete, the columns of a specimen begin at each repetition of the name of the first column.
     """
-    width = len(header.names)
+    n_columns = len(header.names)
     if card.layout != "side by side":
-        return [("", range(width))]
+        return [("", range(n_columns))]
     specimen_names = dict(enumerate(header.specimens))
-    starts = [i for i in range(width) if specimen_names.get(i)]
+    starts = [i for i in range(n_columns) if specimen_names.get(i)]
     repeats = [i for i, name in enumerate(header.names) if name == header.names[0]]
     if starts[:1] != [0] or len(starts) < len(repeats):
         starts = repeats
@@ -432,11 +453,11 @@ def _find_specimens(header: Header, card: Card) -> list[tuple[str, range]]:
     if len(starts) > 1:
         names = [name or f"specimen {i}" for i, name in enumerate(names, start=1)]
         names = [*make_names_unique(names)]
-    return list(zip(names, map(range, starts, [*starts[1:], width]), strict=True))
+    return list(zip(names, map(range, starts, [*starts[1:], n_columns]), strict=True))
 
 
 def _list_texts(body: Body, header: Header, card: Card) -> dict[str, object]:
-    """List up to 20 distinct texts of each column that contains text according to the dialect."""
+    """List up to `max_texts` distinct texts of each column that the card declares as text."""
     max_texts = 20
     columns = {i: name for i, name in enumerate(header.names) if name in card.words}
     texts: dict[str, dict[str, None]] = {name: {} for name in columns.values()}
@@ -450,8 +471,8 @@ def _list_texts(body: Body, header: Header, card: Card) -> dict[str, object]:
 def _parse_preamble(rows: Rows) -> dict[str, object]:
     """Parse rows of the form ``key, value, unit``, or ``key: value`` in one cell.
 
-    A key that occurs several times has a list of values. The rows without a key are a list under
-    the key ``lines``. A line ``sep=;``, which tells a spreadsheet the separator, is omitted.
+    A key that occurs several times has a list of values. The key ``lines`` has the list of rows
+    without a key. A line ``sep=;`` is omitted.
     """
     entries: dict[str, list[str]] = {}
     for row in rows:
@@ -466,6 +487,7 @@ def _parse_preamble(rows: Rows) -> dict[str, object]:
 
 
 def _parse_key_and_value(cells: Sequence[str]) -> tuple[str, str]:
+    """Parse the key and the value of a row; the key of a row without one is ``lines``."""
     if len(cells) > 1:
         return cells[0].rstrip(" :"), " ".join(cells[1:])
     key, colon, value = cells[0].partition(": ")
@@ -478,25 +500,26 @@ def _read_blocks(text: str, decimal: str, card: Card) -> Export:
     """Read blocks separated by blank lines.
 
     Blocks of samples with the same columns form one table. Summaries and blocks of text become
-    metadata. An export of summaries alone has no table, and has the note ``no_samples``.
+    metadata. An export of summaries only has no table and the note ``no_samples``.
     """
-    blocks, notes, line = list[Table](), list[QualityNote](), 1
-    rows = list[Sequence[str]]()
+    blocks, notes, line_number = list[Table](), list[QualityNote](), 1
+    preamble = list[Sequence[str]]()
     for block in _BLANK_LINES.split(text):
         lines = split_lines(block[:HEAD_BYTES])
         if split_head(lines, card.separators) is not None:
-            header = find_header(lines, card, line)
-            has_words = header.separator == " "  # blanks separate the words of a key, not cells
-            rows += [[" ".join(row)] for row in header.preamble] if has_words else header.preamble
+            header = find_header(lines, card, line_number)
+            # If blanks separate the numbers, they separate words and not cells in the preamble.
+            joins_cells = header.separator == " "
+            preamble += [[" ".join(x)] if joins_cells else x for x in header.preamble]
             body, columns, block_notes = _read_rows(block.encode(), header, card, decimal=decimal)
             notes += block_notes
             table = Table("", header.names, header.units, columns, first_line=body.first_line)
             blocks.append(table)
         else:
-            rows += [split_line(row, "\t") for row in split_lines(block)]
-        line += block.count("\n")
+            preamble += [split_line(line, "\t") for line in split_lines(block)]
+        line_number += block.count("\n")
     if not blocks:
-        raise ContentError.of("readers.no_blocks", f"lines 1 to {line}")
+        raise ContentError.of("readers.no_blocks", f"lines 1 to {line_number}")
     summaries = _find_summaries(blocks, card)
     samples = [block for block in blocks if block not in summaries]  # compared by identity
     notes += [
@@ -506,7 +529,7 @@ def _read_blocks(text: str, decimal: str, card: Card) -> Export:
     if not samples:
         notes.append(QualityNote.of("readers.no_samples", "file"))
     tables, joined_notes = _join_blocks(samples)
-    metadata = _parse_preamble(rows)
+    metadata = _parse_preamble(preamble)
     if summaries:
         metadata["summaries"] = [
             {table.names[i]: values.tolist() for i, values in table.columns.items()}
@@ -516,17 +539,17 @@ def _read_blocks(text: str, decimal: str, card: Card) -> Export:
 
 
 def _join_blocks(blocks: Sequence[Table]) -> tuple[list[Table], list[QualityNote]]:
-    """Join the blocks that have the same columns to one table; each such table is a part."""
+    """Join the blocks that have the same columns into one table; number tables that differ."""
     groups: dict[object, list[Table]] = {}
     for block in blocks:
         groups.setdefault((block.names, block.units), []).append(block)
     tables, notes = [], []
-    for block_number, members in enumerate(groups.values(), start=1):
-        columns = {i: np.concatenate([x.columns[i] for x in members]) for i in members[0].columns}
-        part = f"block {block_number}" if len(groups) > 1 else ""
-        tables.append(replace(members[0], part=part, columns=columns))
-        if (count := len(members)) > 1:
-            lines = ", ".join(str(table.first_line) for table in members)
+    for number, group in enumerate(groups.values(), start=1):
+        columns = {i: np.concatenate([x.columns[i] for x in group]) for i in group[0].columns}
+        part = f"block {number}" if len(groups) > 1 else ""
+        tables.append(replace(group[0], part=part, columns=columns))
+        if (count := len(group)) > 1:
+            lines = ", ".join(str(block.first_line) for block in group)
             notes.append(QualityNote.of("readers.blocks_joined", "file", count=count, lines=lines))
     return tables, notes
 
@@ -534,12 +557,12 @@ def _join_blocks(blocks: Sequence[Table]) -> tuple[list[Table], list[QualityNote
 def _find_summaries(blocks: Sequence[Table], card: Card) -> list[Table]:
     """Find the blocks that are summaries.
 
-    If some blocks have a column of time, the others are summaries. If none has, a block of extremes
-    is a summary: its two rows are the maximum and the minimum of each column.
+    If some blocks have a column of time, the others are summaries. If none has, the summaries are
+    the blocks of two rows that contain the maximum and the minimum of each column.
     """
-    without_time = [block for block in blocks if not _has_time(block, card)]
-    if len(without_time) < len(blocks):
-        return without_time
+    untimed_blocks = [block for block in blocks if not _has_time(block, card)]
+    if len(untimed_blocks) < len(blocks):
+        return untimed_blocks
     return [
         block
         for block in blocks
@@ -548,6 +571,7 @@ def _find_summaries(blocks: Sequence[Table], card: Card) -> list[Table]:
 
 
 def _has_time(table: Table, card: Card) -> bool:
+    """Return whether a table has a column of time."""
     return find_time_column(table.names, table.units, card) is not None
 
 
@@ -557,17 +581,17 @@ def read_sheets(sheets: Sheets, card: Card) -> Export:
     Parameters
     ----------
     sheets : rows of each sheet, from `labpipe.readers.workbooks.open_sheets`
-    card : dialect that describes the names and the units
+    card : card that describes the names and the units
 
     Returns
     -------
-    The export, with one table per sheet with samples. The first rows of the other sheets are among
-    its properties.
+    The export, with one table for each sheet with samples. Its properties contain the first rows of
+    the other sheets.
 
     Raises
     ------
     ContentError
-        If no sheet has names, units and numbers where the dialect states.
+        If no sheet has names, units and numbers where the card states.
     """
     max_listed_rows = 50
     tables, errors, properties = dict[str, Table](), list[ContentError](), dict[str, object]()
@@ -587,25 +611,25 @@ def read_sheets(sheets: Sheets, card: Card) -> Export:
     if not tables:
         no_sheets = ContentError.of("readers.no_sheets", count=len(errors))
         raise next((x for x in errors if x.args[0] != "readers.no_table"), no_sheets)
-    left_out = [name for name in sheets if name not in tables or _is_summary(name, tables, card)]
+    omitted = [name for name in sheets if name not in tables or _is_summary(name, tables, card)]
     notes = []
-    if left_out:
-        rows = {name: [split_line(line, "\t") for line in heads[name]] for name in left_out}
+    if omitted:
+        rows = {name: [split_line(line, "\t") for line in heads[name]] for name in omitted}
         properties["sheets"] = {
-            name: [x for x in rows[name][:max_listed_rows] if any(x)] for name in rows
+            name: [row for row in rows[name][:max_listed_rows] if any(row)] for name in rows
         }
-        names, count = ", ".join(f"'{name}'" for name in left_out), len(left_out)
+        names, count = ", ".join(f"'{name}'" for name in omitted), len(omitted)
         notes.append(QualityNote.of("readers.sheets_left_out", "file", count=count, names=names))
-    tests = tuple(table for name, table in tables.items() if name not in left_out)
+    sample_tables = tuple(table for name, table in tables.items() if name not in omitted)
     head = "\n".join(line for lines in heads.values() for line in lines)
-    return Export(tests, properties, tuple(notes), head)
+    return Export(sample_tables, properties, tuple(notes), head)
 
 
 def _find_sheet_header(lines: Sequence[str], sheet: str, card: Card) -> Header:
-    """Find the header of a sheet, and require one specimen above the names if the dialect does.
+    """Find the header of a sheet, and require one specimen above the names if the card does.
 
-    Without it, a sheet with a column of time takes its own name instead, because its rows above the
-    names were edited.
+    If a sheet has a column of time, the rows above the names may have been edited. The sheet then
+    needs no specimen above the names, because its own name is used.
     """
     header = find_header(lines, card, sheet=sheet)
     if card.layout != "specimen above" or len({cell for cell in header.specimens if cell}) == 1:
@@ -619,10 +643,10 @@ def _find_sheet_header(lines: Sequence[str], sheet: str, card: Card) -> Header:
 def _is_summary(name: str, tables: Mapping[str, Table], card: Card) -> bool:
     """Return whether a sheet is a summary, with results instead of samples.
 
-    The columns of a summary differ from those of the longest table, and it has fewer rows than a
-    complete test, or no column of time although another sheet has one.
+    The columns of a summary differ from those of the longest table. In addition, the summary has
+    fewer rows than a complete test, or no column of time although another sheet has one.
     """
-    table, longest = tables[name], max(tables.values(), key=lambda table: table.n_rows)
-    any_time = any(_has_time(x, card) for x in tables.values())
-    is_incomplete = table.n_rows < MIN_TEST_ROWS or (any_time and not _has_time(table, card))
-    return table.names != longest.names and is_incomplete
+    table, longest_table = tables[name], max(tables.values(), key=lambda table: table.n_rows)
+    lacks_time = any(_has_time(x, card) for x in tables.values()) and not _has_time(table, card)
+    is_incomplete = table.n_rows < MIN_TEST_ROWS or lacks_time
+    return table.names != longest_table.names and is_incomplete

@@ -131,11 +131,9 @@ def test_errors_of_the_source_s_table() -> None:
     assert (errors.n, errors.sse) == (3, 5.0)
     assert errors.rmse == pytest.approx(np.sqrt(5.0 / 3.0))
     assert errors.rmse_share == pytest.approx(np.sqrt(5.0 / 3.0) / 4.0)
-    assert np.isnan(errors.inside)
-    ramp = np.arange(1.0, 5.0)
-    assert (
-        compute_curve_errors(ramp, ramp, ramp - 1.0, np.array([2.0, 3.0, 4.0, 3.9])).inside == 0.75
-    )
+    assert np.isnan(errors.coverage)
+    ramp, upper = np.arange(1.0, 5.0), np.array([2.0, 3.0, 4.0, 3.9])
+    assert compute_curve_errors(ramp, ramp, ramp - 1.0, upper).coverage == 0.75
 
 
 def test_signs_and_neighbours_of_residuals() -> None:
@@ -159,17 +157,17 @@ def test_external_curves() -> None:
     off = np.array([9.0, 0.003, -0.003, 0.005, 0.0, 9.0, 9.0])
     for band, share in ((BAND, 0.75), (None, np.nan), ((np.full(50, np.nan),) * 2, np.nan)):
         matched = compare_curves(external(at, 2.0 * at + off), OTHER, LINE, band, "the tests")
-        assert matched.left_out == 3
+        assert matched.n_excluded == 3
         expected = [np.nan, 0.02, 0.04, 0.06, 0.08, np.nan, np.nan]
         np.testing.assert_allclose(matched.reference, expected, rtol=1e-12)
         assert matched.errors is not None
         assert matched.errors.n == 4
-        assert matched.errors.inside == pytest.approx(share, nan_ok=True)
+        assert matched.errors.coverage == pytest.approx(share, nan_ok=True)
         rmse = np.sqrt((0.003**2 + 0.003**2 + 0.005**2) / 4.0)
         assert matched.errors.rmse == pytest.approx(rmse, rel=1e-12)
         assert matched.errors.rmse_share == pytest.approx(rmse / 0.08, rel=1e-12)
     few = compare_curves(external(at[4:], at[4:]), OTHER, LINE, BAND, "the tests")
-    assert (few.errors, few.left_out) == (None, 3)
+    assert (few.errors, few.n_excluded) == (None, 3)
 
 
 def test_words_of_what_is_not_compared(approved: Approve) -> None:

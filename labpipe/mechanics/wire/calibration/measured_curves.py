@@ -335,6 +335,6 @@ def compare_curves(
     reference = np.where(is_shared, np.interp(points, deflection, force), np.nan)
     errors = compute_curve_errors(curve.force, reference, lower, upper)
     if not np.isfinite(lower[is_shared]).all():
-        errors = replace(errors, inside=np.nan)
+        errors = replace(errors, coverage=np.nan)
     rmse_share = errors.rmse / float(np.nanmax(np.abs(reference)))
     return CurveMatch(reference, replace(errors, rmse_share=rmse_share), n_points - n_shared, text)
