@@ -19,7 +19,7 @@ import numpy as np
 from labpipe.errors import Fault
 from labpipe.records.arrays import Flags, Floats, Ints
 from labpipe.records.curve import Branch, Curve, Direction, Interval
-from labpipe.records.declarations import Area, Force, FromCard, Needs, Output, WholeNumber
+from labpipe.records.declarations import Area, Force, Needs, Output, ShippedCard, WholeNumber
 from labpipe.records.estimates import Failure, UnavailableError
 from labpipe.records.quality import Reason
 from labpipe.records.result import Result, Status
@@ -439,7 +439,7 @@ class ForceLimit(Kind):
         Output(PEAK_OVER_LIMIT, "1", "Peak force over its limit", ("force", "observation")),
     )
     card: Annotated[
-        LimitCard | None, FromCard(), "A shipped card by its name, or one that is written out"
+        LimitCard | None, ShippedCard(), "A shipped card by its name, or one that is written out"
     ] = None
     column: Annotated[str, "Column of the card"] = ""
     at_least: Annotated[Force | None, "Limit of the lab, in place of a card"] = None

@@ -39,7 +39,7 @@ from scipy.spatial import cKDTree
 
 from labpipe.mechanics.law.plays import require, require_finite, require_positive
 from labpipe.records.arrays import Floats, Ints
-from labpipe.records.harness_bundle import STATED, Bundle, BundleLayout
+from labpipe.records.harness_bundle import STATED_POSITIONS, Bundle, BundleLayout
 
 _MAX_SEARCHED_WIRES = 100
 """Largest number of wires for which all starting positions are tried.
@@ -83,7 +83,7 @@ def arrange_wires(
     type_diameters = np.asarray(diameters, dtype=np.float64)
     wire_diameters = type_diameters[wire_types]
     if bundle.positions:
-        arrangement, centres = STATED, _read_stated_centres(bundle, wire_diameters)
+        arrangement, centres = STATED_POSITIONS, _read_stated_centres(bundle, wire_diameters)
     else:
         arrangement = bundle.arrangement
         centres = _find_centres(bundle, type_diameters, stiffness)

@@ -43,7 +43,7 @@ from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote
 from labpipe.records.wire import (
-    AUTO,
+    AUTO_LAYOUT,
     COPPER_SCALE,
     INSULATION_MODULUS,
     RADIAL_FRICTION,
@@ -323,7 +323,7 @@ def _place_strands(spec: WireSpec) -> tuple[CrossSection, list[QualityNote]]:
     tube, layers = make_insulation(spec), make_layers(spec)
     if spec.layout == "compressed":
         return place_sectors(layers, tube, radii=spec.layer_radii), []
-    if spec.layout != AUTO:
+    if spec.layout != AUTO_LAYOUT:
         return make_cross_section(layers, tube, kind=cast("LayoutKind", spec.layout)), []
     try:
         return place_hexagon(layers, tube), []
