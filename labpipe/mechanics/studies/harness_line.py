@@ -500,14 +500,14 @@ def make_section_function(spec: WireSpec, values: Mapping[str, float]) -> Sectio
         changed = {name: float(np.exp(inputs[name])) for name in PARAMETERS if name in inputs}
         wire = build_wire(set_parameters(spec, {**values, **changed}))
         slopes = chord_scale * compute_hull_slopes(corners, wire.compute_curve(corners).moment)
-        stiffnesses = np.maximum(-np.diff(slopes), min_slider_stiffness * slopes[0])
-        law = replace(base_law, spring_stiffness=float(slopes[-1]), slider_stiffnesses=stiffnesses)
+        sliders = np.maximum(-np.diff(slopes), min_slider_stiffness * slopes[0])
+        law = replace(base_law, spring_stiffness=float(slopes[-1]), slider_stiffnesses=sliders)
         share = inputs.get(ISOTROPIC_SHARE, spec.isotropic_share or 0.0)
         layers, factor = wire.section.layers, chord_scale
         strands = make_strand_slider(layers, corners[1:], factor=factor) if share > 0.0 else None
         matrix = compute_stretch_torsion(wire.section)
-        numbers = matrix.torsional, matrix.axial, matrix.coupling, wire.mass_per_length
-        section = Section(law, *numbers, spec.wire_diameter)
+        stiffnesses = matrix.torsional_stiffness, matrix.axial_stiffness, matrix.coupling
+        section = Section(law, *stiffnesses, wire.mass_per_length, spec.wire_diameter)
         return _adjust_section(section, strands, share, inputs)
 
     return build_section
