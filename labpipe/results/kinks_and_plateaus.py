@@ -798,9 +798,8 @@ class Plateau(Kind):
         tangents, _ = self._choose_tangents(trace, stiffness.choose_samples)
         d, f = _read_loading(trace)
         if not onset and (interval := end_slope.interval) is not None:
-            slopes = {"slope": outcome.value, "low": interval.lower, "high": interval.upper}
-            slopes["slope_below"] = self.slope_below
-            facts: dict[str, Any] = {name: 1e2 * slope for name, slope in slopes.items()}
+            facts: dict[str, Any] = {"slope": 1e2 * outcome.value, "low": 1e2 * interval.lower}
+            facts |= {"high": 1e2 * interval.upper, "slope_below": 1e2 * self.slope_below}
             facts |= {"over": 1e3 * self.over, "reached": 1e3 * float(np.nanmax(d))}
             yield Finding.of("results.no_plateau", test.signals.force, of=self.of, **facts)
         method = (

@@ -269,9 +269,9 @@ class StringState:
     @property
     def note(self) -> QualityNote:
         """Quality note for the results of the test."""
-        is_known = self.state != "unknown"
-        name = "results.string_at_rest" if is_known else "results.string_not_known"
-        return QualityNote.of(name, "rig.string", why=self.evidence)
+        if self.state == "unknown":
+            return QualityNote.of("results.string_not_known", "rig.string", why=self.evidence)
+        return QualityNote.of("results.string_at_rest", "rig.string", why=self.evidence)
 
 
 def decide_string_state(evidence: RestEvidence) -> StringState:
