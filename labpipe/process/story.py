@@ -206,7 +206,7 @@ def _build_reduced_test(
     sizes = {**dict(lengths), "span": specimen.span, **section}
     # An uncertainty in the block `specimen` has priority over that of a result.
     uncertainties = {
-        entry.length: entry.length_uncertainty
+        entry.length_key: entry.length_uncertainty
         for entry in protocol.results
         if isinstance(entry, BendingStiffness) and entry.length_uncertainty is not None
     }

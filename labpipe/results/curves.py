@@ -268,8 +268,8 @@ class SampleNoise:
         -------
         The noise; None if the replicates have all samples, or if too few samples have a value.
         """
-        max_samples, min_samples = 20_000, 20  # on each side, and in all
-        min_block_samples, max_scatter_ratio = 1.5, 30.0
+        # Numbers of samples on each side, in all, and in a block; ratio to the usual deviation.
+        max_samples, min_samples, min_block_samples, max_scatter_ratio = 20_000, 20, 1.5, 30.0
         name, signal = getattr(test.signals, quantity), test.force
         has_own_clock = quantity == "force" and test.force.clock != test.clocks.curve_clock
         if not has_own_clock:
@@ -717,8 +717,7 @@ def _estimate_converter_step(values: Floats) -> float:
     at least ten times. Noise would show the values between two levels. The step is the median
     change.
     """
-    min_constant_fraction = 0.5
-    min_levels = 10
+    min_constant_fraction, min_levels = 0.5, 10
     finite = drop_missing(values)
     is_constant = finite[1:] == finite[:-1]
     if not min_constant_fraction * len(is_constant) < is_constant.sum() < len(is_constant):

@@ -495,7 +495,7 @@ def cut_branch(trace: Trace, branch: Branch) -> tuple[Floats, Floats, Floats]:
     return trace.time[rows], trace.displacement[rows], trace.force[rows]
 
 
-def estimate_rise_beyond_top(values: Floats, travel: Floats) -> float:
+def estimate_rise_beyond_peak(values: Floats, travel: Floats) -> float:
     """Estimate how far a curve may rise between its largest sample and the next one.
 
     Parameters
@@ -517,17 +517,17 @@ def estimate_rise_beyond_top(values: Floats, travel: Floats) -> float:
     rise by one more step.
     """
     break_ratio = 3.0  # fall after the largest sample over the rise before it
-    top = int(np.nanargmax(values))
-    if not 0 < top < len(values) - 1:
+    peak = int(np.nanargmax(values))
+    if not 0 < peak < len(values) - 1:
         return 0.0
-    step_before, step_after = values[top] - values[top - 1], values[top] - values[top + 1]
-    is_break = travel[top + 1] > travel[top] and step_after > break_ratio * step_before
+    step_before, step_after = values[peak] - values[peak - 1], values[peak] - values[peak + 1]
+    is_break = travel[peak + 1] > travel[peak] and step_after > break_ratio * step_before
     max_rise = step_before if is_break else 0.5 * min(step_before, step_after)
-    if travel[top + 1] < travel[top] and 1 < top < len(values) - 2:
-        rise, fall = values[top - 1] - values[top - 2], values[top + 1] - values[top + 2]
+    if travel[peak + 1] < travel[peak] and 1 < peak < len(values) - 2:
+        rise, fall = values[peak - 1] - values[peak - 2], values[peak + 1] - values[peak + 2]
         if rise + fall > 0.0:
-            steps = (values[top + 1] - values[top - 1] + fall - rise) / (rise + fall)
-            crossing = values[top - 1] + rise * (1.0 + steps) - values[top]
+            steps = (values[peak + 1] - values[peak - 1] + fall - rise) / (rise + fall)
+            crossing = values[peak - 1] + rise * (1.0 + steps) - values[peak]
             max_rise = min(max_rise, max(crossing, 0.0))
     return float(max_rise) if np.isfinite(max_rise) else 0.0
 
@@ -559,7 +559,7 @@ def choose_peak_sample(
     if quantity == "force":
         curve_step, force_step = map(curves.compute_mean_step, (trace.time, test.force.time))
         steps = max(steps, curve_step / force_step)
-    rise_beyond = estimate_rise_beyond_top(signed_values, travel) / steps
+    rise_beyond = estimate_rise_beyond_peak(signed_values, travel) / steps
 
     def compute_peak(trace: Trace) -> tuple[Floats]:
         signed_curves = sign * getattr(trace, quantity)[..., samples]

@@ -62,13 +62,13 @@ def find_loss_start(
     ----------
     time, force : shape (n,), s (or numbers of rows) and N; unfiltered; NaN are ignored
     criteria : criteria for the loss
-    is_unloading : flags of samples in unloading, where a falling force is not a loss, shape (n,);
-        None if there are none
+    is_unloading : shape (n,), whether the sample is in unloading, where a falling force is not a
+        loss; None without unloading
 
     Returns
     -------
-    Index of the sample, or a failure: ``no_break`` if the force is not lost, or is lost slowly or
-    in unloading; ``no_tension`` if the force is never above zero.
+    Index of the sample, or a failure: ``no_break`` if the force is not lost, or if it is lost
+    slowly or in unloading; ``no_tension`` if the force is never above zero.
 
     Notes
     -----
@@ -88,8 +88,8 @@ def find_loss_start(
         return Failure.of("results.no_break", peak=peak, **facts)
     if is_unloading is not None and is_unloading[finite[last_above]]:
         return Failure.of("results.goes_back")
-    end_of_loss = int(np.searchsorted(t, t[last_above] + criteria.within, side="right"))
-    drop = f[last_above] - float(f[last_above + 1 : max(end_of_loss, last_above + 2)].min())
+    loss_stop = int(np.searchsorted(t, t[last_above] + criteria.within, side="right"))
+    drop = f[last_above] - float(f[last_above + 1 : max(loss_stop, last_above + 2)].min())
     first = _find_first_of_loss(t, f, last_above, criteria, peak)
     if first == last_above and drop < criteria.loss * peak:
         facts = {"force_below": criteria.force_below, "peak": peak, "loss": criteria.loss}
@@ -127,7 +127,7 @@ def find_last_above(force: Floats, fraction: float) -> Ints:
 
 
 def _find_first_of_loss(t: Floats, f: Floats, last: int, criteria: LossOfForce, peak: float) -> int:
-    """Find the first sample of the loss, by its size or rate, from a sample of it backwards."""
+    """Find the first sample of a loss by its size or rate, backwards from one of its samples."""
     required_loss = criteria.loss * peak
     while last > 0:
         begin = int(np.searchsorted(t, t[last] - criteria.within))
@@ -161,12 +161,12 @@ def measure_earlier_loss(time: Floats, force: Floats, criteria: LossOfForce) -> 
     end_samples = np.maximum(end_samples, np.arange(1, len(force)))
     largest_after = np.maximum.accumulate(force[::-1])[::-1][end_samples]
     losses = (force[:-1] - largest_after)[force[:-1] - force[end_samples] >= criteria.loss * peak]
-    largest_share = float(losses.max(initial=0.0)) / (peak or inf)
-    return largest_share if largest_share >= criteria.loss else 0.0
+    largest_fraction = float(losses.max(initial=0.0)) / (peak or inf)
+    return largest_fraction if largest_fraction >= criteria.loss else 0.0
 
 
 class FailureResult(Kind):
-    """``failure_displacement`` (m) and ``failure_force`` (N), at which the specimen fails."""
+    """``failure_displacement`` (m) and ``failure_force`` (N): point at which the specimen fails."""
 
     result: ClassVar = "failure"
     outputs: ClassVar = (
@@ -176,7 +176,7 @@ class FailureResult(Kind):
     needs: ClassVar = Needs(branches=True, correction="failure")
 
     def list_methods(self, test: ReducedTest) -> tuple[str, str]:
-        """Return the methods of both numbers, which differ for a slow loss."""
+        """Return the methods of both numbers, which are different for a slow loss."""
         failure = test.failure
         if isinstance(failure, FailurePoint) and failure.slow_loss_limit is not None:
             fraction = f"{failure.slow_loss_limit:.0%} of the peak, which is lost slowly"
@@ -207,7 +207,7 @@ def _choose_failure_samples(test: ReducedTest, trace: Trace) -> Extractor:
     if failure.slow_loss_limit is not None:
         select = partial(find_last_above, fraction=failure.slow_loss_limit)
         finite = np.flatnonzero(~np.isnan(trace.force))
-        return _choose_by_force(test, trace, sample, finite, select, is_break=True)
+        return _choose_selected(test, trace, sample, finite, select, is_break=True)
     draw_noise = _make_noise_function(test, trace, sample)
     step, change = _measure_next_step(trace, sample), _measure_usual_step(trace.force, sample)
     loss = _measure_loss(test, failure)
@@ -224,7 +224,7 @@ def _choose_failure_samples(test: ReducedTest, trace: Trace) -> Extractor:
     return Extractor(compute_numbers, 1, compute_with_noise)
 
 
-def _choose_by_force(
+def _choose_selected(
     test: ReducedTest,
     trace: Trace,
     sample: int,
@@ -239,8 +239,9 @@ def _choose_by_force(
     ----------
     test, trace : the test, and one of its curves
     sample : sample selected in that curve
-    finite : samples with a force
-    select : function that selects one of these samples for each row of forces, positive in loading
+    finite : indices of the samples with a force
+    select : function that returns the position in `finite` of one sample for each row of forces,
+        which are positive in loading
     is_break : whether the specimen breaks within one sampling step after the selected sample
     """
     sign = cycles.find_loading_sign(trace, trace.force)
@@ -273,11 +274,11 @@ def _make_noise_function(
     loading = slice(find_loading_before(trace, sample).start, sample + 1)
     select_noise = cache(partial(SampleNoise.select, test, trace, stretch=loading, centre=sample))
 
-    def draw(quantity: Quantity, shape: tuple[int, ...]) -> Floats:
+    def draw_noise(quantity: Quantity, shape: tuple[int, ...]) -> Floats:
         noise = select_noise(quantity)
         return np.zeros(shape) if noise is None else noise.draw_deviations(shape)
 
-    return draw
+    return draw_noise
 
 
 def _measure_usual_step(force: Floats, sample: int) -> float:
@@ -290,10 +291,10 @@ def _measure_usual_step(force: Floats, sample: int) -> float:
 def _measure_loss(test: ReducedTest, failure: FailurePoint) -> float:
     """Measure the loss of force in the step to a failure, N.
 
-    The loss is that beyond the usual change of the force in a step, because the force of a specimen
-    that necks also falls in earlier steps. A loss shows that the final loss began in this step. It
-    is 0 if it is below six standard deviations of the noise, or if fewer than eight samples precede
-    the failure, from which the noise cannot be estimated.
+    The loss is counted from the usual change of the force in a step, because the force of a
+    specimen that necks also falls in earlier steps. A loss shows that the final loss began in this
+    step. The loss is 0 if it is below six standard deviations of the noise, or if fewer than eight
+    samples precede the failure, which are too few to estimate the noise.
     """
     curve, sample = test.required_curve, failure.sample
     force = curve.force[:sample][~np.isnan(curve.force[:sample])]
@@ -329,7 +330,7 @@ def find_loading_before(curve: Curve | Trace, sample: int) -> Branch:
 
 
 class PeakForceDisplacement(CycleKind):
-    """``displacement_at_peak_force.<cycle>`` (m), at the largest force of a cycle."""
+    """``displacement_at_peak_force.<cycle>`` (m): displacement at the largest force of a cycle."""
 
     result: ClassVar = "displacement-at-peak-force"
     outputs: ClassVar = (
@@ -349,18 +350,18 @@ class PeakForceDisplacement(CycleKind):
         With noise, a neighbouring sample may have the largest force. If the specimen breaks there,
         the peak lies within one sampling step after the sample.
         """
-        rows = cycles.find_cycle_samples(trace, cycle)
-        finite = rows.start + find_finite_samples(trace.displacement[rows], trace.force[rows])
+        part = cycles.find_cycle_samples(trace, cycle)
+        finite = part.start + find_finite_samples(trace.displacement[part], trace.force[part])
         if not len(finite):
             raise UnavailableError.of("results.no_sample")
         displacement, force = (
             cycles.find_loading_sign(trace, values) * values[finite]
             for values in (trace.displacement, trace.force)
         )
-        top = int(_find_largest(force))
-        rise = cycles.estimate_rise_beyond_top(force, displacement)
-        is_break, sample = rise > 0.5 * (force[top] - force[top - 1]), int(finite[top])
-        extractor = _choose_by_force(test, trace, sample, finite, _find_largest, is_break=is_break)
+        peak = int(_find_largest(force))
+        rise = cycles.estimate_rise_beyond_peak(force, displacement)
+        is_break, sample = rise > 0.5 * (force[peak] - force[peak - 1]), int(finite[peak])
+        extractor = _choose_selected(test, trace, sample, finite, _find_largest, is_break=is_break)
         return replace(extractor, n=len(finite))
 
 
@@ -454,7 +455,7 @@ class ForceLimit(Kind):
             yield Fault.of("protocol.no_card_column", ("card",))
 
     def list_methods(self, test: ReducedTest) -> tuple[str, str]:
-        """Return the methods of both numbers; the first names the source of the limit."""
+        """Return the methods of both numbers; that of the limit names the source of the limit."""
         del test
         source = "stated by the protocol"
         if self.card is not None:
@@ -483,9 +484,8 @@ class ForceLimit(Kind):
             estimate=None if peak.estimate is None else peak.estimate / limit,
             budget=tuple(replace(part, change=part.change / limit) for part in peak.budget),
         )
-        ratio = replace(ratio, remark=judge_sample(ratio).text)
         yield Result(FORCE_LIMIT, limit, "N", method=limit_method, remark=section)
-        yield ratio
+        yield replace(ratio, remark=judge_sample(ratio).text)
 
     def _find_limit(self, conductor: str) -> tuple[float, str]:
         """Return the limit for a conductor, N, and the section to which it applies."""
@@ -521,7 +521,7 @@ def _find_row(card: LimitCard, conductor: str) -> CardRow:
     for row_size, row in sizes.items():
         if isclose(row_size, size, rel_tol=MAX_SECTION_DEVIATION):
             return row
-    ordered = sorted(sizes)
-    above = bisect(ordered, size)
-    rows = " and ".join(str(sizes[x]) for x in ordered[max(above - 1, 0) : above + 1])
+    sorted_sizes = sorted(sizes)
+    index = bisect(sorted_sizes, size)
+    rows = " and ".join(str(sizes[x]) for x in sorted_sizes[max(index - 1, 0) : index + 1])
     raise UnavailableError.of("results.section_not_in_card", conductor=conductor, rows=rows)
