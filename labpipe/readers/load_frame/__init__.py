@@ -31,8 +31,8 @@ import numpy as np
 from labpipe.errors import ReadError, sort_by_likeness
 from labpipe.readers.channels import (
     ChannelChoice,
-    compare_alternatives,
     find_channels,
+    make_alternative_notes,
     make_channel_notes,
     make_names_unique,
 )
@@ -159,7 +159,7 @@ def assemble_recording(
         clock_names = {channel.clock for channel in selected}
         if len(clock_names) == 1:
             candidates = [channel for channel in all_channels if channel.clock in clock_names]
-            notes += compare_alternatives(channels, candidates)
+            notes += make_alternative_notes(channels, candidates)
         recordings = [x for x in recordings if x.clocks[0].name in clock_names]
     model, version = (
         match[1].strip() if pattern is not None and (match := pattern.search(export.head)) else ""
