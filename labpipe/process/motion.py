@@ -581,8 +581,8 @@ def _select_repeat(repeat: CycleLag | None, fit: ClockFit) -> tuple[CycleLag | N
     max_lag_difference = 4.0  # standard errors
     if repeat is None:
         return None, []
-    lag, expected = repeat.force, (1.0 + fit.drift) * repeat.motion
-    error = float(np.hypot(repeat.error, fit.drift_interval.standard_error * repeat.motion))
+    lag, expected = repeat.force_lag, (1.0 + fit.drift) * repeat.motion_lag
+    error = float(np.hypot(repeat.error, fit.drift_interval.standard_error * repeat.motion_lag))
     if abs(lag - expected) <= max_lag_difference * error:
         return repeat, []
     return None, [Finding.of("process.cycles_not_alike", "align", lag=lag, expected=expected)]
