@@ -129,7 +129,7 @@ def _model_bare_bundle(
 
 
 def _get_stiffness(group: Group, sample: Sample) -> BoundedStiffness:
-    """Return the stiffness of a sample, without bounds, or with the reasons of a missing value."""
+    """Return the stiffness of a sample, without bounds, or the reasons of a missing value."""
     result = find_result(sample.results, STIFFNESS_NAME)
     if result is None:
         reasons: tuple[Reason, ...] = (Reason.of("mechanics.studies.no_stiffness"),)
@@ -139,7 +139,7 @@ def _get_stiffness(group: Group, sample: Sample) -> BoundedStiffness:
 
 
 def _get_mean_stiffness(group: Group) -> BoundedStiffness:
-    """Return the mean stiffness of a group, without bounds, or with the reason of a missing value."""
+    """Return the mean stiffness of a group, without bounds, or the reason of a missing value."""
     group_result = group.find_number(STIFFNESS_NAME)
     if group_result is None or not group_result.values:
         reasons = (Reason.of("mechanics.studies.no_mean_stiffness"),)
