@@ -48,7 +48,7 @@ from labpipe.records.group import (
 )
 from labpipe.records.quality import QualityNote
 from labpipe.records.result import Specimen, TestResult
-from labpipe.report.figures import choose_frames_at_steps, find_loading_deflection
+from labpipe.report.figures import choose_frames_at_steps, interpolate_loading_deflection
 from labpipe.report.lab_report import render_test, write_report
 from labpipe.report.page_tables import compute_report_id, list_samples, name_page_file
 from labpipe.report.wording import is_main
@@ -811,7 +811,7 @@ def choose_frames(result: TestResult, time: Floats) -> tuple[Ints, Floats]:
         branch
     deflection : shape (n,), displacement of the curve at these frames, m
     """
-    deflection = find_loading_deflection(result, time)
+    deflection = interpolate_loading_deflection(result, time)
     if deflection is None:
         return np.empty(0, dtype=np.int64), np.empty(0)
     frames = np.unique(choose_frames_at_steps(deflection)[0])

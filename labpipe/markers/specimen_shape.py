@@ -1,4 +1,4 @@
-"""Fit the shape of the specimen in every frame: a smooth curve in arc length to its markers."""
+"""Fit the shape of the specimen in every frame, as a smooth curve in arc length, to markers."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CurveBasis:
-    """Basis of power series in u = s / length that satisfy the end conditions.
+    """Basis functions, power series in u = s / length, that satisfy the end conditions.
 
     Parameters
     ----------
@@ -62,14 +62,14 @@ def compute_power_slopes(u: Floats, terms: int) -> Floats:
     return compute_powers(u, terms) @ np.diag(np.arange(1.0, terms), k=1)
 
 
-def build_curve_basis(*, terms: int, length: float, clamped: bool, free_tip: bool) -> CurveBasis:
+def build_curve_basis(*, terms: int, length: float, has_clamp: bool, free_tip: bool) -> CurveBasis:
     """Build the basis of curves that satisfy the end conditions.
 
     Parameters
     ----------
     terms : number of coefficients per coordinate
     length : length of the curve, m
-    clamped : whether position and direction at s = 0 are given, so that the series begins with u^2
+    has_clamp : whether position and direction at s = 0 are given; the series then begins with u^2
     free_tip : whether the moment, and thus the second derivative, is zero at s = length
 
     Returns
@@ -79,11 +79,11 @@ def build_curve_basis(*, terms: int, length: float, clamped: bool, free_tip: boo
     Raises
     ------
     ValueError
-        If the conditions leave no free coefficient.
+        If the end conditions leave no free coefficient.
     """
-    powers = np.arange(2 if clamped else 0, terms)
+    powers = np.arange(2 if has_clamp else 0, terms)
     if len(powers) < 1 + free_tip:
-        needed = (2 if clamped else 0) + 1 + free_tip
+        needed = (2 if has_clamp else 0) + 1 + free_tip
         raise ValueError(format_sentence("markers.few_terms", terms=terms, needed=needed))
     basis = np.eye(terms)[:, powers]
     if free_tip:
@@ -99,12 +99,12 @@ def build_marker_design(basis: CurveBasis, arc_length: Floats, centre_offset: fl
     Parameters
     ----------
     basis : basis functions of each coordinate
-    arc_length : shape (markers,), m
+    arc_length : shape (markers,), m, arc lengths of the markers
     centre_offset : distance from the axis to the centre of a marker along n = (-y', x'), m
 
     Returns
     -------
-    Shape (2 markers, 2 unknowns). The rows are x, then y of the markers; the columns are the
+    Shape (2 x markers, 2 x unknowns). The rows are x, then y of the markers; the columns are the
     unknowns of x, then those of y.
     """
     axis = basis.compute_values(arc_length)
@@ -114,14 +114,14 @@ def build_marker_design(basis: CurveBasis, arc_length: Floats, centre_offset: fl
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RestCurve:
-    """The specimen at rest, relative to the origin of its markers.
+    """The specimen at rest, relative to the pivot or, without a clamp, to the origin of positions.
 
     Parameters
     ----------
     clamped_end : shape (3,), m, position of the clamped end or, without a clamp, of the beginning
     tangent : shape (3,), unit vector along the specimen at this point
-    arc_length : shape (markers,), m, arc length from this point to the markers
-    ends : conditions at the ends of the curve of every frame
+    arc_length : shape (markers,), m, arc length from this point to each marker
+    ends : conditions at the ends of the curve, which are the same in every frame
     """
 
     clamped_end: Floats
@@ -134,20 +134,20 @@ def fit_rest_curve(
     markers: Floats,
     *,
     offsets: Offsets,
-    clamped: bool,
+    has_clamp: bool,
     free_tip: bool,
     max_change: float = 1e-10,
 ) -> RestCurve:
-    """Fit the clamped end, its direction and the arc lengths of the markers to the shape at rest.
+    """Fit the clamped end, the tangent there and the arc lengths of markers to the shape at rest.
 
     Parameters
     ----------
     markers : shape (markers, 3), m, relative to the pivot, in order along the specimen, with x
         along the specimen
     offsets : offsets between markers and specimen
-    clamped : whether the specimen has a clamp; otherwise it begins at its first marker
+    has_clamp : whether the specimen has a clamp; otherwise it begins at its first marker
     free_tip : whether the moment at the pull point is zero
-    max_change : largest change of arc lengths at convergence, m, which takes at most 30 rounds
+    max_change : largest change of arc lengths at convergence, m
 
     Returns
     -------
@@ -155,17 +155,18 @@ def fit_rest_curve(
 
     Notes
     -----
-    A cubic in arc length (a quadratic for few markers) is fitted with free position and slope at
-    its beginning. The arc lengths are first those of the chords between the markers, then those of
-    the fitted curve, until they converge. The beginning is moved along its tangent until its
-    distance from the pivot in this direction is `offsets.grip`; the pivot need not be on the axis.
+    A cubic in arc length (or a quadratic for few markers) is fitted, whose position and slope at
+    the beginning are free. The arc lengths are first computed from the chords between the markers,
+    and then repeatedly from the fitted curve, until they converge, at most `max_rounds` times. The
+    beginning of the curve is moved along the tangent there until the distance from the pivot in
+    this direction is `offsets.grip`. The pivot need not be on the axis.
     """
     max_rounds, max_terms = 30, 4  # a cubic is enough, because the specimen is nearly straight
     terms = min(max_terms, len(markers) - 1 + free_tip)
-    unit_basis = build_curve_basis(terms=terms, length=1.0, clamped=False, free_tip=free_tip)
+    unit_basis = build_curve_basis(terms=terms, length=1.0, has_clamp=False, free_tip=free_tip)
     chords = np.linalg.norm(np.diff(markers, axis=0), axis=1)
     arc_length = np.r_[0.0, np.cumsum(chords)]
-    if clamped:
+    if has_clamp:
         arc_length += markers[0, 0] - offsets.grip
     for _ in range(max_rounds):
         length = float(arc_length[-1]) + offsets.pull
@@ -178,17 +179,17 @@ def fit_rest_curve(
         previous_arc_length = arc_length
         arc_length = _compute_curve_lengths(coefficients, arc_length, length)
         tangent = coefficients[:, 1] / np.linalg.norm(coefficients[:, 1])
-        shift = coefficients[:, 0] @ tangent - offsets.grip if clamped else 0.0
-        arc_length += shift if clamped else -arc_length[0]
+        shift = coefficients[:, 0] @ tangent - offsets.grip if has_clamp else 0.0
+        arc_length += shift if has_clamp else -arc_length[0]
         if np.abs(arc_length - previous_arc_length).max() < max_change:
             break
-    length, direction = float(arc_length[-1]) + offsets.pull, tangent if clamped else None
+    length, direction = float(arc_length[-1]) + offsets.pull, tangent if has_clamp else None
     ends = EndConditions(length=length, direction=direction, free_tip=free_tip)
     return RestCurve(coefficients[:, 0] - shift * tangent, tangent, arc_length, ends)
 
 
 def _compute_curve_lengths(coefficients: Floats, arc_length: Floats, length: float) -> Floats:
-    """Compute the length of the curve up to each value of its parameter, shape (n,), m."""
+    """Compute the length of the curve up to each value of `arc_length`, its parameter, (n,), m."""
     half_length = arc_length[:, None] / 2
     u = half_length * (1 + _NODES) / length
     tangents = compute_power_slopes(u.ravel(), coefficients.shape[1]) @ coefficients.T / length
@@ -220,7 +221,7 @@ class FrameFits:
     Parameters
     ----------
     coefficients : shape (frames, 3, terms), m, coefficients of the power series in s / length
-    misfit : shape (frames, 2, markers), m, difference of marker and curve in x and y
+    misfit : shape (frames, 2, markers), m, position of each marker minus that on the curve, x and y
     gain : shape (frames, 3), standard error of the last point per standard deviation of a marker
         coordinate
     freedom : shape (frames,), degrees of freedom per coordinate
@@ -240,7 +241,7 @@ class FrameFits:
 
     @property
     def n_spare(self) -> int:
-        """Number of further coefficients per coordinate that all markers would allow."""
+        """Number of further coefficients per coordinate that a frame with all markers allows."""
         return int(self.misfit.shape[2]) - self.min_markers
 
     @property
@@ -254,8 +255,8 @@ class FrameFits:
     def estimate_noise(self, rest_frames: Selection) -> float:
         """Estimate the standard deviation of a marker coordinate, m, from the misfit at rest.
 
-        Deviations from the curve model are constant at rest and are removed with the mean. NaN with
-        fewer than two complete frames or without a degree of freedom.
+        Deviations of the specimen from the model are constant at rest and are removed with the
+        mean. The result is NaN for fewer than two complete frames, or without degrees of freedom.
         """
         misfit, freedom = self.misfit[rest_frames], self.freedom[rest_frames]
         is_complete = np.isfinite(misfit).all(axis=(1, 2))
@@ -273,19 +274,19 @@ def fit_frames(
     *,
     terms: int,
 ) -> FrameFits:
-    """Fit one curve per frame, jointly for all frames with the same visible markers.
+    """Fit one curve to each frame, in groups of frames with the same visible markers.
 
     Parameters
     ----------
     markers : shape (frames, markers, 3), m, relative to the clamped end; NaN where missing
     arc_length : shape (markers,), m, arc lengths of the markers
     centre_offset : distance from the axis to the centre of a marker, m
-    conditions : conditions at the ends
+    conditions : conditions at the ends of the curves
     terms : number of coefficients per coordinate
 
     Returns
     -------
-    The fits.
+    The fitted curves.
 
     Raises
     ------
@@ -297,69 +298,71 @@ def fit_frames(
     The design matrix depends on arc length only, so its pseudo-inverse is the same for all frames
     with the same visible markers.
     """
-    clamped, length = conditions.direction is not None, conditions.length
+    has_clamp, length = conditions.direction is not None, conditions.length
     free_tip = conditions.free_tip
-    basis = build_curve_basis(terms=terms, length=length, clamped=clamped, free_tip=free_tip)
-    frames, count = markers.shape[:2]
-    if basis.n_unknowns > count:
-        largest = terms - basis.n_unknowns + count
-        text = format_sentence("markers.many_terms", terms=terms, largest=largest, count=count)
-        raise ValueError(text)
+    basis = build_curve_basis(terms=terms, length=length, has_clamp=has_clamp, free_tip=free_tip)
+    n_frames, n_markers = markers.shape[:2]
+    if basis.n_unknowns > n_markers:
+        facts = {"largest": terms - basis.n_unknowns + n_markers, "count": n_markers}
+        raise ValueError(format_sentence("markers.many_terms", terms=terms, **facts))
     given_terms = np.zeros((3, terms))
     direction = np.zeros(3) if conditions.direction is None else conditions.direction
     given_terms[:, 1] = direction * length
     normal = np.array([-direction[1], direction[0], 0.0])
-    data = markers - (arc_length[:, None] * direction + centre_offset * normal)
+    # The given terms do not depend on the unknowns, so their contribution is subtracted.
+    offsets = markers - (arc_length[:, None] * direction + centre_offset * normal)
     fits = FrameFits(
-        coefficients=np.full((frames, 3, terms), np.nan),
-        misfit=np.full((frames, 2, count), np.nan),
-        gain=np.full((frames, 3), np.nan),
-        freedom=np.zeros(frames, dtype=np.int64),
+        coefficients=np.full((n_frames, 3, terms), np.nan),
+        misfit=np.full((n_frames, 2, n_markers), np.nan),
+        gain=np.full((n_frames, 3), np.nan),
+        freedom=np.zeros(n_frames, dtype=np.int64),
         min_markers=basis.n_unknowns,
     )
-    for pattern, rows in _group_by_visible_markers(is_in_sight(markers)):
-        if pattern.sum() >= basis.n_unknowns:
-            columns = np.flatnonzero(pattern)
-            visible = data[np.ix_(rows, columns)]
-            unknowns, misfit, gain = _fit_group(visible, basis, arc_length[pattern], centre_offset)
+    for is_visible, rows in _group_by_visible_markers(is_in_sight(markers)):
+        if is_visible.sum() >= basis.n_unknowns:
+            columns, group_arc_length = np.flatnonzero(is_visible), arc_length[is_visible]
+            group_offsets = offsets[np.ix_(rows, columns)]
+            group = _fit_group(group_offsets, basis, group_arc_length, centre_offset)
+            unknowns, fits.misfit[np.ix_(rows, np.arange(2), columns)], fits.gain[rows] = group
             series = unknowns.reshape(-1, basis.n_unknowns) @ np.ascontiguousarray(basis.matrix.T)
             fits.coefficients[rows] = given_terms + series.reshape(-1, 3, terms)
-            fits.misfit[np.ix_(rows, np.arange(2), columns)] = misfit
-            fits.gain[rows] = gain
             fits.freedom[rows] = len(columns) - basis.n_unknowns
     return fits
 
 
 def _fit_group(
-    data: Floats, basis: CurveBasis, arc_length: Floats, centre_offset: float
+    offsets: Floats, basis: CurveBasis, arc_length: Floats, centre_offset: float
 ) -> tuple[Floats, Floats, Floats]:
     """Fit frames with the same visible markers.
 
-    Return unknowns (frames, 3, unknowns), misfit (frames, 2, markers) and gain of the end (3,).
+    The offsets of the markers from the given terms of the curve have the shape
+    (frames, markers, 3). Return unknowns (frames, 3, unknowns), misfit (frames, 2, markers) and the
+    gain of the last point (3,).
     """
-    count, design = basis.n_unknowns, build_marker_design(basis, arc_length, centre_offset)
+    n, design = basis.n_unknowns, build_marker_design(basis, arc_length, centre_offset)
     inverse, inverse_z = np.linalg.pinv(design), np.linalg.pinv(basis.compute_values(arc_length))
-    positions_xy = np.concatenate([data[..., 0], data[..., 1]], axis=1)
-    unknowns_xy = positions_xy @ inverse.T
-    unknowns_z = np.ascontiguousarray(data[..., 2]) @ inverse_z.T
-    unknowns = np.stack([unknowns_xy[:, :count], unknowns_xy[:, count:], unknowns_z], axis=1)
-    misfit = (positions_xy - unknowns_xy @ design.T).reshape(len(data), 2, -1)
-    end = basis.compute_values(np.array([basis.length]))[0]
-    inverses = (inverse[:count], inverse[count:], inverse_z)
-    gain = np.array([np.linalg.norm(end @ inverse) for inverse in inverses])
+    offsets_xy = np.concatenate([offsets[..., 0], offsets[..., 1]], axis=1)
+    unknowns_xy = offsets_xy @ inverse.T
+    unknowns_z = np.ascontiguousarray(offsets[..., 2]) @ inverse_z.T
+    unknowns = np.stack([unknowns_xy[:, :n], unknowns_xy[:, n:], unknowns_z], axis=1)
+    misfit = (offsets_xy - unknowns_xy @ design.T).reshape(len(offsets), 2, -1)
+    last_values = basis.compute_values(np.array([basis.length]))[0]
+    inverses = (inverse[:n], inverse[n:], inverse_z)
+    gain = np.array([np.linalg.norm(last_values @ matrix) for matrix in inverses])
     return unknowns, misfit, gain
 
 
-def _group_by_visible_markers(visible: Flags) -> list[tuple[Flags, Ints]]:
-    """Group frames by their visible markers; return the flags of each group, and its frames."""
-    codes = np.packbits(visible, axis=1)  # sorting rows of flags is far slower
-    first, group = np.unique(codes, axis=0, return_index=True, return_inverse=True)[1:]
-    patterns = enumerate(visible[first])
+def _group_by_visible_markers(is_visible: Flags) -> list[tuple[Flags, Ints]]:
+    """Group frames by their visible markers; return the flags of the markers, and the frames."""
+    codes = np.packbits(is_visible, axis=1)  # sorting rows of flags is far slower
+    first_frames, group = np.unique(codes, axis=0, return_index=True, return_inverse=True)[1:]
+    patterns = enumerate(is_visible[first_frames])
     return [(pattern, np.flatnonzero(group.ravel() == index)) for index, pattern in patterns]
 
 
 CLAMPED_END = "clamped end"
 PULL_POINT = "pull point"
+"""Names of the constructed points of a shape."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -370,14 +373,14 @@ class ShapeFit:
     ----------
     shape : points of every frame in order along the specimen: clamped end (with a clamp), markers,
         pull point (if there is one)
-    clamp_angle : angle from x to the specimen at the clamped end, towards the pull, rad
+    clamp_angle : angle from x to the specimen at the clamped end at rest, towards the pull, rad
     residual : shape (frames,), m, root mean square distance per coordinate between markers and
-        curve in the plane of bending; NaN where there is no fit
+        curve in the plane of bending; NaN in frames without a fit
     marker_noise : standard deviation of one coordinate of one marker, from the scatter of the
         residuals at rest, m; NaN if it is unknown
     tip_gain : shape (frames, 3), standard error of the last point per unit of `marker_noise`
-    tip_systematic : shape (frames, 3), m, change of the last point with one more coefficient; NaN
-        if the markers do not allow one more
+    tip_change : shape (frames, 3), m, change of the last point with one more coefficient, which
+        shows the systematic error; NaN if the markers do not allow one more
     perturbed_tip : y of the last point with one offset increased by its standard uncertainty, shape
         (frames,), m, keyed by cause; empty for a specimen without a clamp or with exact offsets
     notes : quality notes
@@ -388,7 +391,7 @@ class ShapeFit:
     residual: Floats
     marker_noise: float
     tip_gain: Floats
-    tip_systematic: Floats
+    tip_change: Floats
     perturbed_tip: Mapping[str, Floats]
     notes: tuple[QualityNote, ...]
 
@@ -418,17 +421,17 @@ class Offsets:
 
         Returns
         -------
-        The offsets with one increase, keyed by its cause, without those of exact offsets.
+        The increased offsets, keyed by the cause of the uncertainty; an exact offset has no entry.
         """
-        increased = {
+        perturbed_offsets = {
             GRIP: replace(self, grip=self.grip + uncertainties.grip),
             PULL: replace(self, pull=self.pull + uncertainties.pull),
             CENTRE: replace(self, centre=self.centre + uncertainties.centre),
         }
-        return {cause: offsets for cause, offsets in increased.items() if offsets != self}
+        return {cause: offsets for cause, offsets in perturbed_offsets.items() if offsets != self}
 
 
-EXACT: Final = Offsets()
+NO_UNCERTAINTY: Final = Offsets()
 """Standard uncertainties of exact offsets."""
 
 
@@ -441,7 +444,7 @@ def fit_shape(
     clamp_specimen: Floats | None,
     rotation_lab_to_specimen: Floats,
     offsets: Offsets,
-    uncertainties: Offsets = EXACT,
+    uncertainties: Offsets = NO_UNCERTAINTY,
     terms: int,
     tip: Literal["free", "loaded"],
     rest_frames: Selection,
@@ -454,10 +457,11 @@ def fit_shape(
         specimen; NaN where missing
     flags : shape (frames, markers), values of `PointFlag`
     names : name of each marker
-    time : shape (frames,), s
+    time : shape (frames,), s, times of the frames
     clamp_specimen : shape (frames, 3), m, position of the pivot of the clamp; None for a specimen
-        without a clamp, which begins at its first marker and keeps the origin of the frame
-    rotation_lab_to_specimen : shape (3, 3), rotation that is copied to the shape
+        without a clamp, which begins at its first marker. Positions of the shape are then relative
+        to the origin of the specimen frame, and otherwise relative to the clamped end
+    rotation_lab_to_specimen : shape (3, 3), rotation of the specimen frame, copied to the shape
     offsets : offsets between markers and specimen
     uncertainties : standard uncertainties of `offsets`
     terms : number of coefficients per coordinate
@@ -466,7 +470,7 @@ def fit_shape(
 
     Returns
     -------
-    The fit. A frame with too few markers is NaN.
+    The fit, which is NaN in frames with too few markers.
 
     Raises
     ------
@@ -475,50 +479,49 @@ def fit_shape(
 
     Notes
     -----
-    Relative to the clamp, which does not turn, x(s), y(s), z(s) are power series in s / L with
-    r(0) and r'(0) given by the shape at rest (`fit_rest_curve`), and r''(L) = 0 for a free tip. The
-    centre of marker i is r(s_i) + h n(s_i), n = (-y', x', 0), so least squares is linear, and one
-    pseudo-inverse is enough for all frames with the same markers. A quartic y(x) would fail as the
-    tip approaches the vertical.
+    Relative to the clamp, which does not turn, x(s), y(s), z(s) are power series in s / L. The
+    shape at rest (`fit_rest_curve`) determines r(0) and r'(0), and r''(L) = 0 for a free tip. The
+    centre of marker i is r(s_i) + h n(s_i), n = (-y', x', 0). Least squares is therefore linear,
+    and one pseudo-inverse is enough for all frames with the same visible markers. A quartic y(x)
+    would fail when the tip approaches the vertical.
 
-    With 8 markers on 85 mm and 7 terms the error of the tip of an elastic wire is below 7 um up to
-    53 mm of deflection; if the wire kinks (bilinear law), it is below 0.1 mm, as `tip_systematic`
-    shows.
+    With 8 markers on 85 mm and 7 terms, the error of the tip of an elastic wire is below 7 um up to
+    53 mm of deflection. The error of a wire that kinks (bilinear law) is below 0.1 mm, which
+    `tip_change` shows.
     """
     # Errors of `perturbed_tip` below 1e-5 m have no effect on the uncertainty.
     perturbed_max_change = 1e-8  # change of arc lengths at convergence, m
-    actual, expected = (markers_specimen.shape, flags.shape), (len(time), len(names))
-    if actual != ((*expected, 3), expected):
-        raise ValueError(format_sentence("markers.shapes_differ", found=actual, expected=expected))
-    clamped, free_tip = clamp_specimen is not None, tip == "free"
-    relative = markers_specimen - (0.0 if clamp_specimen is None else clamp_specimen[:, None])
-    is_seen_at_rest = np.asarray(is_in_sight(relative[rest_frames]).any(axis=0), dtype=np.bool_)
-    markers = relative[:, is_seen_at_rest]
+    shapes, expected = (markers_specimen.shape, flags.shape), (len(time), len(names))
+    if shapes != ((*expected, 3), expected):
+        raise ValueError(format_sentence("markers.shapes_differ", found=shapes, expected=expected))
+    has_clamp, free_tip = clamp_specimen is not None, tip == "free"
+    all_markers = markers_specimen - (0.0 if clamp_specimen is None else clamp_specimen[:, None])
+    is_seen_at_rest = np.asarray(is_in_sight(all_markers[rest_frames]).any(axis=0), dtype=np.bool_)
+    markers = all_markers[:, is_seen_at_rest]
     if (count := markers.shape[1]) < MIN_MARKERS:
         raise ValueError(format_sentence("markers.few_at_rest", count=count, needed=MIN_MARKERS))
     mean_markers = np.nanmean(markers[rest_frames], axis=0)
-    fit_rest = partial(fit_rest_curve, mean_markers, clamped=clamped, free_tip=free_tip)
+    fit_rest = partial(fit_rest_curve, mean_markers, has_clamp=has_clamp, free_tip=free_tip)
 
     def fit_all(curve: RestCurve, offsets: Offsets, terms: int = terms) -> FrameFits:
-        origin = curve.clamped_end if clamped else np.zeros(3)
-        return fit_frames(
-            markers - origin, curve.arc_length, offsets.centre, curve.ends, terms=terms
-        )
+        """Fit all frames relative to a curve at rest."""
+        positions = markers - (curve.clamped_end if has_clamp else 0.0)
+        return fit_frames(positions, curve.arc_length, offsets.centre, curve.ends, terms=terms)
 
     perturbed_tip = {}
-    for cause, increased_offsets in (offsets.perturb(uncertainties) if clamped else {}).items():
+    for cause, increased_offsets in (offsets.perturb(uncertainties) if has_clamp else {}).items():
         perturbed_curve = fit_rest(offsets=increased_offsets, max_change=perturbed_max_change)
         perturbed_tip[cause] = fit_all(perturbed_curve, increased_offsets).last_point[:, 1]
     rest_curve = fit_rest(offsets=offsets)
     ends, fit = rest_curve.ends, fit_all(rest_curve, offsets)
-    tip_systematic = np.full_like(fit.gain, np.nan)
+    tip_change = np.full_like(fit.gain, np.nan)
     if fit.n_spare > 0:
-        tip_systematic = fit_all(rest_curve, offsets, terms + 1).last_point - fit.last_point
-    markers = markers - (rest_curve.clamped_end if clamped else 0.0)
+        tip_change = fit_all(rest_curve, offsets, terms + 1).last_point - fit.last_point
+    markers = markers - (rest_curve.clamped_end if has_clamp else 0.0)
     marker_flags = np.where(is_in_sight(markers), flags[:, is_seen_at_rest], PointFlag.MISSING)
     marker_names = np.array(names)[is_seen_at_rest].tolist()
     points = [(markers, marker_flags, rest_curve.arc_length, marker_names)]
-    if clamped:
+    if has_clamp:
         is_visible = is_in_sight(markers).any(axis=1, keepdims=True)
         clamped_end = np.where(is_visible, np.zeros(3), np.nan)
         points.insert(0, _make_point(clamped_end, 0.0, CLAMPED_END))
@@ -540,7 +543,7 @@ def fit_shape(
         residual=fit.residual,
         marker_noise=fit.estimate_noise(rest_frames),
         tip_gain=fit.gain,
-        tip_systematic=tip_systematic,
+        tip_change=tip_change,
         perturbed_tip=perturbed_tip,
         notes=tuple(_make_notes(names, is_seen_at_rest, fit, time)),
     )
@@ -574,7 +577,7 @@ def compute_deflection(shape: Shape, *, rest_frames: Selection) -> Floats:
 def _make_point(
     positions: Floats, arc_length: float, name: str
 ) -> tuple[Floats, NDArray[Any], Floats, list[str]]:
-    """Make a constructed point of the shape: positions, flags, arc length and name."""
+    """Make the positions, flags, arc length and name of a constructed point of the shape."""
     flags = np.where(is_in_sight(positions), PointFlag.CONSTRUCTED, PointFlag.MISSING)
     return positions[:, None], flags[:, None], np.array([arc_length]), [name]
 
@@ -582,7 +585,7 @@ def _make_point(
 def _make_notes(
     names: Sequence[str], is_seen_at_rest: Flags, fit: FrameFits, time: Floats
 ) -> Iterator[QualityNote]:
-    """Yield notes on markers that are not seen at rest, and on frames without a shape."""
+    """Make notes on markers that are not seen at rest, and on frames without a shape."""
     for name in np.array(names)[~is_seen_at_rest].tolist():
         yield QualityNote.of("markers.marker_not_at_rest", name, name=name)
     is_missing = ~is_in_sight(fit.last_point)

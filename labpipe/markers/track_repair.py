@@ -1,4 +1,4 @@
-"""Repair marker tracks (undo switches, merge tracks, fill gaps), and compute centres of rings."""
+"""Repair marker tracks (undo label switches, merge tracks, fill gaps); compute centres of rings."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ MIN_MARKERS = 3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RepairedTracks(ArrayRecord):
-    """Tracks of the markers along the specimen, with a flag for every sample.
+    """Repaired tracks of the markers along the specimen, with a flag for every sample.
 
     Parameters
     ----------
@@ -54,53 +54,50 @@ class RepairedTracks(ArrayRecord):
 def repair_tracks(
     tracks: MarkerTracks,
     *,
-    along: Sequence[str],
+    track_names: Sequence[str],
     max_gap: float,
     max_jump: float,
-    frozen: float,
-    reference: Floats | None,
+    frozen_time: float,
+    clamp: Floats | None,
 ) -> RepairedTracks:
-    """Undo label switches, merge unlabelled tracks into their markers, fill short gaps.
+    """Undo label switches, merge unlabelled tracks into the tracks of markers, fill short gaps.
 
     Parameters
     ----------
     tracks : tracks of the take
-    along : names of all tracks of the specimen, labelled or not, without those of the clamp
+    track_names : names of all tracks of the specimen, labelled or not, without those of the clamp
     max_gap : longest gap that is filled, s
     max_jump : largest displacement from one frame to the next that is accepted as motion, m
-    frozen : shortest duration of a run of identical positions that is removed as frozen, s
-    reference : position of the clamp, shape (frames, 3), m. Tracks are linked, and gaps filled,
-        relative to it; its own gaps are filled linearly. None for a take without a clamp
+    frozen_time : shortest duration of a run of identical positions that is removed as frozen, s
+    clamp : shape (frames, 3), m, positions of the clamp, whose gaps are filled linearly. Tracks are
+        linked, and their gaps filled, relative to the clamp. None for a take without a clamp
 
     Returns
     -------
-    The markers in the order of `along`. Measured positions are unchanged, and frozen positions
-    are removed. Gaps longer than `max_gap` remain NaN and are flagged as missing.
+    The markers in the order of `track_names`. Measured positions are unchanged, and frozen
+    positions are removed. Gaps longer than `max_gap` remain NaN and are flagged as missing.
 
     Raises
     ------
     ValueError
-        If a parameter is not positive, a name is unknown or repeated, `reference` has no position,
-        or fewer than three markers have a track.
+        If a limit is not positive, a name is unknown or repeated, `clamp` has no position, or
+        fewer than three markers have a track.
 
     Notes
     -----
-    Tracks are cut into tracklets (`cut_tracklets`), joined across gaps and jumps by their expected
-    positions (`link_tracklets`), and named (`name_chains`). Gaps inside a joined chain are filled
-    by Hermite cubics in the positions relative to `reference`, whose velocity at each end is the
-    mean over up to five measured steps outside the gap.
+    Tracks are cut into tracklets (`cut_tracklets`), which are joined across gaps and jumps by
+    expected positions (`link_tracklets`), and named (`name_chains`). Gaps inside a joined chain are
+    filled by Hermite cubics in the positions relative to the clamp. The velocity at each end of a
+    gap is the mean over up to five measured steps outside the gap.
     """
     # A track that begins within this fraction of `max_jump` of another track duplicates it.
     duplicate_fraction = 0.25
-    for name, value in {"max_gap": max_gap, "max_jump": max_jump, "frozen": frozen}.items():
-        if not value > 0:
-            raise ValueError(format_sentence("markers.not_positive", name=name, value=value))
-    measured, names = _copy_tracks(tracks, along), tuple(along)
-    origin = np.zeros((len(measured), 3))
-    if reference is not None:
-        origin = _fill_linearly(reference, tracks.time)
-    time = tracks.time
-    is_frozen = find_frozen_samples(measured, time, min_frozen_time=frozen, reference=reference)
+    for name, limit in {"max_gap": max_gap, "max_jump": max_jump, "frozen": frozen_time}.items():
+        if not limit > 0:
+            raise ValueError(format_sentence("markers.not_positive", name=name, value=limit))
+    measured, names, time = _copy_tracks(tracks, track_names), tuple(track_names), tracks.time
+    origin = np.zeros((len(measured), 3)) if clamp is None else _fill_linearly(clamp, time)
+    is_frozen = find_frozen_samples(measured, time, min_frozen_time=frozen_time, reference=clamp)
     measured[is_frozen] = np.nan
     relative = measured - origin[:, None]
     tracklets = cut_tracklets(measured, relative, time, max_jump=max_jump)
@@ -116,37 +113,36 @@ def repair_tracks(
     )
     marker_names = tuple(names[label] for label in naming.markers)
     if (count := len(marker_names)) < MIN_MARKERS:
-        needed, name_list = MIN_MARKERS, ", ".join(marker_names) or "none"
-        text = format_sentence("markers.few_markers", count=count, needed=needed, names=name_list)
-        raise ValueError(text)
+        facts = {"count": count, "needed": MIN_MARKERS, "names": ", ".join(marker_names) or "none"}
+        raise ValueError(format_sentence("markers.few_markers", **facts))
     positions, flags = _assemble_markers(measured, tracklets, links, naming)
     _fill_gaps(positions, flags, origin, time)
     repair = Repair(
-        names, tracks.frames, time, measured, is_frozen, tracklets, links, naming, flags
+        measured, is_frozen, flags, tracklets, names=names, take=tracks, links=links, naming=naming
     )
     return RepairedTracks(marker_names, positions, flags, tuple(repair.make_notes()))
 
 
-def _copy_tracks(tracks: MarkerTracks, along: Sequence[str]) -> Floats:
-    """Copy the named tracks; a sample with any missing coordinate becomes NaN."""
-    unknown_names = [name for name in along if name not in tracks.names]
-    if unknown_names or len(set(along)) < len(along):
-        message = f"along={list(along)}: expected different names out of {list(tracks.names)}"
+def _copy_tracks(tracks: MarkerTracks, names: Sequence[str]) -> Floats:
+    """Copy the positions of the named tracks; a sample with a missing coordinate becomes NaN."""
+    unknown_names = [name for name in names if name not in tracks.names]
+    if unknown_names or len(set(names)) < len(names):
+        message = f"along={list(names)}: expected different names out of {list(tracks.names)}"
         raise ValueError(message)
-    columns = [tracks.names.index(name) for name in along]
+    columns = [tracks.names.index(name) for name in names]
     measured: Floats = np.array(tracks.positions[:, columns])
     measured[~np.isfinite(measured).all(axis=2)] = np.nan
     return measured
 
 
-def _fill_linearly(reference: Floats, time: Floats) -> Floats:
-    """Interpolate gaps in the path of the clamp linearly, and hold its first and last position."""
-    is_seen = np.isfinite(reference).all(axis=1)
+def _fill_linearly(path: Floats, time: Floats) -> Floats:
+    """Interpolate gaps in the path of the clamp linearly, and hold the first and last position."""
+    is_seen = np.isfinite(path).all(axis=1)
     if not is_seen.any():
         raise ValueError(format_sentence("markers.no_clamp"))
     if is_seen.all():
-        return reference
-    return np.column_stack([np.interp(time, time[is_seen], axis[is_seen]) for axis in reference.T])
+        return path
+    return np.column_stack([np.interp(time, time[is_seen], axis[is_seen]) for axis in path.T])
 
 
 def _assemble_markers(
@@ -161,13 +157,13 @@ def _assemble_markers(
     flags = np.full(shape, PointFlag.MISSING, dtype=np.uint8)
     for marker, (label, chains) in enumerate(naming.markers.items()):
         for tracklet in _list_tracklets(chains):
-            column, following = tracklets.column[tracklet], links.successor[tracklet]
+            column, successor = tracklets.column[tracklet], links.successor[tracklet]
             frames = slice(tracklets.start[tracklet], tracklets.stop[tracklet])
             positions[frames, marker] = measured[frames, column]
             has_own_label = column == label
             flags[frames, marker] = PointFlag.MEASURED if has_own_label else PointFlag.RELABELLED
-            if following >= 0:
-                flags[frames.stop : tracklets.start[following], marker] = PointFlag.FILLED
+            if successor >= 0:
+                flags[frames.stop : tracklets.start[successor], marker] = PointFlag.FILLED
     return positions, flags
 
 
@@ -187,35 +183,35 @@ def _fill_gaps(positions: Floats, flags: NDArray[np.uint8], origin: Floats, time
 
 
 def _bridge_path(time: Floats, path: Floats, gap_times: Floats) -> Floats:
-    """Compute cubics across the gaps of a path, with its velocity at both ends.
+    """Compute positions in the gaps of a path by cubics that continue the velocities outside.
 
-    The path has the shape (samples, 3), the result the shape (gap times, 3), in m.
+    The path has the shape (samples, 3), and the result has the shape (gap times, 3), in m.
     """
     velocity_frames = 5
-    following = np.searchsorted(time, gap_times)
-    previous = following - 1
-    first = np.maximum(previous - velocity_frames, 0)
-    last = np.minimum(following + velocity_frames, len(time) - 1)
-    span = (time[following] - time[previous])[:, None]
+    after = np.searchsorted(time, gap_times)  # sample after the gap
+    before = after - 1
+    first = np.maximum(before - velocity_frames, 0)
+    last = np.minimum(after + velocity_frames, len(time) - 1)
+    gap_duration = (time[after] - time[before])[:, None]
     # Tangents of a cubic in u, which increases from 0 to 1 across a gap.
-    start_tangent = _compute_velocity(time, path, first, previous) * span
-    stop_tangent = _compute_velocity(time, path, following, last) * span
-    start, stop = path[previous], path[following]
-    u = (gap_times - time[previous])[:, None] / span
+    start_tangent = _compute_velocity(time, path, first, before) * gap_duration
+    stop_tangent = _compute_velocity(time, path, after, last) * gap_duration
+    start_position, stop_position = path[before], path[after]
+    u = (gap_times - time[before])[:, None] / gap_duration
     v = 1.0 - u
-    bridge: Floats = start * v**2 * (1.0 + 2.0 * u) + stop * u**2 * (1.0 + 2.0 * v)
-    return bridge + u * v * (start_tangent * v - stop_tangent * u)
+    cubic: Floats = start_position * v**2 * (1.0 + 2.0 * u) + stop_position * u**2 * (1.0 + 2.0 * v)
+    return cubic + u * v * (start_tangent * v - stop_tangent * u)
 
 
 def _compute_velocity(time: Floats, path: Floats, start: Ints, stop: Ints) -> Floats:
-    """Compute mean velocities between samples, (gap times, 3), m/s; 0 for a single sample."""
+    """Compute mean velocities between two samples, (n, 3), m/s; 0 if both are the same sample."""
     duration = np.where(stop > start, time[stop] - time[start], 1.0)
     velocity: Floats = (path[stop] - path[start]) / duration[:, None]
     return velocity
 
 
 _MAX_NOTES = 10
-"""Largest number of notes on stretches of one marker, ambiguous links, or dropped tracks."""
+"""Largest number of notes on stretches of one marker, on ambiguous links, or on dropped tracks."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -224,31 +220,32 @@ class Repair:
 
     Parameters
     ----------
-    names : names of the columns
-    frames, time : shape (frames,), number and time, s, of each frame
-    measured : shape (frames, columns, 3), m, positions; NaN where missing or frozen
-    is_frozen : shape (frames, columns), flags of samples that were removed as frozen
-    tracklets, links, naming : tracklets of all columns, links between them, and their markers
+    measured : shape (frames, tracks, 3), m, positions; NaN where missing or frozen
+    is_frozen : shape (frames, tracks), flags of samples that were removed as frozen
     flags : shape (frames, markers), values of `PointFlag` after filling
+    tracklets : tracklets of the tracks of the specimen
+    names : names of the tracks of the specimen
+    take : all tracks of the take, with numbers and times of the frames
+    links : links between the tracklets
+    naming : assignment of the chains of tracklets to markers
     """
 
-    names: tuple[str, ...]
-    frames: Floats
-    time: Floats
     measured: Floats
     is_frozen: Flags
+    flags: NDArray[np.uint8]
     tracklets: Tracklets
+    names: tuple[str, ...]
+    take: MarkerTracks
     links: Links
     naming: Naming
-    flags: NDArray[np.uint8]
 
     def make_notes(self) -> Iterator[QualityNote]:
-        """Make notes on repairs and on remaining faults, in the order of their kinds."""
+        """Make notes on repairs and on remaining faults, one kind after the other."""
         markers = [self.names[label] for label in self.naming.markers]
         yield from self._make_missing_notes()
         yield from self._make_stretch_notes("markers.pose_frozen", self.is_frozen, self.names)
         yield from self._make_relabel_notes()
-        for label, chain in self.naming.assigned_by_elimination:
+        for label, chain in self.naming.eliminations:
             span = chain.start, chain.stop
             yield self._make_span_note("markers.label_by_elimination", label, *span)
         yield from self._make_jump_notes()
@@ -258,21 +255,21 @@ class Repair:
         yield from self._make_ambiguity_notes()
         yield from self._make_dropped_notes()
 
-    def _describe(self, start: int, stop: int) -> str:
-        """Describe a stretch of frames, `stop` excluded."""
-        first, last = f"{self.frames[start]:.0f}", f"{self.frames[stop - 1]:.0f}"
+    def _describe_frames(self, start: int, stop: int) -> str:
+        """Describe the frames from `start` to `stop`, which is excluded, for a note."""
+        first, last = f"{self.take.frames[start]:.0f}", f"{self.take.frames[stop - 1]:.0f}"
         frames = f"frame {first}" if stop - start == 1 else f"frames {first} to {last}"
-        return f"{frames} ({self.time[start]:.3f} s to {self.time[stop - 1]:.3f} s)"
+        return f"{frames} ({self.take.time[start]:.3f} s to {self.take.time[stop - 1]:.3f} s)"
 
     def _make_span_note(
         self, message: str, label: int, start: int, stop: int, *times: tuple[float, float]
     ) -> QualityNote:
-        """Make a note on a column in a stretch of frames, `stop` excluded."""
-        name, span = self.names[label], self._describe(start, stop)
+        """Make a note on a track in the frames from `start` to `stop`, which is excluded."""
+        name, span = self.names[label], self._describe_frames(start, stop)
         return QualityNote.of(message, f"{name}, {span}", *times, name=name, span=span)
 
     def _make_missing_notes(self) -> Iterator[QualityNote]:
-        """Yield a note on each named column without a marker of its own."""
+        """Make a note on each labelled track that is not the track of a marker."""
         is_visible = np.asarray(is_in_sight(self.measured).any(axis=0))
         for column, name in enumerate(self.names):
             if column not in self.naming.markers and not is_unlabelled(name):
@@ -287,47 +284,48 @@ class Repair:
     def _make_stretch_notes(
         self, message: str, mask: Flags, names: Sequence[str]
     ) -> Iterator[QualityNote]:
-        """Yield a note on each flagged stretch of a marker, or a common note on many stretches."""
+        """Make a note on each flagged stretch of a marker, or a common note on many stretches."""
         for name, flags in zip(names, mask.T, strict=True):
             stretches = find_runs(flags)
-            spans = [self._describe(*ends) for ends in stretches]
-            texts = [f"{stop - start} frames" for start, stop in stretches]
-            notes = [(x, f"{text}, {x}") for x, text in zip(spans, texts, strict=True)]
+            spans = [self._describe_frames(*stretch) for stretch in stretches]
+            counts = [f"{stop - start} frames" for start, stop in stretches]
+            texts = [f"{count}, {span}" for count, span in zip(counts, spans, strict=True)]
             if len(stretches) > _MAX_NOTES:
                 longest = max(stretches, key=lambda stretch: stretch[1] - stretch[0])
                 count = f"{len(stretches)} times, {int(flags.sum())} frames"
-                whole_span = self._describe(stretches[0][0], stretches[-1][1])
-                notes = [(whole_span, f"{count}, longest {self._describe(*longest)}")]
-            for span, text in notes:
+                spans = [self._describe_frames(stretches[0][0], stretches[-1][1])]
+                texts = [f"{count}, longest {self._describe_frames(*longest)}"]
+            for span, text in zip(spans, texts, strict=True):
                 yield QualityNote.of(message, f"{name}, {span}", name=name, span=text)
 
     def _make_relabel_notes(self) -> Iterator[QualityNote]:
-        """Yield a note on each exchange of labels, and on each stretch without a label."""
+        """Make a note on each exchange of labels, and on each stretch without a label."""
         exchanges: dict[tuple[int, int], list[tuple[str, str]]] = {}
-        column_of, tracklets = self.tracklets.column, self.tracklets
+        columns, tracklets = self.tracklets.column, self.tracklets
         for label, chains in self.naming.markers.items():
             indices = _list_tracklets(chains)
-            for column, group in groupby(indices, key=lambda index: int(column_of[index])):
+            for column, group in groupby(indices, key=lambda index: int(columns[index])):
                 if column == label:
                     continue
-                run = list(group)
-                start, stop = int(tracklets.start[run[0]]), int(tracklets.stop[run[-1]])
+                members = list(group)
+                start, stop = int(tracklets.start[members[0]]), int(tracklets.stop[members[-1]])
                 name, other_label = self.names[label], self.names[column]
-                text, span = f"{name} was labelled as {other_label}", self._describe(start, stop)
+                text = f"{name} was labelled as {other_label}"
+                span = self._describe_frames(start, stop)
                 if not is_unlabelled(other_label):
                     exchanges.setdefault((start, stop), []).append((name, text))
                     continue
-                track = self.measured[start:stop, column]
-                gap = _describe_distance(self.measured[:, label], track, start, stop)
+                merged_track = self.measured[start:stop, column]
+                gap = _describe_distance(self.measured[:, label], merged_track, start, stop)
                 facts = {"text": text, "span": span, "gap": gap}
                 yield QualityNote.of("markers.unlabelled_merged", f"{name}, {span}", **facts)
         for (start, stop), markers in sorted(exchanges.items()):
             names, texts = (", ".join(items) for items in zip(*markers, strict=True))
-            span = self._describe(start, stop)
+            span = self._describe_frames(start, stop)
             yield QualityNote.of("markers.label_switch", f"{names}, {span}", texts=texts, span=span)
 
     def _make_jump_notes(self) -> Iterator[QualityNote]:
-        """Yield a note on each jump between successive chains of a marker."""
+        """Make a note on each jump between successive chains of a marker."""
         for label, chains in self.naming.markers.items():
             for previous, following in pairwise(chains):
                 is_linked = self.links.successor[previous.tracklets[-1]] >= 0
@@ -335,27 +333,28 @@ class Repair:
                     yield self._make_span_note("markers.marker_jump", label, frame, frame + 1)
 
     def _make_ambiguity_notes(self) -> Iterator[QualityNote]:
-        """Yield a note on each ambiguous link, and on each doubtful chain."""
+        """Make a note on each ambiguous link, and on each doubtful chain."""
         tracklets = self.tracklets
-        for first, second in self.links.ambiguous[:_MAX_NOTES]:
+        for first, second in self.links.ambiguous_pairs[:_MAX_NOTES]:
             last_frame = int(tracklets.stop[first]) - 1
-            span = self._describe(last_frame, int(tracklets.start[second]) + 1)
+            span = self._describe_frames(last_frame, int(tracklets.start[second]) + 1)
             names = ", ".join(self.names[tracklets.column[index]] for index in (first, second))
-            where, period = f"{names}, {span}", (float(self.time[last_frame]), float(self.time[-1]))
+            where = f"{names}, {span}"
+            period = float(self.take.time[last_frame]), float(self.take.time[-1])
             yield QualityNote.of("markers.label_ambiguous", where, period, names=names, span=span)
-        for chain in self.naming.doubtful:
+        for chain in self.naming.doubtful_chains:
             start, stop = chain.start, chain.stop
-            period = float(self.time[start]), float(self.time[stop - 1])
+            period = float(self.take.time[start]), float(self.take.time[stop - 1])
             yield self._make_span_note("markers.second_track", chain.label, start, stop, period)
 
     def _make_dropped_notes(self) -> Iterator[QualityNote]:
-        """Yield a note on each of the first chains of no marker, and a common one on the others."""
+        """Make a note on each of the first chains of no marker, and a common one on the others."""
         tracklets = self.tracklets
-        chains = sorted(self.naming.unassigned, key=lambda chain: (chain.start, chain.stop))
+        chains = sorted(self.naming.unassigned_chains, key=lambda chain: (chain.start, chain.stop))
         for chain in chains[:_MAX_NOTES]:
             columns = tracklets.column[list(chain.tracklets)]
             names = ", ".join(dict.fromkeys(self.names[column] for column in columns))
-            span = self._describe(chain.start, chain.stop)
+            span = self._describe_frames(chain.start, chain.stop)
             points = [
                 self.measured[tracklets.start[i] : tracklets.stop[i], tracklets.column[i]]
                 for i in chain.tracklets
@@ -364,21 +363,25 @@ class Repair:
             size = 1e3 * float(np.linalg.norm(np.ptp(np.concatenate(points), axis=0)))
             where = f"{names}, {span}"
             yield QualityNote.of("markers.track_dropped", where, names=names, span=span, size=size)
-        if count := len(unlisted := chains[_MAX_NOTES:]):
-            frames = sum(chain.frames for chain in unlisted)
+        if count := len(other_chains := chains[_MAX_NOTES:]):
+            frames = sum(chain.n_frames for chain in other_chains)
             yield QualityNote.of("markers.tracks_dropped", "markers", count=count, frames=frames)
 
 
-def _describe_distance(track: Floats, continuation: Floats, start: int, stop: int) -> str:
-    """Describe the largest distance of two tracks at their junctions; empty if unknown."""
-    ends = (start - 1, continuation[0]), (stop, continuation[-1])
+def _describe_distance(track: Floats, merged_track: Floats, start: int, stop: int) -> str:
+    """Describe the larger distance between a track and the ends of a track merged into it.
+
+    The merged track replaces the frames from `start` to `stop`, which is excluded. The text is
+    empty if no distance is known.
+    """
+    ends = (start - 1, merged_track[0]), (stop, merged_track[-1])
     gaps = [np.linalg.norm(track[frame] - end) for frame, end in ends if 0 <= frame < len(track)]
     largest = float(np.fmax.reduce(gaps, initial=-np.inf))
     return f", {1e3 * largest:.2f} mm apart where they meet" if np.isfinite(largest) else ""
 
 
 def group_rings(names: Sequence[str]) -> dict[str, tuple[str, ...]]:
-    """Group markers by the part of their name before the last colon.
+    """Group markers by the part of the name before the last colon, the name of a ring.
 
     Parameters
     ----------
@@ -412,9 +415,9 @@ def compute_ring_centres(
 
     Returns
     -------
-    One track per ring: the mean of its markers, with the flag of the least certain marker. If some
-    markers are missing, the centre is computed from the others and flagged as filled; if all are
-    missing, it is NaN.
+    One track for each ring: the mean position of the markers, with the flag of the least certain
+    marker. If some markers are missing, the centre is computed from the others and flagged as
+    filled. If all are missing, the centre is NaN.
 
     Raises
     ------
@@ -423,10 +426,11 @@ def compute_ring_centres(
 
     Notes
     -----
-    Rings are assumed to be rigid. With three or more visible markers, the centre follows from their
-    best rigid fit (Kabsch) to the ring in the nearest complete frame. With fewer markers, the
-    vector from their mean to the centre is interpolated between the nearest complete frames. For a
-    ring that is never complete, the centre is the mean of the visible markers.
+    Rings are assumed to be rigid. If three or more markers are visible, the centre follows from the
+    best rigid fit (Kabsch) of the ring in the nearest complete frame to these markers. If fewer are
+    visible, the vector from the mean of these markers to the centre is interpolated between the
+    nearest complete frames. For a ring that is never complete, the centre is the mean of the
+    visible markers.
     """
     known_names = set(repaired.names)
     tracks, flags, notes = [], [], list(repaired.notes)
@@ -447,7 +451,7 @@ def compute_ring_centres(
 def _compute_centre(
     positions: Floats, flags: NDArray[np.uint8]
 ) -> tuple[Floats, NDArray[np.uint8]]:
-    """Compute the centre of one ring, and its flags, shape (frames,)."""
+    """Compute the centre of one ring, shape (frames, 3), m, and the flags, shape (frames,)."""
     is_visible = is_in_sight(positions)
     is_complete = is_visible.all(axis=1)
     centre: Floats = np.full((len(positions), 3), np.nan)
@@ -480,30 +484,30 @@ def _compute_visible_centre(
         return np.asarray(mean, dtype=np.float64)
     if visible.shape[1] >= 3:
         row = np.clip(np.searchsorted(complete_frames, frames), 0, len(complete_frames) - 1)
-        following, previous = complete_frames[row], complete_frames[np.maximum(row - 1, 0)]
-        is_later = np.abs(following - frames) < np.abs(frames - previous)
-        nearest = np.where(is_later, following, previous)
+        frame_after, frame_before = complete_frames[row], complete_frames[np.maximum(row - 1, 0)]
+        is_after_nearer = np.abs(frame_after - frames) < np.abs(frames - frame_before)
+        nearest = np.where(is_after_nearer, frame_after, frame_before)
         template = visible[nearest] - visible[nearest].mean(axis=1, keepdims=True)
         rotation = _fit_rotations(template, visible[frames] - mean[:, None])
         offset = positions[nearest].mean(axis=1) - visible[nearest].mean(axis=1)
         return np.asarray(mean + np.einsum("fij,fj->fi", rotation, offset), dtype=np.float64)
-    offset = positions[complete_frames].mean(axis=1) - visible[complete_frames].mean(axis=1)
-    interpolated = np.column_stack([np.interp(frames, complete_frames, axis) for axis in offset.T])
-    return np.asarray(mean + interpolated, dtype=np.float64)
+    offsets = positions[complete_frames].mean(axis=1) - visible[complete_frames].mean(axis=1)
+    offset = np.column_stack([np.interp(frames, complete_frames, axis) for axis in offsets.T])
+    return np.asarray(mean + offset, dtype=np.float64)
 
 
 def _fit_rotations(template: Floats, points: Floats) -> Floats:
-    """Fit the rotation of the centred template to centred points in each frame (Kabsch)."""
+    """Fit the rotation of the centred template to the centred points of each frame (Kabsch)."""
     u, _, vt = np.linalg.svd(np.einsum("fmi,fmj->fij", points, template))
-    mirror = np.ones((len(template), 3))
-    mirror[:, 2] = np.sign(np.linalg.det(u @ vt))
-    return np.asarray((u * mirror[:, None]) @ vt, dtype=np.float64)
+    signs = np.ones((len(template), 3))  # with them, the matrix is no reflection
+    signs[:, 2] = np.sign(np.linalg.det(u @ vt))
+    return np.asarray((u * signs[:, None]) @ vt, dtype=np.float64)
 
 
 def _make_ring_notes(
     ring: str, members: Sequence[str], flags: NDArray[np.uint8]
 ) -> Iterator[QualityNote]:
-    """Yield notes on a ring with missing markers, and on a ring that is never complete."""
+    """Make notes on a ring with missing markers, and on a ring that is never complete."""
     is_missing = flags == PointFlag.MISSING
     is_partial = is_missing.any(axis=1) & ~is_missing.all(axis=1)
     if is_partial.any():

@@ -1,4 +1,4 @@
-"""Cut marker tracks into tracklets (unbroken stretches), link them to chains, name the chains."""
+"""Cut marker tracks into tracklets (unbroken stretches), link them to chains, and name chains."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Tracklets:
     Parameters
     ----------
     column : shape (n,), index of the track of each tracklet
-    start, stop : shape (n,), indices of the frames, `stop` excluded
+    start, stop : shape (n,), indices of the first frame, and of the first frame after the tracklet
     """
 
     column: Ints
@@ -35,22 +35,23 @@ class Tracklets:
 
 
 def is_in_sight(positions: Floats) -> Flags:
-    """Return whether each point of shape (..., 3) has a position, shape (...)."""
-    x, y, z = (np.isfinite(positions[..., axis]) for axis in range(3))  # .all() is 15 times slower
-    return np.asarray(x & y & z, dtype=np.bool_)
+    """Return whether each position of shape (..., 3) is known, shape (...)."""
+    # np.isfinite(positions).all(axis=-1) is 15 times slower.
+    has_x, has_y, has_z = (np.isfinite(positions[..., axis]) for axis in range(3))
+    return np.asarray(has_x & has_y & has_z, dtype=np.bool_)
 
 
 def compute_frame_period(time: Floats) -> float:
-    """Compute the median frame period, s, which gaps do not change; 1 s for a single frame."""
+    """Compute the median frame period, s; 1 s for a single frame."""
     return compute_median_step(time) if len(time) > 1 else 1.0
 
 
 def find_frozen_samples(
     positions: Floats, time: Floats, *, min_frozen_time: float, reference: Floats | None = None
 ) -> Flags:
-    """Find samples that repeat the last position while other points move.
+    """Find the samples that repeat the last position of a point while other points move.
 
-    Some exports repeat the last position of a lost point instead of leaving it blank.
+    Some exports repeat the last position of a lost point instead of blank cells.
 
     Parameters
     ----------
@@ -66,7 +67,8 @@ def find_frozen_samples(
 
     Notes
     -----
-    A run counts if another point moves in at least half of its steps. A NaN ends a run.
+    The samples of a run are frozen if another point moves in at least half of the steps of the run.
+    A NaN ends a run.
     """
     is_frozen = np.zeros(positions.shape[:2], dtype=np.bool_)
     if len(positions) < 2:
@@ -75,11 +77,11 @@ def find_frozen_samples(
     is_moving = (np.abs(steps) > 0).any(axis=(1, 2))
     if reference is not None:
         is_moving |= (np.abs(np.diff(reference, axis=0)) > 0).any(axis=1)
-    moving_steps = np.r_[0, np.cumsum(is_moving)]
+    n_moving_steps = np.r_[0, np.cumsum(is_moving)]
     for point, is_repeated in enumerate(np.asarray((steps == 0).all(axis=2)).T):
         for first, last in find_runs(is_repeated):
             is_long = time[last] - time[first] >= min_frozen_time * (1 - 1e-9)
-            if is_long and 2 * (moving_steps[last] - moving_steps[first]) >= last - first:
+            if is_long and 2 * (n_moving_steps[last] - n_moving_steps[first]) >= last - first:
                 is_frozen[first + 1 : last + 1, point] = True
     return is_frozen
 
@@ -87,16 +89,16 @@ def find_frozen_samples(
 def cut_tracklets(
     positions: Floats, relative: Floats, time: Floats, *, max_jump: float
 ) -> Tracklets:
-    """Cut every track at gaps, at jumps, and where two tracks exchange their markers.
+    """Cut every track at gaps, at jumps, and where two tracks exchange markers.
 
     Parameters
     ----------
     positions : shape (frames, tracks, 3), m, measured positions; NaN where missing
     relative : shape (frames, tracks, 3), m, positions relative to the clamp
     time : shape (frames,), s
-    max_jump : longest step per frame period that is motion, m. A step is a jump only if it is too
-        long both as measured and relative to the clamp, so that neither fast travel of the whole
-        rig nor an error of the pose of the clamp cuts tracks
+    max_jump : longest step per frame period that is motion, m. A step is a jump only if it is
+        longer both as measured and relative to the clamp. Neither fast travel of the whole rig nor
+        an error of the pose of the clamp therefore cuts tracks
 
     Returns
     -------
@@ -105,8 +107,8 @@ def cut_tracklets(
     Raises
     ------
     ValueError
-        If there are thousands of tracklets of fewer than ten samples on average: they are noise,
-        whose possible links would need more time and memory than there is.
+        If there are thousands of tracklets with fewer than ten samples on average. Such tracklets
+        are noise, and computing the possible links would need too much time and memory.
     """
     max_tracklets, min_mean_samples = 2000, 10
     is_visible = is_in_sight(positions)
@@ -118,19 +120,20 @@ def cut_tracklets(
     stop = np.nonzero((is_visible & ~joins_next).T)[1] + 1
     mean_samples = is_visible.sum() / max(1, len(start))
     if len(start) > max_tracklets and mean_samples < min_mean_samples:
-        found = {"count": len(start), "samples": mean_samples, "jump": 1e3 * max_jump}
-        raise ValueError(format_sentence("markers.tracks_in_pieces", **found))
+        facts = {"count": len(start), "samples": mean_samples, "jump": 1e3 * max_jump}
+        raise ValueError(format_sentence("markers.tracks_in_pieces", **facts))
     order = np.lexsort((column, start))
     return Tracklets(*(values[order].astype(np.int64) for values in (column, start, stop)))
 
 
 def _find_jumps(positions: Floats, relative: Floats, time: Floats, max_jump: float) -> Flags:
     """Find the steps that are jumps or exchanges of labels, shape (frames - 1, tracks)."""
+    min_exchange = 0.25 * max_jump  # m, shortest step in an exchange of labels
     n_periods = np.maximum(1.0, np.diff(time) / compute_frame_period(time))
     squared_steps = np.minimum(_compute_squared_steps(positions), _compute_squared_steps(relative))
     is_jump: Flags = np.asarray(squared_steps > (max_jump * n_periods[:, None]) ** 2, np.bool_)
     # Two markers closer than max_jump can exchange labels without a jump.
-    frames = np.flatnonzero((squared_steps > (max_jump / 4) ** 2).sum(axis=1) > 1)
+    frames = np.flatnonzero((squared_steps > min_exchange**2).sum(axis=1) > 1)
     offsets = relative[frames + 1][:, :, None] - relative[frames][:, None]
     distances = np.linalg.norm(offsets, axis=3)
     is_nearer = distances < np.einsum("fii->fi", distances)[:, :, None]
@@ -150,13 +153,14 @@ class Links:
 
     Parameters
     ----------
-    successor : shape (tracklets,), index of the next tracklet of the chain, -1 at its end
-    ambiguous : indices of both tracklets of each possible link that competes with a link of similar
-        distance; no label is changed by it
+    successor : shape (tracklets,), index of the next tracklet of the chain; -1 at the end of a
+        chain
+    ambiguous_pairs : indices of both tracklets of each possible link that competes with a link of
+        similar distance; such a link changes no label
     """
 
     successor: Ints
-    ambiguous: tuple[tuple[int, int], ...]
+    ambiguous_pairs: tuple[tuple[int, int], ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -179,7 +183,7 @@ class _Pairs:
 def link_tracklets(
     tracklets: Tracklets, relative: Floats, time: Floats, *, max_gap: float, max_jump: float
 ) -> Links:
-    """Link ends of tracklets to starts of other tracklets near the expected position.
+    """Link the ends of tracklets to the starts of other tracklets near the expected position.
 
     Parameters
     ----------
@@ -187,7 +191,7 @@ def link_tracklets(
     relative : shape (frames, tracks, 3), m, positions relative to the clamp
     time : shape (frames,), s
     max_gap : longest time without a sample between linked tracklets, s
-    max_jump : largest distance of the start from the expected position, m; for the same label it is
+    max_jump : largest distance of a start from the expected position, m. For the same label, it is
         multiplied by the square root of the gap in frame periods
 
     Returns
@@ -197,10 +201,10 @@ def link_tracklets(
     Notes
     -----
     The expected position is the last position or its extrapolation with the mean of both
-    velocities, whichever is nearer. In each group of competing ends and starts, the assignment with
-    the smallest total cost is used. The cost is the distance, plus a quarter of `max_jump` for a
-    change of label. A change of label is rejected if a rival (a simultaneous tracklet) is as near
-    within that margin.
+    velocities, whichever is nearer to the start. In each group of competing ends and starts, the
+    assignment with the smallest total cost is used. The cost is the distance, plus a quarter of
+    `max_jump` for a change of label. A change of label is rejected if the distance of a rival (a
+    simultaneous tracklet) is not larger by this quarter of `max_jump`.
     """
     pairs = _find_candidates(tracklets, relative, time, max_gap=max_gap, max_jump=max_jump)
     successor = np.full(len(tracklets), -1, dtype=np.int64)
@@ -211,11 +215,11 @@ def link_tracklets(
     for index in chosen_pairs:
         if not (changes_label[index] and index in rivals_of_pairs):
             successor[pairs.end[index]] = pairs.start[index]
-    ambiguous = tuple(
+    ambiguous_pairs = tuple(
         (int(pairs.end[index]), int(pairs.start[index if changes_label[index] else rival]))
         for index, rival in rivals_of_pairs.items()
     )
-    return Links(successor, ambiguous)
+    return Links(successor, ambiguous_pairs)
 
 
 def _find_candidates(
@@ -223,14 +227,14 @@ def _find_candidates(
 ) -> _Pairs:
     """Find the pairs of tracklets that may be linked, as `link_tracklets` states."""
     period = compute_frame_period(time)
-    starts, ends = time[tracklets.start], time[tracklets.stop - 1]
-    first = np.searchsorted(starts, ends, side="right")
+    start_times, end_times = time[tracklets.start], time[tracklets.stop - 1]
+    first = np.searchsorted(start_times, end_times, side="right")
     # A tenth of a period is the tolerance for uneven frame times.
-    last = np.searchsorted(starts, ends + max_gap + 1.1 * period, side="right")
-    counts = np.maximum(last - first, 0)
+    stop = np.searchsorted(start_times, end_times + max_gap + 1.1 * period, side="right")
+    counts = np.maximum(stop - first, 0)  # number of successors from `first` on
     end = np.repeat(np.arange(len(tracklets)), counts)
     start = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts) + first[end]
-    gap = starts[start] - ends[end]
+    gap = start_times[start] - end_times[end]
     distance = _compute_distances(tracklets, relative, time, end, start)
     changes_label = tracklets.column[end] != tracklets.column[start]
     n_periods = np.where(changes_label, 1.0, np.maximum(1.0, gap / period))
@@ -242,23 +246,27 @@ def _find_candidates(
 def _compute_distances(
     tracklets: Tracklets, relative: Floats, time: Floats, end: Ints, start: Ints
 ) -> Floats:
-    """Compute the distance of each start from the expected position, shape (pairs,), m."""
+    """Compute the distance of each start from the expected position, shape (pairs,), m.
+
+    The tracklets with the indices `end` end before the tracklets with the indices `start` start.
+    """
     velocity_frames = 5
-    column, begin, final = tracklets.column, tracklets.start, tracklets.stop - 1
-    inside_end = np.maximum(begin, final - velocity_frames)
-    inside_start = np.minimum(final, begin + velocity_frames)
+    column, first, last = tracklets.column, tracklets.start, tracklets.stop - 1
+    inside_end = np.maximum(first, last - velocity_frames)
+    inside_start = np.minimum(last, first + velocity_frames)
 
     def compute_velocity(a: Ints, b: Ints) -> Floats:
+        """Compute the mean velocity of each tracklet between the frames a and b, m/s."""
         duration = np.where(b > a, time[b] - time[a], 1.0)
         return np.asarray((relative[b, column] - relative[a, column]) / duration[:, None])
 
-    end_velocity = compute_velocity(inside_end, final)
-    start_velocity = compute_velocity(begin, inside_start)
-    gap = relative[begin[start], column[start]] - relative[final[end], column[end]]
-    duration = (time[begin[start]] - time[final[end]])[:, None]
+    end_velocity = compute_velocity(inside_end, last)
+    start_velocity = compute_velocity(first, inside_start)
+    gap = relative[first[start], column[start]] - relative[last[end], column[end]]
+    duration = (time[first[start]] - time[last[end]])[:, None]
     extrapolated_gap = gap - duration * (end_velocity[end] + start_velocity[start]) / 2
-    nearest = np.minimum(np.linalg.norm(gap, axis=1), np.linalg.norm(extrapolated_gap, axis=1))
-    return np.asarray(nearest, dtype=np.float64)
+    distance = np.minimum(np.linalg.norm(gap, axis=1), np.linalg.norm(extrapolated_gap, axis=1))
+    return np.asarray(distance, dtype=np.float64)
 
 
 def _choose_pairs(pairs: _Pairs, *, unlinked_cost: float) -> list[int]:
@@ -271,23 +279,27 @@ def _choose_pairs(pairs: _Pairs, *, unlinked_cost: float) -> list[int]:
     ends, row = np.unique(pairs.end, return_inverse=True)
     starts, column = np.unique(pairs.start, return_inverse=True)
     # Each end may also be matched with a column of its own, and is then unlinked. The same amount
-    # is added to all weights, because a weight of 0 would be no edge.
+    # is added to all weights, because an edge cannot have the weight 0.
     own_row = np.arange(len(ends))
     weights = unlinked_cost + np.append(pairs.cost, np.full(len(ends), unlinked_cost))
-    places = np.append(row, own_row), np.append(column, len(starts) + own_row)
-    graph = coo_array((weights, places), shape=(len(ends), len(starts) + len(ends))).tocsr()
-    index = {place: i for i, place in enumerate(zip(row.tolist(), column.tolist(), strict=True))}
+    cells = np.append(row, own_row), np.append(column, len(starts) + own_row)
+    graph = coo_array((weights, cells), shape=(len(ends), len(starts) + len(ends))).tocsr()
+    pair_by_cell = {x: i for i, x in enumerate(zip(row.tolist(), column.tolist(), strict=True))}
     matches = zip(*(x.tolist() for x in min_weight_full_bipartite_matching(graph)), strict=True)
-    return [index[match] for match in matches if match in index]
+    return [pair_by_cell[cell] for cell in matches if cell in pair_by_cell]
 
 
 def _find_rivals(
-    pairs: _Pairs, chosen: list[int], tracklets: Tracklets, margin: float
+    pairs: _Pairs, chosen_pairs: list[int], tracklets: Tracklets, margin: float
 ) -> Iterable[tuple[int, int]]:
-    """Yield the index of each chosen pair with a rival of similar distance, and of the rival."""
-    column, first, last = tracklets.column, tracklets.start, tracklets.stop
+    """Find rivals of similar distance: yield the index of each chosen pair and of its rival.
+
+    A chosen pair without a rival is omitted. A distance is similar within the margin, m, if the
+    chosen pair changes the label, and otherwise if it is smaller.
+    """
+    column, first, stop = tracklets.column, tracklets.start, tracklets.stop
     pairs_by_end, pairs_by_start = _group_by_value(pairs.end), _group_by_value(pairs.start)
-    for index in chosen:
+    for index in chosen_pairs:
         end, start = int(pairs.end[index]), int(pairs.start[index])
         changes_label = column[end] != column[start]
         max_distance = pairs.distance[index] + (margin if changes_label else 0.0)
@@ -295,7 +307,7 @@ def _find_rivals(
             rival_end, rival_start = int(pairs.end[rival]), int(pairs.start[rival])
             # Two tracklets with a common frame are different points.
             competes = any(
-                a != b and max(first[a], first[b]) < min(last[a], last[b])
+                a != b and max(first[a], first[b]) < min(stop[a], stop[b])
                 for a, b in ((start, rival_start), (end, rival_end))
             )
             is_relevant = changes_label or column[rival_end] != column[rival_start]
@@ -304,11 +316,11 @@ def _find_rivals(
                 break
 
 
-def _group_by_value(keys: Ints) -> dict[int, list[int]]:
+def _group_by_value(values: Ints) -> dict[int, list[int]]:
     """Group the indices of equal values, keyed by value."""
     indices_by_value: dict[int, list[int]] = {}
-    for index, key in enumerate(keys.tolist()):
-        indices_by_value.setdefault(key, []).append(index)
+    for index, value in enumerate(values.tolist()):
+        indices_by_value.setdefault(value, []).append(index)
     return indices_by_value
 
 
@@ -319,20 +331,20 @@ _UNLABELLED = re.compile(r"(?i:(.*:)?unlabell?ed.*)|Marker-\d+")
 
 @dataclass(frozen=True, slots=True)
 class Chain:
-    """Path of one point, as tracklets in order of time.
+    """Linked tracklets of one point, in order of time.
 
     Parameters
     ----------
     tracklets : indices of the tracklets
     start, stop : indices of the first frame, and of the first frame after the chain
-    frames : number of frames with a position
-    label : column of the marker that the labels state; -1 if the chain has no label
+    n_frames : number of frames with a position
+    label : index of the track whose marker the labels state; -1 if the chain has no label
     """
 
     tracklets: tuple[int, ...]
     start: int
     stop: int
-    frames: int
+    n_frames: int
     label: int
 
     def overlaps(self, other: Chain) -> bool:
@@ -342,21 +354,21 @@ class Chain:
 
 @dataclass(frozen=True, slots=True)
 class Naming:
-    """Chains of each marker, and chains of no marker.
+    """Assignment of chains to markers.
 
     Parameters
     ----------
-    markers : chains of each marker in order of time, keyed by column
-    assigned_by_elimination : each chain without a valid label that belongs to the only missing
-        marker, after the column of this marker
-    doubtful : labelled chains that may belong to several markers, or to none
-    unassigned : chains of no marker
+    markers : chains of each marker in order of time, keyed by label
+    eliminations : label of the only missing marker, and the chain that was assigned to this marker
+        because its own label is that of another chain
+    doubtful_chains : labelled chains that may belong to several markers, or to none
+    unassigned_chains : chains of no marker
     """
 
     markers: dict[int, tuple[Chain, ...]]
-    assigned_by_elimination: tuple[tuple[int, Chain], ...]
-    doubtful: tuple[Chain, ...]
-    unassigned: tuple[Chain, ...]
+    eliminations: tuple[tuple[int, Chain], ...]
+    doubtful_chains: tuple[Chain, ...]
+    unassigned_chains: tuple[Chain, ...]
 
 
 def is_unlabelled(name: str) -> bool:
@@ -378,27 +390,27 @@ def name_chains(
 
     Parameters
     ----------
-    names : names of the columns
+    names : names of the tracks; the index of a track is the label of a marker
     tracklets, links : tracklets and their links to chains
-    relative : shape (frames, columns, 3), m, positions relative to the clamp
+    relative : shape (frames, tracks, 3), m, positions relative to the clamp
     time : shape (frames,), s
-    min_label_time : shortest duration of a valid label, s; shorter stretches are errors
+    min_label_time : shortest duration of a valid label, s; a shorter label is an error
     min_distance : smallest distance between two markers, m; a closer track is a copy
 
     Returns
     -------
-    The naming.
+    The assignment of the chains.
 
     Notes
     -----
-    A chain belongs to the marker of its first label that lasts at least `min_label_time`, since
-    labels are assigned at the start of a take and become wrong later. Without such a label, it
-    belongs to the marker of its longest label. If two simultaneous chains have the same label, the
-    chain with more frames keeps it. The other chain, if it lasts at least `min_label_time`, is
-    assigned to the marker that is missing during that time, if there is exactly one. A track that
-    begins at the position of another track is a copy, which is used only if no longer track
-    has its label. In a take without labels, the columns with at least half the frames of the
-    longest column are the markers.
+    A chain belongs to the marker of the first label that lasts at least `min_label_time`, since
+    labels are assigned at the start of a take and become wrong later. Without such a label, the
+    chain belongs to the marker of the longest label. If two simultaneous chains have the same
+    label, the chain with more frames keeps the label. If the other chain lasts at least
+    `min_label_time`, and exactly one marker is missing during that time, it is assigned to this
+    marker. A chain that begins at the position of another track is a copy, which is used only if
+    no longer chain has the same label. In a take without labels, the markers are the tracks with at
+    least half the frames of the longest track.
     """
     is_named = [not is_unlabelled(name) for name in names]
     has_no_labels = not any(is_named)
@@ -409,14 +421,14 @@ def name_chains(
     markers, rejected_chains = _assign_by_label(chains, copies)
     long_chains = [x for x in rejected_chains if time[x.stop - 1] - time[x.start] >= min_label_time]
     candidates = [chain for chain in long_chains if chain not in copies]
-    short_chains = [chain for chain in rejected_chains if chain not in candidates]
-    eliminated, doubtful = _assign_by_elimination(markers, candidates)
-    unassigned = short_chains + [chain for chain in chains if chain.label < 0]
+    unassigned = [chain for chain in rejected_chains if chain not in candidates]
+    eliminations, doubtful = _assign_by_elimination(markers, candidates)
+    unassigned += [chain for chain in chains if chain.label < 0]
     if has_no_labels:
         unassigned += _remove_short_markers(markers)
     get_start = attrgetter("start")
-    chains_of = {label: tuple(sorted(markers[label], key=get_start)) for label in sorted(markers)}
-    return Naming(chains_of, tuple(eliminated), tuple(doubtful), tuple(unassigned))
+    by_label = {label: tuple(sorted(markers[label], key=get_start)) for label in sorted(markers)}
+    return Naming(by_label, tuple(eliminations), tuple(doubtful), tuple(unassigned))
 
 
 def _collect_chains(
@@ -429,8 +441,8 @@ def _collect_chains(
     successor = links.successor.tolist()
     for first in sorted({*range(len(successor))} - {*successor}):
         indices = [first]
-        while (following := successor[indices[-1]]) >= 0:
-            indices.append(following)
+        while (next_index := successor[indices[-1]]) >= 0:
+            indices.append(next_index)
         named_tracklets = [index for index in indices if is_named[column[index]]]
         candidates = [index for index in named_tracklets if is_long[index]]
         candidates = candidates or sorted(named_tracklets, key=lambda index: -length[index])
@@ -447,10 +459,10 @@ def _assign_by_label(
     markers: dict[int, list[Chain]] = {}
     rejected_chains: list[Chain] = []
     labelled_chains = [chain for chain in chains if chain.label >= 0]
-    for chain in sorted(labelled_chains, key=lambda chain: (-chain.frames, chain.start)):
-        assigned = markers.setdefault(chain.label, [])
-        is_rejected = any(map(chain.overlaps, assigned)) or (assigned and chain in copies)
-        (rejected_chains if is_rejected else assigned).append(chain)
+    for chain in sorted(labelled_chains, key=lambda chain: (-chain.n_frames, chain.start)):
+        marker_chains = markers.setdefault(chain.label, [])
+        is_rejected = any(map(chain.overlaps, marker_chains)) or (marker_chains and chain in copies)
+        (rejected_chains if is_rejected else marker_chains).append(chain)
     return markers, rejected_chains
 
 
@@ -465,23 +477,26 @@ def _is_copy(chain: Chain, tracklets: Tracklets, relative: Floats, min_distance:
 def _assign_by_elimination(
     markers: dict[int, list[Chain]], rejected_chains: list[Chain]
 ) -> tuple[list[tuple[int, Chain]], list[Chain]]:
-    """Assign rejected chains to the only missing marker, unless two chains compete for it."""
-    eliminated: list[tuple[int, Chain]] = []
+    """Assign rejected chains to the only missing marker, unless two chains compete for it.
+
+    Return the label of this marker with each assigned chain, and the other chains.
+    """
+    eliminations: list[tuple[int, Chain]] = []
     doubtful: list[Chain] = []
     for chain in sorted(rejected_chains, key=attrgetter("start")):
         free_labels = [x for x, chains in markers.items() if not any(map(chain.overlaps, chains))]
         rivals = [x for x in rejected_chains if x is not chain and chain.overlaps(x)]
         if len(free_labels) == 1 and not rivals:
             markers[free_labels[0]].append(chain)
-            eliminated.append((free_labels[0], chain))
+            eliminations.append((free_labels[0], chain))
         else:
             doubtful.append(chain)
-    return eliminated, doubtful
+    return eliminations, doubtful
 
 
 def _remove_short_markers(markers: dict[int, list[Chain]]) -> list[Chain]:
     """Remove markers with less than half the frames of the longest marker; return their chains."""
-    totals = {label: sum(chain.frames for chain in chains) for label, chains in markers.items()}
-    longest = max(totals.values(), default=0)
-    short_labels = [label for label, frames in totals.items() if 2 * frames < longest]
+    n_frames = {label: sum(chain.n_frames for chain in chains) for label, chains in markers.items()}
+    largest = max(n_frames.values(), default=0)
+    short_labels = [label for label, count in n_frames.items() if 2 * count < largest]
     return [chain for label in short_labels for chain in markers.pop(label)]

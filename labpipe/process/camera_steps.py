@@ -106,8 +106,8 @@ def repair_marker_tracks(
     tracks = _require(take.tracks)
     clamp_path, findings = _read_clamp_path(tracks, settings, step, take.role)
     tracks_along, body_findings = _select_specimen_tracks(tracks, settings, take.role)
-    limits = {"max_gap": step.max_gap, "max_jump": step.max_jump, "frozen": step.frozen}
-    repaired = repair_tracks(tracks, along=tracks_along, reference=clamp_path, **limits)
+    limits = {"max_gap": step.max_gap, "max_jump": step.max_jump, "frozen_time": step.frozen}
+    repaired = repair_tracks(tracks, track_names=tracks_along, clamp=clamp_path, **limits)
     if settings.rings == "by-body":
         rings = group_rings(repaired.names)
         if len(rings) < min_rings:
@@ -206,7 +206,7 @@ def _make_deflection_signal(fit: ShapeFit, is_at_rest: Flags, take: Take) -> Sig
         cause: deflection - np.nanmean(deflection[is_at_rest])
         for cause, deflection in fit.perturbed_tip.items()
     }
-    shape_change = fit.tip_systematic[:, 1]
+    shape_change = fit.tip_change[:, 1]
     if not np.isnan(shape_change[is_at_rest]).all():
         change = shape_change - np.nanmean(shape_change[is_at_rest])
         perturbed[SHAPE] = values + change / sqrt(3.0)
@@ -347,7 +347,7 @@ def fit_three_point_shape(
     span_shape = _make_span_shape(sections, shape, time, repaired.flags)
     bend = SpanBend(shape, time, is_at_rest)
     n_around, noise = int((shape.lever_arm > 0.0).sum()), 1e6 * shape.axis.noise
-    facts: dict[str, Any] = {"count": sections.count, "n_around": n_around, "noise": noise}
+    facts: dict[str, Any] = {"count": sections.n_sections, "n_around": n_around, "noise": noise}
     note = Finding.of("process.three_point_shape", take.role, **facts)
     return replace(prepared, signals=signals, shape=span_shape, span=bend), [note]
 
@@ -365,7 +365,7 @@ def _make_span_shape(
     degree, n_fitted = 9, 61  # degree of the power series; number of points to which it is fitted
     section_flags = flags[:, sections.marker_columns]
     is_finite = np.isfinite(shape.centres).all(axis=2)
-    in_sections = [sections.section_index == index for index in range(sections.count)]
+    in_sections = [sections.section_index == index for index in range(sections.n_sections)]
     flags_of_sections = np.stack([section_flags[:, x].max(axis=1) for x in in_sections], axis=1)
     x = sections.x - shape.mid_span
     relative_x = np.linspace(0.0, 1.0, n_fitted)
@@ -378,7 +378,7 @@ def _make_span_shape(
     return Shape(
         time=time,
         positions=shape.centres,
-        names=tuple(f"section {k + 1}" for k in range(sections.count)),
+        names=tuple(f"section {k + 1}" for k in range(sections.n_sections)),
         flags=np.where(is_finite, flags_of_sections, PointFlag.MISSING).astype(np.uint8),
         arc_length=x - x[0],
         coefficients=coefficients,

@@ -70,11 +70,11 @@ from labpipe.protocol.yaml_text import (
     prefix_paths,
 )
 from labpipe.records.declarations import (
-    FromCard,
     Key,
     LargerThan,
     PatternText,
     Quantity,
+    ShippedCard,
     Span,
     TaggedChoice,
     WholeNumber,
@@ -677,7 +677,7 @@ def _convert_marker(marker: object, inner: Any, markers: tuple[Any, ...]) -> lis
             return [PlainValidator(partial(parse_whole_number, marker)), WithJsonSchema(schema)]
         case PatternText():
             annotation: Any = BeforeValidator(partial(_parse_pattern_text, marker))
-        case FromCard():
+        case ShippedCard():
             annotation = BeforeValidator(read_limit_card, json_schema_input_type=inner | str)
         case LargerThan():
             quantity = next(item for item in markers if isinstance(item, Quantity))

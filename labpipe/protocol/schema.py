@@ -55,16 +55,16 @@ from labpipe.records.declarations import (
     Limits,
     LinearMass,
     Mass,
-    Moment,
     Needs,
     Offset,
     Quantity,
     Ratio,
-    Snake,
+    SnakeName,
     SpecimenFrame,
     Speed,
     Step,
     TaggedChoice,
+    TimeOffset,
     TravelFromSpeed,
     Uncertainty,
     WholeNumber,
@@ -198,7 +198,7 @@ class AlignTurningPoints(Block):
     """Alignment of two clocks by turning points that both recordings show."""
 
     method: Literal["turning-points"]
-    channel: Snake
+    channel: SnakeName
     """Channel whose corners mark the turning points."""
     motion_window: Duration
     """Window of the fit on each side of a turning point of the clamp."""
@@ -214,7 +214,7 @@ class AlignCommonStart(Block):
     """Alignment of recorders that started together, checked by a corner at a turning point."""
 
     method: Literal["common-start"]
-    channel: Snake
+    channel: SnakeName
     """Channel whose corner marks the turning point."""
     max_offset: Duration
     """Largest delay of the later recorder."""
@@ -230,9 +230,9 @@ class AlignStated(Block):
     """Stated relation of two clocks: force time = offset + (1 + drift) x motion time."""
 
     method: Literal["stated"]
-    channel: Snake | None = None
+    channel: SnakeName | None = None
     """Channel on the clock of the force; by default the force of the curve."""
-    offset: Moment
+    offset: TimeOffset
     """Force time at motion time zero."""
     drift: Drift = 0.0
     """Relative excess of the rate of the force clock."""
@@ -309,9 +309,9 @@ class ElasticLine(Block):
 class CurveBlock(Block):
     """Channels of the curve, and its corrections in the order of the keys."""
 
-    force: Snake
+    force: SnakeName
     """Channel of the force."""
-    displacement: Snake
+    displacement: SnakeName
     """Channel of the displacement."""
     reverse: tuple[Literal["force", "displacement"], ...] | None = None
     """Channels, force or displacement, that decrease as the specimen is loaded; an empty list
@@ -326,7 +326,7 @@ class CurveBlock(Block):
 class Branches(Block):
     """Loading and unloading branches, into which the curve is split."""
 
-    channel: Snake
+    channel: SnakeName
     """Channel whose turning points separate the branches."""
     min_stroke: Length
     """Smallest motion between two turning points; a smaller one is noise."""
@@ -403,7 +403,7 @@ class Protocol(Block):
     """Export of each role."""
     specimen: SpecimenBlock = SpecimenBlock.model_construct()
     rig: Rig = Rig.model_construct()
-    questions: dict[Snake, tuple[Text, ...]] = Field({})
+    questions: dict[SnakeName, tuple[Text, ...]] = Field({})
     """Valid answers to each question; a test sheet answers in specimen.observed."""
     markers: Markers | None = None
     align: Align = AlignNone.model_construct()

@@ -46,7 +46,7 @@ from labpipe.records.declarations import (
     Length,
     LinearMass,
     Offset,
-    Snake,
+    SnakeName,
     WholeNumber,
 )
 from labpipe.records.harness_bundle import NONE, PACKED, Bundle, BundleWire
@@ -199,7 +199,7 @@ def _read_null_as_empty(value: object) -> object:
     return {} if value is None else value
 
 
-TextsByName = Annotated[dict[Snake, SingleLine], BeforeValidator(_read_null_as_empty)]
+TextsByName = Annotated[dict[SnakeName, SingleLine], BeforeValidator(_read_null_as_empty)]
 
 
 class SheetSpecimen(Block):

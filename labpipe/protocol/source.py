@@ -35,7 +35,7 @@ from labpipe.protocol.grammar import (
     wrap_in_list,
 )
 from labpipe.protocol.yaml_text import FaultsError, format_nearest_words, prefix_paths
-from labpipe.records.declarations import Area, Distance, Length, Quantity, Snake, Uncertainty
+from labpipe.records.declarations import Area, Distance, Length, Quantity, SnakeName, Uncertainty
 from labpipe.records.recording import EXPORT_FORMATS
 from labpipe.units import get_conversion_factor, parse_quantity
 
@@ -472,7 +472,7 @@ class _Export(Block):
 class Source(ChannelSource, _Export):
     """One export of a test, in one or several parts, with its channel or channels."""
 
-    channels: dict[Snake, _ListedChannel] | None = None
+    channels: dict[SnakeName, _ListedChannel] | None = None
     """Channels of the export, if it has several."""
 
     @property

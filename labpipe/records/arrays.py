@@ -1,4 +1,4 @@
-"""Define array types and records with read-only arrays, and small functions of arrays."""
+"""Define array types, records with read-only arrays, and small functions of arrays."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Singles: TypeAlias = NDArray[np.float32]
 Ints: TypeAlias = NDArray[np.int64]
 Flags: TypeAlias = NDArray[np.bool_]
 Samples: TypeAlias = slice | Ints
-"""Samples of the last axis, in order: a slice if they are consecutive, otherwise indices."""
+"""Samples along the last axis, in order: a slice if they are consecutive, otherwise indices."""
 Vector: TypeAlias = Annotated[Floats, "n"]
 """Array of shape (n,); n is the same for all such arrays of a record."""
 
@@ -26,7 +26,7 @@ AXIS_LABELS: Final[Mapping[str, tuple[str, ...]]] = {
     "specimen": ("x", "y", "z"),
     "lab": ("x", "y", "z"),
 }
-"""Labels along each axis that has a fixed length."""
+"""Labels along each axis that has a fixed length, keyed by the name of the axis."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,8 +35,8 @@ class Unit:
 
     Parameters
     ----------
-    symbol : unit; empty if another field contains it
-    unit_field : name of that field, in the same record or in the one that contains it
+    symbol : symbol of the unit; empty if another field has the unit
+    unit_field : name of that field, in the same record or in the record that contains it
     """
 
     symbol: str = ""
@@ -44,17 +44,17 @@ class Unit:
 
 
 class ArrayRecord:
-    """Base class of frozen records: checks the shapes of their arrays and makes them read-only.
+    """Base class of frozen records, which checks the shapes of arrays and makes them read-only.
 
     The type of a field names its axes: ``Annotated[Floats, "frame", "xyz", Unit("m")]``. An axis is
     a length, a key of `AXIS_LABELS`, the name of a tuple field with as many entries, or any other
-    word. All arrays and tuples of a record that name the same word have the same length along it.
-    An array is converted to the number type of its field; it is not copied if it has that type.
+    word. All arrays and tuples of a record have the same length along axes with the same word. An
+    array is converted to the number type of its field; an array of that type is not copied.
 
     Raises
     ------
     ValueError
-        If an array has another shape.
+        If an array does not have the shape that the type of its field states.
     """
 
     __slots__ = ()
@@ -98,7 +98,7 @@ def _list_fields_with_axes(
 
 
 def median(values: Floats) -> float:
-    """Return the median.
+    """Return the median of an array.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ def median(values: Floats) -> float:
 
     Returns
     -------
-    Median in the unit of `values`; NaN if a value is NaN, or if there is none.
+    Median in the unit of `values`; NaN if a value is NaN, or if there are no values.
 
     Notes
     -----
@@ -144,7 +144,7 @@ def drop_missing(values: Floats) -> Floats:
 
 
 def compute_median_step(time: Floats) -> float:
-    """Compute the median step of a clock.
+    """Compute the median time step of a clock.
 
     Parameters
     ----------
@@ -152,7 +152,8 @@ def compute_median_step(time: Floats) -> float:
 
     Returns
     -------
-    Median step, s; for a long record that of at least 100 000 evenly spread steps.
+    Median step, s. For 200 000 samples or more, it is the median of at least 100 000 steps that
+    are evenly spread over the record.
 
     Notes
     -----
@@ -163,7 +164,7 @@ def compute_median_step(time: Floats) -> float:
 
 
 def average_between(values: Floats, starts: Ints) -> Floats:
-    """Compute the means of the blocks of samples between consecutive starts.
+    """Compute the mean of each block of samples between consecutive starts.
 
     Parameters
     ----------
@@ -179,18 +180,18 @@ def average_between(values: Floats, starts: Ints) -> Floats:
 
 
 def average_blocks(values: Floats, points: int, *, has_remainder: bool = True) -> Floats:
-    """Average blocks of consecutive samples of equal size, which unlike decimation does not alias.
+    """Average blocks of consecutive samples of equal size; decimation would alias.
 
     Parameters
     ----------
     values : shape (n,); a NaN makes the mean of its block NaN
     points : minimum number of means, if there are as many samples
-    has_remainder : whether the last block includes the remainder; if False, the remainder is left
-        out, so that the noise of all means is equal
+    has_remainder : whether the last block includes the samples that fill no block; without them,
+        the noise of all means is equal
 
     Returns
     -------
-    Means, from `points` to less than twice as many, in the unit of `values`.
+    Shape (m,), means in the unit of `values`; `points` <= m < 2 `points` if n >= `points`.
     """
     size = max(1, len(values) // points)
     values = values if has_remainder else values[: len(values) // size * size]
@@ -231,7 +232,7 @@ def convert_to_slice(indices: Ints) -> Samples:
 
     Parameters
     ----------
-    indices : shape (m,), strictly increasing
+    indices : shape (m,), indices of samples, strictly increasing
 
     Returns
     -------

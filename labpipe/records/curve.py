@@ -1,4 +1,4 @@
-"""Define the stages of processing: clocks, aligned signals, curve, slips, shape, bending."""
+"""Define the records of stages of processing: clocks, aligned signals, curve, shape, bending."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Time = TypeVar("Time", float, Floats)
 """A time, or an array of times."""
 
 AT_REST = -1
-"""Branch index of samples before, between and after the branches."""
+"""Index of a branch for samples before, between and after all branches."""
 
 NORMAL_95 = 1.959963984540054
 """Two-sided 95 % quantile of the normal distribution."""
@@ -25,12 +25,12 @@ NORMAL_95 = 1.959963984540054
 
 @dataclass(frozen=True, slots=True)
 class Interval:
-    """Range that contains the true value with probability `level`.
+    """Range that contains the true value with a probability.
 
     Parameters
     ----------
     lower, upper : ends of the range, in the unit of the value
-    level : probability, 0.95 except in corrected comparisons of groups
+    level : probability; 0.95, except in corrected comparisons of groups
     """
 
     lower: float
@@ -39,7 +39,7 @@ class Interval:
 
     @classmethod
     def normal_95(cls, value: float, error: float) -> Interval:
-        """Make the normal 95 % interval, value -+ 1.96 error.
+        """Make the 95 % interval of a normal distribution, value -+ 1.96 error.
 
         Parameters
         ----------
@@ -50,7 +50,7 @@ class Interval:
 
     @property
     def standard_error(self) -> float:
-        """Standard error of a normal 95 % interval, in the unit of its ends."""
+        """Standard error for which this is the normal 95 % interval, in the unit of the ends."""
         return (self.upper - self.lower) / (2.0 * NORMAL_95)
 
 
@@ -67,12 +67,12 @@ class Branch:
 
     Parameters
     ----------
-    start, stop : indices of its first sample and of the first sample after it
-    cycle : number of the cycle, counted from 1, of a loading branch and the unloading branch after
-        it
-    direction : loading or unloading
-    start_time, stop_time : times of the turning points at its ends, which lie between samples, in
-        the time unit of the curve
+    start, stop : indices of the first sample of the branch and of the first sample after it
+    cycle : number of the cycle, counted from 1; a loading branch and the unloading branch after it
+        form a cycle
+    direction : direction of the branch, loading or unloading
+    start_time, stop_time : times of the turning points at the ends of the branch, between samples,
+        in the time unit of the curve
     """
 
     start: Annotated[int, Unit("sample")]
@@ -95,7 +95,7 @@ class ClockFit(ArrayRecord):
     residual : root mean square residual of the straight line at the events, s
     event_times_motion, event_times_force : shape (events,), s, times of the same events on the
         marker clock and on the force clock
-    event_errors : shape (events,), s, standard error of the difference of these times
+    event_errors : shape (events,), s, standard errors of the differences of these times
     method : description of the alignment for the report
     """
 
@@ -134,7 +134,7 @@ class Series(ArrayRecord):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Aligned(ArrayRecord):
-    """Calibrated, unfiltered quantities on one clock.
+    """Calibrated quantities on one clock, without filters.
 
     Parameters
     ----------
@@ -152,7 +152,7 @@ class Aligned(ArrayRecord):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Curve(ArrayRecord):
-    """Force against displacement, filtered and zeroed, split into branches.
+    """Force against displacement, filtered and zeroed, with its branches.
 
     Parameters
     ----------
@@ -171,7 +171,7 @@ class Curve(ArrayRecord):
 
     @property
     def first_loading(self) -> Branch | None:
-        """First loading branch; None if there is none."""
+        """First loading branch; None if the curve has no loading branch."""
         loadings = (branch for branch in self.branches if branch.direction is Direction.LOADING)
         return next(loadings, None)
 
@@ -193,7 +193,7 @@ class Curve(ArrayRecord):
 
 @dataclass(frozen=True, slots=True)
 class FittedLine:
-    """Straight line whose slope is a result, for figures.
+    """Straight line whose slope is a result, as figures show it.
 
     Parameters
     ----------
@@ -271,7 +271,7 @@ class SlipDecision(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Slip:
-    """One sudden and lasting loss of force at constant speed.
+    """Sudden and lasting loss of force at constant speed.
 
     Parameters
     ----------
@@ -279,8 +279,8 @@ class Slip:
     drop : lost force, N, positive
     position_interval, drop_interval : 95 % intervals of position, m, and drop, N
     decision : treatment of the slip
-    start, stop : indices of the last sample before the fall of the force and of the first one after
-        it
+    start, stop : indices of the last sample before the force falls, and of the first sample after
+        the fall
     """
 
     position: Annotated[float, Unit("m")]
@@ -332,11 +332,11 @@ class BendingCloud(ArrayRecord):
     frames_per_mean: int
 
     @property
-    def noise(self) -> Floats:
-        """Standard errors of the curvature from noise and shape, (n, stations), 1/m.
+    def total_error(self) -> Floats:
+        """Standard errors of the curvature from noise and shape, shape (n, stations), 1/m.
 
         The error of the shape has a rectangular distribution of half-width `curvature_systematic`.
-        It is zero where `curvature_systematic` is NaN.
+        Only the noise counts where `curvature_systematic` is NaN.
         """
         shape_error = np.nan_to_num(self.curvature_systematic) / np.sqrt(3.0)
         return np.asarray(np.hypot(self.curvature_error, shape_error), dtype=np.float64)
@@ -362,15 +362,16 @@ class MeasuredLaw(ArrayRecord):
     secant_lower, secant_upper : ends of the interval of the secant stiffness, N m^2
     tangent : tangent stiffness, slope of moment against curvature, N m^2
     tangent_lower, tangent_upper : ends of the interval of the tangent stiffness, N m^2
-    is_known : whether the curvature is above `floor`, and the interval of the moment above zero
-    reason : reason why points after the first, at zero, are not known; None if all are known
+    is_known : whether the curvature is above `floor` and the interval of the moment is above zero
+    reason : reason why points other than the first one, at zero, are not known; None if all points
+        are known
     floor : smallest curvature that is distinguished from its noise, 1/m
     scale_error : relative standard uncertainty of the scale of the force, which the intervals
         include
-    residual : root mean square distance per coordinate, m, between the markers, averaged over
-        consecutive frames, and the shapes that follow from the law
+    residual : root mean square distance per coordinate, m, between the markers and the shapes that
+        follow from the law; the markers are averaged over consecutive frames
     noise : contribution of the noise of the markers to `residual`, m
-    n_frames : number of frames used
+    n_frames : number of frames to which the law was fitted
     knots : shape (knots,), N m, moments at which `compliance` is given
     compliance : shape (knots,), 1/(N m^2), derivative of curvature with respect to moment at the
         knots; linear between them
@@ -417,8 +418,8 @@ class Bending:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class DrawnShapes(ArrayRecord):
-    """Shapes of a specimen at equal steps of its first loading, for figures.
+class FigureShapes(ArrayRecord):
+    """Shapes of a specimen at equal steps of the first loading, for figures.
 
     Parameters
     ----------
@@ -432,7 +433,7 @@ class DrawnShapes(ArrayRecord):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class DrawnLaw(ArrayRecord):
+class FigureLaw(ArrayRecord):
     """Measured moment-curvature law of a first loading with its 95 % interval, for figures.
 
     Parameters

@@ -29,13 +29,13 @@ from typing import (
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """Annotation of a float that YAML writes with its unit.
+    """Annotation of a float that YAML states with its unit.
 
     Parameters
     ----------
     unit : SI unit of the float, ``1`` for a pure number
-    display_unit : unit in which a resolved protocol writes it
-    example : example of the text in YAML
+    display_unit : unit of the float in a resolved protocol
+    example : correct text in YAML, for messages
     lower_bound : bound in `unit` that a valid value exceeds; None if there is none
     minimum, maximum : smallest and largest valid value, in `unit`
     """
@@ -67,8 +67,8 @@ class PatternText:
 
     Parameters
     ----------
-    pattern : regular expression of the whole text
-    meaning : description of the pattern for messages
+    pattern : regular expression that the whole text must match
+    meaning : description of a valid text, for messages
     """
 
     pattern: str
@@ -81,7 +81,7 @@ class Key:
 
     Parameters
     ----------
-    name : the key
+    name : key of the field in YAML
     """
 
     name: str
@@ -93,8 +93,8 @@ class LargerThan:
 
     Parameters
     ----------
-    field : name of the other field, which must be declared before it
-    key : its key in YAML
+    field : name of the other field, which must be declared before this one
+    key : key of the other field in YAML
     """
 
     field: str
@@ -102,7 +102,7 @@ class LargerThan:
 
 
 @dataclass(frozen=True, slots=True)
-class Existing:
+class Reference:
     """Annotation of a name that must refer to an existing channel or stiffness.
 
     Parameters
@@ -114,17 +114,17 @@ class Existing:
 
 
 @dataclass(frozen=True, slots=True)
-class FromCard:
-    """Annotation of a block that YAML may also state by the name of a shipped card."""
+class ShippedCard:
+    """Annotation of a block for which YAML may also state the name of a shipped card."""
 
 
 @dataclass(frozen=True, slots=True)
 class TaggedChoice:
-    """Annotation of a union of kinds of settings that are distinguished by a key.
+    """Annotation of a union of dataclasses of settings that a key distinguishes.
 
     Parameters
     ----------
-    key : key in YAML; every kind states its value as a class variable of that name
+    key : key in YAML; each dataclass has its value of the key in a class variable of that name
     """
 
     key: str
@@ -137,7 +137,8 @@ class Span:
     Parameters
     ----------
     kind : quantity in which the length is measured
-    value : s for ``time``, m for ``travel``, a ratio for ``branch``, a count for ``samples``
+    value : length: in s for ``time``, in m for ``travel``, as a fraction of a branch for
+        ``branch``, as a number of samples for ``samples``
     """
 
     kind: Literal["time", "travel", "branch", "samples"]
@@ -150,7 +151,7 @@ Offset: TypeAlias = Annotated[float, Quantity("m", "mm", "0.8 mm")]
 """A length that may also be zero or negative."""
 Distance: TypeAlias = Annotated[float, Quantity("m", "mm", "4 mm", minimum=0.0)]
 Area: TypeAlias = Annotated[float, Quantity("m^2", "mm^2", "5.26 mm^2", lower_bound=0.0)]
-Moment: TypeAlias = Annotated[float, Quantity("s", "s", "1.234 s")]
+TimeOffset: TypeAlias = Annotated[float, Quantity("s", "s", "1.234 s")]
 """A time that may also be zero or negative."""
 Drift: TypeAlias = Annotated[float, Quantity("1", "ppm", "40 ppm", minimum=-0.01, maximum=0.01)]
 """Relative excess of the rate of one clock over another."""
@@ -170,11 +171,11 @@ Uncertainty: TypeAlias = Annotated[float, Quantity("1", "%", "0.2 %", minimum=0.
 """A relative standard uncertainty."""
 Fraction: TypeAlias = Annotated[float, Quantity("1", "%", "10 %", lower_bound=0.0, maximum=1.0)]
 """A fraction of a whole."""
-Snake: TypeAlias = Annotated[
+SnakeName: TypeAlias = Annotated[
     str, PatternText(r"[a-z][a-z0-9_]*", "a name of small letters, digits and '_', a letter first")
 ]
-ChannelName: TypeAlias = Annotated[Snake, Existing("channel")]
-StiffnessName: TypeAlias = Annotated[Snake, Existing("stiffness")]
+ChannelName: TypeAlias = Annotated[SnakeName, Reference("channel")]
+StiffnessName: TypeAlias = Annotated[SnakeName, Reference("stiffness")]
 
 
 CURVE_QUANTITIES = ("force", "displacement", "clock")
@@ -183,19 +184,19 @@ CURVE_QUANTITIES = ("force", "displacement", "clock")
 
 @dataclass(frozen=True, slots=True)
 class Output:
-    """One of the results in the summary that a kind of result computes.
+    """Result in the summary that a kind of result computes.
 
     Parameters
     ----------
     name : name in the summary; ``{name}`` and ``{of}`` are replaced by the settings of that name
     unit : SI unit
-    label : name for people; empty where a protocol chooses the name
-    depends_on : quantities on which the result depends: it is doubtful if one of them is
+    label : name in reports; empty if a protocol chooses the name
+    depends_on : quantities that make the result doubtful if one of them is doubtful
     first : number of the first of several results, one per cycle or slip; None for a single result
-    is_raised_by_slips : whether the force that repaired slips add back raises the result
+    is_raised_by_slips : whether the force that is added back for repaired slips raises the result
     can_be_negative : whether the result can be negative; for all others, intervals of means are on
         a log scale
-    is_slope : whether the result is a slope of the force, which does not depend on its zero
+    is_slope : whether the result is a slope of the force, which does not depend on the zero
     is_set_by_stroke : whether the rig sets the result if the protocol states the stroke; it is then
         no property of the specimen, and its scatter is that of the rig
     """
@@ -211,26 +212,26 @@ class Output:
     is_set_by_stroke: bool = False
 
     def format_name(self, kind: Any, entry: Mapping[str, object]) -> str:
-        """Return the name of the result in the summary, or that of the first of several.
+        """Format the name of the result in the summary, or that of the first of several results.
 
         Parameters
         ----------
         kind : dataclass of the kind of result, which has the defaults of its settings
         entry : settings as written, valid or not
         """
-        stem = self.name.format_map({"of": None, **list_defaults(kind), **entry})
+        stem = self.name.format_map({"of": None, **get_defaults(kind), **entry})
         return stem if self.first is None else f"{stem}.{self.first}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Needs:
-    """Parts of a test that a kind of result requires.
+    """Parts of a protocol that a kind of result requires.
 
     Parameters
     ----------
     branches : whether the kind requires a curve with loading and unloading branches
     correction : required block of ``curve``; empty for none
-    clocks : whether the kind requires two joined clocks
+    clocks : whether the kind requires two clocks that are aligned
     shape : required step that computes the shape of the specimen; empty for none
     clamp : whether the kind requires a clamped end, and a curve on the clock of the markers
     """
@@ -243,8 +244,8 @@ class Needs:
 
 
 @cache
-def list_defaults(kind: Any) -> dict[str, Any]:
-    """List the default of each optional setting of a block, keyed by name.
+def get_defaults(kind: Any) -> dict[str, Any]:
+    """Return the default of each optional setting, keyed by name.
 
     Parameters
     ----------
@@ -263,7 +264,7 @@ def list_references(kind: Any, reference_kind: Literal["channel", "stiffness"]) 
     reference_kind : ``channel`` or ``stiffness``
     """
     hints = get_type_hints(kind, include_extras=True).items()
-    return tuple(name for name, hint in hints if Existing(reference_kind) in get_args(hint))
+    return tuple(name for name, hint in hints if Reference(reference_kind) in get_args(hint))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -289,7 +290,7 @@ class _Step:
         return f"steps.{self.number}"
 
     def with_number(self, number: int) -> Self:
-        """Return the step with its index in the list."""
+        """Return a copy of the step with an index in the list."""
         return replace(self, number=number)
 
 
@@ -355,7 +356,7 @@ class TravelFromSpeed(_Step):
 
     step: ClassVar = "travel-from-speed"
     added_channels: ClassVar = ("{channel}",)
-    channel: Annotated[Snake, "Displacement that it makes if no source has it"]
+    channel: Annotated[SnakeName, "Displacement that it makes if no source has it"]
     force: Annotated[ChannelName, "Channel in which the turn is searched"]
     window: Annotated[Duration, "Window on each side of the corner of the force at the turn"] = 1.0
     rate: Annotated[Frequency, "Sampling rate of the displacement"] = 50.0
@@ -486,3 +487,4 @@ class Limits:
 
 
 LIMITS = Limits()
+"""Limits that apply if a protocol states no others."""

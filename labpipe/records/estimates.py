@@ -19,9 +19,9 @@ class Estimate:
     Parameters
     ----------
     value, error : value and its standard error, in the same unit
-    n : number of samples used
-    interval : 95 % interval, in the unit of `value`; None if it is the normal interval of `error`.
-        It differs from that for few degrees of freedom or an asymmetric uncertainty
+    n : number of samples from which the value is estimated
+    interval : 95 % interval, in the unit of `value`; None for the normal interval of `error`, which
+        does not hold for few degrees of freedom or an asymmetric uncertainty
     """
 
     value: float
@@ -38,11 +38,11 @@ _R = TypeVar("_R")
 
 
 class UnavailableError(Exception):
-    """Error that a result cannot be computed from a test.
+    """Error of a result that cannot be computed from a test.
 
     Parameters
     ----------
-    failure : reason of the failure
+    failure : reason why the result is not available
     """
 
     def __init__(self, failure: Failure) -> None:
@@ -51,12 +51,12 @@ class UnavailableError(Exception):
 
     @classmethod
     def of(cls, name: str, /, **facts: object) -> Self:
-        """Make the error from a message template: see `labpipe.records.quality.Reason.of`."""
+        """Make the error from a message template, see `labpipe.records.quality.Reason.of`."""
         return cls(Failure.of(name, **facts))
 
 
 def return_failure(function: Callable[_P, _R]) -> Callable[_P, _R | Failure]:
-    """Decorate a function to return the reason of a failure instead of raising it.
+    """Decorate a function so that it returns the reason of a failure instead of raising it.
 
     Parameters
     ----------
@@ -83,9 +83,9 @@ def add_errors(estimate: Estimate, *errors: float) -> Estimate:
 
     Returns
     -------
-    The estimate with the combined error. If it has its own interval, the normal 95 % half-width of
-    `errors` is added to each side of the interval in quadrature, so that an asymmetric interval
-    stays asymmetric.
+    The estimate with the combined error. If the estimate has its own interval, the normal 95 %
+    half-width of `errors` is added to each side of this interval in quadrature, so that an
+    asymmetric interval stays asymmetric.
 
     Notes
     -----
@@ -96,8 +96,8 @@ def add_errors(estimate: Estimate, *errors: float) -> Estimate:
     interval = estimate.interval
     if interval is not None and added_error > 0.0:
         added_half_width = Interval.normal_95(0.0, added_error).upper
-        # The interval is corrected for the bias from noise, but the value is not. The value may
-        # therefore lie outside the interval.
+        # The value may lie outside the interval, because only the interval is corrected for the
+        # bias from noise.
         is_inside = interval.lower <= estimate.value <= interval.upper
         centre = estimate.value if is_inside else 0.5 * (interval.lower + interval.upper)
         lower_width = hypot(centre - interval.lower, added_half_width)

@@ -11,7 +11,7 @@ from math import expm1, hypot, log
 import numpy as np
 
 from labpipe.records.arrays import ArrayRecord, Ints, Vector
-from labpipe.records.curve import DrawnLaw, DrawnShapes, FittedLine, Interval, Slip
+from labpipe.records.curve import FigureLaw, FigureShapes, FittedLine, Interval, Slip
 from labpipe.records.quality import QualityNote, Reason
 from labpipe.records.result import (
     Contribution,
@@ -85,8 +85,8 @@ class Sample:
     operator: str = ""
     instruments: tuple[Instrument, ...] = ()
     inputs: tuple[InputFile, ...] = ()
-    shapes: DrawnShapes | None = None
-    law: DrawnLaw | None = None
+    shapes: FigureShapes | None = None
+    law: FigureLaw | None = None
     decision: str = ""
 
 

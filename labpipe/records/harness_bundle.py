@@ -12,18 +12,19 @@ from labpipe.records.arrays import ArrayRecord, Flags, Floats, Ints, Vector
 from labpipe.records.quality import QualityNote
 
 PACKED = "packed"
-"""Dense packing with the types of wires at random; wires of one type form a hexagon if possible."""
+"""Dense packing with the types of wires in random order; wires of one type form a hexagon if
+possible."""
 
 ARRANGEMENTS = (PACKED, "symmetric", "asymmetric")
 """Arrangements of the types of wires: ``symmetric`` about the centre, or ``asymmetric`` with one
 type on one side."""
 
-STATED = "stated"
+STATED_POSITIONS = "stated"
 """Arrangement of a layout with the positions of the test sheet."""
 
 TAPINGS = ("none", "coarse", "half-lap")
-"""Windings of the tape: ``coarse`` with gaps of one tape width between turns, ``half-lap`` with
-turns that cover half of the one before."""
+"""Windings of the tape: ``coarse`` has gaps of one tape width between turns, and each turn of
+``half-lap`` covers half of the previous turn."""
 
 NONE = "none"
 """Text for no tape and for no conduit."""
@@ -47,7 +48,7 @@ class BundleWire:
 
 @dataclass(frozen=True, slots=True)
 class Bundle:
-    """Composition of a bundle.
+    """Composition of a harness bundle.
 
     Parameters
     ----------
@@ -58,7 +59,7 @@ class Bundle:
     tape : kind of tape, such as ``PVC``, or ``none``
     taping : winding of the tape, one of `TAPINGS`
     conduit : kind of conduit, such as ``corrugated-tube``, or ``none``
-    conduit_bore : inner diameter of the conduit, m; None without a conduit or if it is not stated
+    conduit_bore : inner diameter of the conduit, m; None if it is not stated
     """
 
     wires: tuple[BundleWire, ...]
@@ -76,7 +77,7 @@ class Bundle:
 
     @property
     def composition(self) -> str:
-        """Text with the number of wires of each type, such as ``10 B1 + 9 B2``."""
+        """Text with the number and type of the wires, such as ``10 B1 + 9 B2``."""
         return " + ".join(f"{wire.number} {wire.type}" for wire in self.wires)
 
     @property
@@ -102,7 +103,7 @@ class BundleLayout(ArrayRecord):
     arrangement : one of `ARRANGEMENTS`, or ``stated`` for positions of the test sheet
     x, y : centre of each wire relative to the centroid of their areas, m; y is the direction of
         bending
-    kind : index of the type of each wire in the wires of the `Bundle`
+    kind : index in `Bundle.wires` of the type of each wire
     diameter : diameter of each wire over the insulation, m
     radius : radius of the smallest circle about the origin that contains all wires, m
     """
@@ -117,7 +118,7 @@ class BundleLayout(ArrayRecord):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BundleModel(ArrayRecord):
-    """Bending stiffness and moments of a bundle between slipping and sticking; arrays are (n,).
+    """Bounds of the bending stiffness and moment of a bundle; arrays have the shape (n,).
 
     Parameters
     ----------
@@ -127,17 +128,18 @@ class BundleModel(ArrayRecord):
         without friction: the sum of the slip stiffnesses of the wires
     free : bending stiffness if the wires slip and the strands within them stick, N m^2: the sum of
         the stick stiffnesses of the wires
-    high : upper bound of the bending stiffness, N m^2: nothing slips or yields, bent along y
+    high : upper bound of the bending stiffness, N m^2, if nothing slips or yields, bent along y
     tensor : shape (2, 2), N m^2, bending stiffness of the sticking bundle; `high` is its yy
         component
     principal : smallest and largest stiffness of all directions if nothing slips, N m^2
     principal_angle : angle from the x axis to the direction of bending with the largest stiffness,
         rad, in (-pi/2, pi/2]; 0 if all directions are equal
-    neutral : (x, y) of the intersection of the neutral axes of a sticking bundle, m
+    neutral : (x, y) of the point in which the neutral axes of a sticking bundle intersect, m
     axial_stiffness : axial stiffness of all wires, N
     smallest_bore : diameter of the smallest circle around the wires, m
     middle : (x, y) of the centre of that circle, m
-    packing_fraction : area of the wires / area of the conduit's bore; None without a bore
+    packing_fraction : area of the wires divided by that of the bore of the conduit; None without a
+        bore
     curvature : curvatures, 1/m, increasing from 0 to the smallest range of the laws of the wires
     moment_slip : moment of first loading if the wires slip on each other, N m: the sum of the laws
         of the wires
@@ -182,7 +184,7 @@ class BundleModel(ArrayRecord):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BundleLoop(ArrayRecord):
-    """Measured cycles of a bundle bent as a cantilever; arrays are (n,), in order of time.
+    """Measured cycles of a bundle as a cantilever; arrays have the shape (n,), in order of time.
 
     A bundle on two supports is treated as a cantilever of half the span under half the force.
 
@@ -194,8 +196,8 @@ class BundleLoop(ArrayRecord):
     branch : index of the branch of each sample; loading and unloading branches alternate
     kink : deflection, m, and force, N, at which the wires begin to slip
     slide : deflection at which the tape begins to slide, m; infinite if it never slides
-    self_weight : weight per length of the bundle, N/m, which is horizontal at rest with its tip
-        held; 0 if not stated
+    self_weight : weight per length of the bundle, N/m; 0 if not stated. The bundle is horizontal at
+        rest, and its tip is held
     """
 
     length: float
@@ -209,7 +211,7 @@ class BundleLoop(ArrayRecord):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrictionFit(ArrayRecord):
-    """Fitted friction of a bundle, and its prediction of cycles that were not fitted.
+    """Fitted friction of a bundle, and prediction of the cycles that were not fitted.
 
     Parameters
     ----------

@@ -17,7 +17,7 @@ class ExportFormat(NamedTuple):
 
     Parameters
     ----------
-    name : name in protocols
+    name : name of the format in protocols
     module : module of the reader, which is imported when it is needed
     is_text : whether a file can be a text or a binary file
     is_workbook : whether a file can be a workbook
@@ -50,12 +50,12 @@ EXPORT_FORMATS: Final = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Clock(ArrayRecord):
-    """One time axis of an export, unchanged.
+    """Time axis of an export, with the times that the export states.
 
     Parameters
     ----------
-    name : name in the export (a raster, a task), or ``time``
-    time : shape (n,), in `unit`, with the holes, the jitter and the start of the export
+    name : name of the axis in the export (a raster, a task), or ``time``
+    time : shape (n,), in `unit`, times with the gaps, the jitter and the start of the export
     unit : ``s``; ``1`` if the export has no time, and `time` counts its rows from 0
     """
 
@@ -66,14 +66,14 @@ class Clock(ArrayRecord):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Channel(ArrayRecord):
-    """One named signal with a unit and a clock.
+    """Named signal of an export, with a unit and a clock.
 
     Parameters
     ----------
     name : short name, which may occur several times in an export
     path : full name, which is unique in an export, such as ``Model Root/Subsystem/In1``
-    values : shape (n,), in `unit`; NaN where the export is blank
-    clock : name of its clock
+    values : shape (n,), in `unit`, values of the signal; NaN where the export is blank
+    clock : name of the clock of the signal
     unit : SI unit of `values`; None if neither file nor protocol states a unit: `values` are then
         those of the file
     unit_in_file : unit as the export writes it; empty if it states none
@@ -100,7 +100,7 @@ class RigidBody(ArrayRecord):
     position : shape (frames, 3), m; NaN where the body was not tracked
     rotation : shape (frames, 4), quaternion in the order x, y, z, w; NaN where the body was not
         tracked, or where the export has no rotation
-    error : shape (frames,), m, mean error of the markers; NaN where the export has none
+    error : shape (frames,), m, mean error of the markers of the body; NaN where the export has none
     """
 
     name: str
@@ -111,7 +111,7 @@ class RigidBody(ArrayRecord):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MarkerTracks(ArrayRecord):
-    """Measured marker positions and rigid bodies over the frames of one take.
+    """Measured positions of markers and rigid bodies in the frames of a take.
 
     Parameters
     ----------
@@ -121,7 +121,7 @@ class MarkerTracks(ArrayRecord):
     names : name of each marker, unique in a take; a repeated name is followed by its id
     positions : shape (frames, markers, 3), m, in the frame of the motion-capture system; NaN
         where the marker was not tracked
-    bodies : the rigid bodies of the take
+    bodies : rigid bodies of the take
     unit_in_file : unit of length as the export writes it; empty if it states none
     """
 
@@ -155,7 +155,7 @@ class Recording:
     clocks : time axes of the channels
     channels : signals of the export
     markers : marker tracks of a motion-capture export; None for any other
-    metadata : further content of the header, in types of JSON
+    metadata : further content of the header, as values that JSON can represent
     notes : quality notes of the reader
     """
 

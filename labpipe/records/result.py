@@ -1,4 +1,4 @@
-"""Define the results of one test, and the record of the whole test."""
+"""Define the results of a test, and the record of the whole test."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Status(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Contribution:
-    """Contribution of one cause to the uncertainty of a result: a row of its budget.
+    """Contribution of one cause to the uncertainty of a result, which is a row of its budget.
 
     Parameters
     ----------
@@ -44,9 +44,9 @@ class Contribution:
 def find_distinct_estimate(
     value: float, estimate: float | None, interval: Interval | None
 ) -> float | None:
-    """Return an estimate if it is so far from its value that both are shown.
+    """Find an estimate that is so far from its value that reports show both.
 
-    The largest sample of a noisy plateau, for example, is above the true force.
+    For example, the largest sample of a noisy plateau is above the true force.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ def find_distinct_estimate(
 
 
 def compute_seal(name: str, unit: str, status: str, numbers: Sequence[float | None]) -> str:
-    """Compute the SHA-256 of the numbers of a result, which reveals later changes of a file.
+    """Compute the SHA-256 of the numbers of a result, which reveals later changes in a file.
 
     Parameters
     ----------
@@ -98,8 +98,8 @@ class Result:
     reasons : reasons why the result is doubtful, failed, or without an interval; otherwise empty
     method : description of the computation of value and interval; equal in all tests with the same
         processing
-    n : number of samples used
-    made_of : name of the result from which it is computed, such as a stiffness; empty for none
+    n : number of samples from which the result is computed
+    made_of : name of the result from which this one is computed, such as a stiffness; may be empty
     remark : addition to the method for this test only, such as force added by repaired slips
     estimate : value minus the mean effect of noise, in `unit`; None if it equals the value
     budget : contributions to the interval; empty if they are not known separately
@@ -133,28 +133,28 @@ class Result:
 
     @property
     def fractions(self) -> tuple[float, ...]:
-        """Fraction of the variance of each row of the budget; 0 without a variance."""
+        """Fraction of the variance for each contribution of the budget; 0 without a variance."""
         variances = [contribution.change**2 for contribution in self.budget]
         total = sum(variances)
         return tuple(variance / total if total > 0.0 else 0.0 for variance in variances)
 
     @property
     def largest_cause(self) -> tuple[str, float] | None:
-        """Cause with the largest fraction of the variance and this fraction, or None."""
+        """Cause with the largest fraction of the variance, and this fraction; None without one."""
         pairs = zip((row.cause for row in self.budget), self.fractions, strict=True)
-        cause, share = max(pairs, key=lambda pair: pair[1], default=("", 0.0))
-        return (cause, share) if share > 0.0 else None
+        cause, fraction = max(pairs, key=lambda pair: pair[1], default=("", 0.0))
+        return (cause, fraction) if fraction > 0.0 else None
 
     @property
     def distinct_estimate(self) -> float | None:
-        """Estimate if it must be shown beside the value (`find_distinct_estimate`)."""
+        """Estimate if a report shows it beside the value, see `find_distinct_estimate`."""
         if self.value is None:
             return None
         return find_distinct_estimate(self.value, self.estimate, self.interval)
 
     @property
     def best_estimate(self) -> float | None:
-        """Estimate, or else the value."""
+        """Estimate; the value if there is no estimate."""
         return self.value if self.estimate is None else self.estimate
 
     @property
@@ -205,14 +205,14 @@ class Specimen:
 
     @property
     def fields(self) -> Mapping[str, str]:
-        """Text of each grouping field; a label replaces a bundle's field of its name."""
+        """Text of each grouping field; a label replaces a field of the bundle with its name."""
         names = {"type": self.type, "spool": self.spool}
         return names | dict(self.bundle.fields if self.bundle else {}) | dict(self.labels)
 
 
 @dataclass(frozen=True, slots=True)
 class InputFile:
-    """One export of a test with its fingerprint.
+    """Export of a test, with its fingerprint.
 
     Parameters
     ----------
@@ -230,12 +230,12 @@ class InputFile:
 
 @dataclass(frozen=True, slots=True)
 class Instrument:
-    """Instrument of a test with its calibration certificate.
+    """Instrument of a test, with its calibration certificate.
 
     Parameters
     ----------
     channel : name of its channel in the protocol; ``markers`` for the cameras
-    measures : quantities that depend on it, such as ``force``
+    measures : quantities that depend on the instrument, such as ``force``
     certificate : number of the certificate
     calibrated : day of the calibration
     due : day of the next calibration; None if the certificate does not state it

@@ -13,22 +13,22 @@ from labpipe.records.arrays import ArrayRecord, Flags, Floats, Ints, Vector
 from labpipe.records.curve import Interval
 from labpipe.records.quality import QualityNote, Reason
 
-AUTO = "auto"
-"""Automatic choice of the layout: hexagonal if possible, otherwise concentric, otherwise packed."""
+AUTO_LAYOUT = "auto"
+"""Layout that labpipe chooses: hexagonal if possible, else concentric if possible, else packed."""
 
-LAYOUTS = (AUTO, "hexagonal", "concentric", "packed", "compressed")
-"""Layouts in a wire sheet."""
+LAYOUTS = (AUTO_LAYOUT, "hexagonal", "concentric", "packed", "compressed")
+"""Names of the layouts in a wire sheet."""
 
 
 @dataclass(frozen=True, slots=True)
 class WireSpec:
-    """Wire as one row of a wire sheet specifies it; defaults apply to missing columns.
+    """Specification of a wire, as a row of a wire sheet; defaults apply to missing columns.
 
     Parameters
     ----------
     name : name of the wire
     wire_diameter : outer diameter of the insulation, m
-    layer_counts : number of strands of each layer, from the axis outwards; 1 for a core
+    layer_counts : number of strands of each layer, from the axis outwards; a core has one strand
     strand_diameters : diameter of the strands of each layer, m; for compressed strands the diameter
         of a circle of equal area
     lay_angles : signed lay angle of each layer but the core, rad
@@ -37,17 +37,16 @@ class WireSpec:
     poisson, insulation_poisson : Poisson's ratios of the strands and of the insulation
     copper_k : strength of the Ramberg-Osgood curve, Pa
     copper_n : exponent of the Ramberg-Osgood curve
-    isotropic_share : fraction of the hardening of the strands that is isotropic; None if it is not
-        known
+    isotropic_share : fraction of the hardening of the strands that is isotropic; None if unknown
     stress_table : strains and stresses (Pa) that replace the Ramberg-Osgood curve; None without a
         table
     insulation_table : strains and stresses (Pa) that replace the modulus of the insulation; None
         without a table
-    insulation_strain : strain at the rim of the wire up to which the insulation is linear
+    insulation_strain : strain at the rim of the wire up to which the insulation has a linear law
     friction_strand : coefficient of friction between strands
     friction_insulation : coefficient of friction between the outermost layer and the insulation
-    radial_force : force of the insulation on a strand of the outermost layer, N per radian of its
-        lay
+    radial_force : force of the insulation on a strand of the outermost layer, N per radian of the
+        helix of the strand
     layout : name of the layout, one of `LAYOUTS`
     layer_radii : radius of the centroids of the strands in compressed layers, m; None if unknown
     mass_per_length : mass per length, kg/m; None to compute it from section and densities
@@ -55,8 +54,8 @@ class WireSpec:
     length : free length of the cantilever, m
     tension : tension of the wire, N
     orientation : angle of the section from the neutral axis, rad
-    largest_curvature : last curvature of the tables, 1/m; None for a bending radius of five wire
-        diameters
+    largest_curvature : largest curvature of the wire table, 1/m; None for a bending radius of five
+        wire diameters
     defaults : description of each default that was used, keyed by field
     place : place of the row, for messages, such as ``sheet 'wires', row 4``
     """
@@ -80,7 +79,7 @@ class WireSpec:
     friction_strand: float = 0.21
     friction_insulation: float = 0.10
     radial_force: float = 0.15
-    layout: str = AUTO
+    layout: str = AUTO_LAYOUT
     layer_radii: tuple[float, ...] | None = None
     mass_per_length: float | None = None
     conductor_density: float = 8960.0
@@ -95,7 +94,7 @@ class WireSpec:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WireLayout(ArrayRecord):
-    """Positions of the strands; arrays have the shape (strands,).
+    """Positions of the strands of a wire; arrays have the shape (strands,).
 
     Parameters
     ----------
@@ -122,7 +121,7 @@ class WireAtRest:
     Parameters
     ----------
     force : force at the tip, N, which the zero of a load cell removes
-    moment : moment at the clamp, N m; negative, because it bends the wire away from the pull
+    moment : moment at the clamp, N m; negative, because weight bends the wire away from the pull
     curvature : curvature at the clamp, 1/m
     sag : distance of the lowest point below the axis, m
     """
@@ -146,16 +145,17 @@ class WireTable(ArrayRecord):
     moment : moment, N m, the sum of its five components
     stick, slip : moment of the axial forces in sticking and in slipping strands, N m
     bending : moment of the strands about their own axes, N m
-    plastic : change of the moment by yielding strands, N m
+    plastic : change of the moment because strands yield, N m
     insulation : moment of the insulation, N m
     tangent_stiffness, secant_stiffness : bending stiffness at each curvature, N m^2
-    stick_stiffness, slip_stiffness : bending stiffness if no strand slips, and if all slip, N m^2
+    stick_stiffness, slip_stiffness : bending stiffness if no strand slips, and if all strands slip,
+        N m^2
     axial_stiffness : axial stiffness EA at zero twist, N
     torsional_stiffness : torsional stiffness GJ at zero axial strain, N m^2
     free_torsional_stiffness : torsional stiffness GJ - C^2 / EA at zero axial force, N m^2
     stretch_twist_coupling : coupling C, N m: torque per strain, and axial force per twist in rad/m
     slip_onsets : curvatures at which strands begin to slip, 1/m, increasing; the first is 0 if
-        strands slip as soon as the wire bends
+        strands slip immediately
     lowest_moment, highest_moment : extremes of the moment over all orientations of the section, N m
     tip_deflection, tip_force : shape (m,), m and N, deflection and force of a cantilever of
         `spec.length` under an end load normal to the clamped axis, both relative to rest
@@ -240,7 +240,7 @@ class WireTable(ArrayRecord):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CurveAgreement(ArrayRecord):
-    """Agreement of one measured curve with the model.
+    """Agreement of a measured curve with the model.
 
     Parameters
     ----------
@@ -277,11 +277,12 @@ class IsotropicShare:
 
     Parameters
     ----------
-    value, interval : least-squares value, with its 95 % interval within 0 and 1
+    value, interval : least-squares value, and its 95 % interval between 0 and 1
     intervals : 95 % interval from residual deflections only, and from peaks only, keyed
         by the name of the result
     n_tests : number of tests with cycles
-    is_creep : whether these two intervals disagree, so that the fraction is not calibrated
+    is_creep : whether these two intervals disagree, as after creep; the fraction is then not
+        calibrated
     """
 
     value: float
@@ -301,7 +302,7 @@ class Prediction(ArrayRecord):
     lower, upper : ends of the pointwise band of the curve of one more sample, with noise, N
     lower_mean, upper_mean : ends of the pointwise band of the curve of the mean sample, without
         noise, N
-    notes : quality notes on causes that the bands do not include
+    notes : quality notes on causes of uncertainty that the bands do not include
     """
 
     deflection: Vector
@@ -319,11 +320,11 @@ class CurveErrors:
 
     Parameters
     ----------
-    n : number of points
+    n : number of compared points
     sse : sum of the squared errors, N^2
     rmse : root mean square error, N
     rmse_share : root mean square error divided by the largest measured force
-    coverage : fraction of the points inside the band; NaN without a band
+    coverage : fraction of the points that lie inside the band; NaN without a band
 
     References
     ----------
@@ -344,15 +345,15 @@ class ExternalCurve(ArrayRecord):
 
     Parameters
     ----------
-    name : name of the curve in the plan
-    file : name of its file in the plan
+    name : name of the curve in the plan of the calibration
+    file : name of the file of the curve in the plan
     wire : name of the wire
     length : free length, m
     deflection : shape (n,), m, deflection of the tip, increasing
     force : shape (n,), N, force at the tip
-    is_normal : whether the load remains normal to the undeformed axis; otherwise it is applied as
-        in the tests
-    source : description of the source
+    is_normal : whether the load remains normal to the undeformed axis; otherwise its direction is
+        that of the tests
+    source : description of the origin of the curve
     """
 
     name: str
@@ -371,7 +372,7 @@ class CurveMatch(ArrayRecord):
 
     Parameters
     ----------
-    reference : shape (n,), N, force of the other curve; NaN where it has none
+    reference : shape (n,), N, force of the other curve; NaN where that curve has no force
     errors : errors over the common points, relative to the largest force of the other curve and its
         95 % band; None without common points
     n_excluded : number of points that were not compared
@@ -393,7 +394,7 @@ class ExternalCurveComparison:
     curve : external curve
     tests : comparison with the mean of the tests of that wire and length; None without tests
     model : comparison with the model
-    prediction : curve of the model over the range of curve and tests; None if it has none
+    prediction : curve of the model over the range of curve and tests; None if the model has none
     notes : quality notes on points that were not compared
     """
 
@@ -413,9 +414,9 @@ COPPER_SCALE = "copper_scale"
 
 PARAMETERS = (RADIAL_FRICTION, INSULATION_MODULUS, COPPER_SCALE)
 """Calibrated parameters, in the order of every array over parameters."""
-UNITS = {RADIAL_FRICTION: "N", INSULATION_MODULUS: "Pa", COPPER_SCALE: "1"}
+PARAMETER_UNITS = {RADIAL_FRICTION: "N", INSULATION_MODULUS: "Pa", COPPER_SCALE: "1"}
 """SI unit of each parameter."""
-DISPLAYED = {
+DISPLAY_UNITS = {
     RADIAL_FRICTION: (1e3, "mN"),
     INSULATION_MODULUS: (1e-6, "MPa"),
     COPPER_SCALE: (1.0, ""),
@@ -434,7 +435,7 @@ class ParameterChoice:
     is_fixed : whether the parameter is not fitted
     factor : factor of a log-normal prior, by which the parameter lies between value / factor and
         value x factor with a probability of 95 %; None without a prior
-    lower, upper : bounds of the search; None for the default ones
+    lower, upper : bounds of the search; None for the default bounds
     source : source of a prior or a fixed value, for the report
     """
 
@@ -447,24 +448,24 @@ class ParameterChoice:
 
 
 class Identifiability(StrEnum):
-    """Identifiability of a parameter by the tests."""
+    """Degree to which the tests identify a parameter."""
 
-    WELL = "identified"
-    """The 95 % interval, and all values allowed by the tests at 99 %, span less than a factor 2."""
-    WEAKLY = "weakly identified"
-    """These values span more than a factor 2, the interval is bounded, and no other verdict
-    applies."""
-    TWO = "two solutions"
-    """The 95 % interval is that of different solutions, or the tests allow a solution outside of it
-    at 99 %."""
-    NOT = "not identified"
-    """The 95 % interval is unbounded on a side, or spans more than a factor of a hundred."""
+    IDENTIFIED = "identified"
+    """The 95 % interval, and the values that the tests allow at 99 %, span less than a factor 2."""
+    WEAKLY_IDENTIFIED = "weakly identified"
+    """The values that the tests allow span more than a factor 2, the interval is bounded, and no
+    other verdict applies."""
+    TWO_SOLUTIONS = "two solutions"
+    """The 95 % interval combines different solutions, or the tests allow a solution outside the
+    interval at 99 %."""
+    NOT_IDENTIFIED = "not identified"
+    """The 95 % interval is unbounded on a side, or spans more than a factor 100."""
     BY_PRIOR = "known from its prior"
     """The tests add hardly any information to the prior."""
     AGAINST_PRIOR = "contradicts its prior"
-    """Prior and tests have different values; the calibrated value is between them."""
+    """The values of prior and tests differ; the calibrated value is between them."""
     AT_BOUND = "at its bound"
-    """The search ended at a bound."""
+    """The search ended at a bound of the parameter."""
     FIXED = "fixed"
     """The parameter was not fitted."""
 
@@ -476,7 +477,7 @@ class Profile(ArrayRecord):
     Parameters
     ----------
     value : shape (n,), values of the parameter, increasing
-    deviance : shape (n,), increase of the objective from its minimum, with all other parameters
+    deviance : shape (n,), increase of the objective above the minimum, with all other parameters
         fitted again
     threshold_below, threshold_above : deviance at the lower and the upper end of the 95 % interval:
         the square of a quantile of t, averaged over the possible scatters of samples
@@ -490,7 +491,7 @@ class Profile(ArrayRecord):
 
 @dataclass(frozen=True, slots=True)
 class PriorConflict:
-    """Comparison of a prior with the tests alone.
+    """Comparison of a prior with the value from the tests alone.
 
     Parameters
     ----------
@@ -520,7 +521,7 @@ class CalibratedParameter:
 
     Parameters
     ----------
-    name, unit : one of `PARAMETERS`, and its SI unit
+    name, unit : name of the parameter, one of `PARAMETERS`, and its SI unit
     value : value at the minimum of the objective; NaN if the parameter has no effect on the wire
     intervals : 95 % intervals by profile likelihood, the union of those of all solutions, in
         increasing order. An open interval ends at the bound of the search. Empty if the parameter
@@ -528,9 +529,9 @@ class CalibratedParameter:
     log_error : standard error of the logarithm at the minimum of the objective; 0 if not fitted
     freedom : degrees of freedom of `log_error`
     is_open_below, is_open_above : whether the tests do not bound the parameter on that side
-    at_bound : bound of the search that the value is at, ``lower`` or ``upper``; empty for none
+    at_bound : bound of the search that the value equals, ``lower`` or ``upper``; empty for none
     verdict : identifiability of the parameter
-    explanation : sentence on the verdict
+    explanation : sentence that explains the verdict
     profiles : profiles of the solutions whose values are in the interval, the best first; empty if
         the parameter was not fitted
     conflict : comparison of the prior with the tests; None without a prior
@@ -554,7 +555,7 @@ class CalibratedParameter:
 
     @property
     def interval(self) -> Interval | None:
-        """Interval from the lowest to the highest end; None if nothing was fitted."""
+        """Interval from the lowest to the highest end; None if the parameter was not fitted."""
         if not self.intervals:
             return None
         return Interval(self.intervals[0].lower, self.intervals[-1].upper)
@@ -571,7 +572,7 @@ class Separability(ArrayRecord):
         respect to the logarithms of the parameters, divided by the noise: a combination with the
         singular value s has a standard error of 1 / s
     combinations : shape (n, n), weights of the logarithms, one row per singular value
-    are_identified : whether each parameter is identified, keyed by its name
+    are_identified : whether each parameter is identified, keyed by the name of the parameter
     explanation : one or two sentences on the combinations
     """
 
@@ -584,7 +585,7 @@ class Separability(ArrayRecord):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScatterMixture(ArrayRecord):
-    """Fits of the parameters for each scatter of samples that the tests allow.
+    """Fits of the parameters, one for each scatter of samples that the tests allow.
 
     Parameters
     ----------
@@ -609,7 +610,7 @@ class Solution(ArrayRecord):
     Parameters
     ----------
     values : shape (3,), values of `PARAMETERS`; NaN for a parameter that the wire does not have
-    rise : increase of the objective from the best solution; exp(-rise / 2) is the likelihood ratio
+    rise : increase of the objective above the best solution; exp(-rise / 2) is the likelihood ratio
     rmse : root mean square error over all curves, N
     covariance : shape (4, 4), covariance of the logarithms of the parameters and of the gain of the
         load cell; 0 for fixed parameters
@@ -637,14 +638,14 @@ class Solution(ArrayRecord):
 
 @dataclass(frozen=True, slots=True)
 class NoiseLevels:
-    """Noise and scatter about the model.
+    """Levels of noise and scatter about the model.
 
     Parameters
     ----------
     noise_factor : ratio of the estimated to the stated noise of a point
     correlation : correlation of neighbouring points
     scatter : standard deviation of the logarithms of the sample factors on the force
-    gain : relative standard uncertainty of the gain of the load cell, common to all curves
+    gain : relative standard uncertainty of the gain of the load cell, which all curves share
     scatter_freedom : degrees of freedom of `scatter`; infinite if it was stated, 0 if unknown
     noise_freedom : degrees of freedom of `noise_factor`
     """
@@ -704,4 +705,4 @@ class Calibration(ArrayRecord):
 
 @dataclass(frozen=True, slots=True)
 class CalibrationFailure(Reason):
-    """Reason why there is no calibration."""
+    """Reason why a wire has no calibration."""

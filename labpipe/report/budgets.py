@@ -93,7 +93,7 @@ def make_budget_plot(bars: Sequence[BudgetBar]) -> Plot:
         left, right, rows = np.array(parts[cause]).T
         lines.append(plots.make_bars(look, left, right, rows, height=0.74, **settings))
     if any(IS_COMMON.get(cause, False) for cause in causes):
-        lines.append(plots.make_key_entry("common_cause", is_closed=True))
+        lines.append(plots.make_legend_line("common_cause", is_closed=True))
     row_axis = Axis(low=0.5 - len(bars), high=0.5, row_names=tuple(bar.name for bar in bars))
     share_axis = Axis("Share of the variance", wording.Scale(100.0, "%"), 0.0, 1.0)
     reason = format_sentence("report.no_budget")
@@ -122,7 +122,7 @@ def get_cause_colour(cause: str) -> str:
 
 
 def sort_shares(bar_shares: Sequence[Mapping[str, float]]) -> list[dict[str, float]]:
-    """Sort the shares of bars in the order of the key, and add up those of small causes.
+    """Sort the shares of bars in the order of the legend, and add up those of small causes.
 
     Parameters
     ----------
@@ -147,7 +147,7 @@ def sort_shares(bar_shares: Sequence[Mapping[str, float]]) -> list[dict[str, flo
 
 
 def list_drawn_causes(bar_shares: Sequence[Mapping[str, float]]) -> list[str]:
-    """List the causes that bars show, in the order of the key; `SMALL_CAUSES` is last.
+    """List the causes that bars show, in the order of the legend; `SMALL_CAUSES` is last.
 
     Parameters
     ----------

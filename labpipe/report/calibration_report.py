@@ -18,7 +18,7 @@ from labpipe.records.group import Band, SampleCurve
 from labpipe.records.quality import QualityNote, Reason, Severity
 from labpipe.records.wire import (
     COPPER_SCALE,
-    DISPLAYED,
+    DISPLAY_UNITS,
     INSULATION_MODULUS,
     PARAMETERS,
     RADIAL_FRICTION,
@@ -33,12 +33,11 @@ from labpipe.records.wire import (
 )
 from labpipe.report import plot_records as plots
 from labpipe.report import table_records as tables
+from labpipe.report import wording
 from labpipe.report.figure_page import N_COLOURS, choose_line_look, split_pages
 from labpipe.report.plot_records import Axis, Label, Line, Page, Plot, make_line, make_thinned_line
-from labpipe.report.wording import SUPERSCRIPTS, Scale, format_count, format_number, join_sentences
+from labpipe.report.wording import FORCE_SCALE, LENGTH_SCALE, Scale, format_count, format_number
 
-LENGTH_SCALE = Scale(1e3, "mm")
-FORCE_SCALE = Scale(1.0, "N")
 SMALL_FORCE_SCALE = Scale(1e3, "mN")
 _GREEK_LETTERS = {"phi": "\u03c6", "mu": "\u03bc"}
 _POWER_OF_TEN = re.compile(r"(?<=\d)e([+-])0*(\d+)")
@@ -49,7 +48,7 @@ PARAMETER_LABELS: Mapping[str, str] = {
     INSULATION_MODULUS: "Insulation modulus",
     COPPER_SCALE: "Factor on copper strength",
 }
-PARAMETER_SCALES: Mapping[str, Scale] = {name: Scale(*unit) for name, unit in DISPLAYED.items()}
+PARAMETER_SCALES: Mapping[str, Scale] = {name: Scale(*unit) for name, unit in DISPLAY_UNITS.items()}
 _PARAMETER_NAMES: Mapping[str, str] = {
     RADIAL_FRICTION: "phi",
     INSULATION_MODULUS: "the modulus of the insulation",
@@ -77,7 +76,7 @@ def typeset(sentence: str) -> str:
 
     def typeset_power(match: re.Match[str]) -> str:
         exponent = f"{match[1]}{match[2]}".removeprefix("+")
-        return f" \u00d7 10{exponent.translate(SUPERSCRIPTS)}"
+        return f" \u00d7 10{exponent.translate(wording.SUPERSCRIPTS)}"
 
     for key, parameter_name in _PARAMETER_NAMES.items():
         sentence = re.sub(rf"\b{key}\b", parameter_name, sentence)
@@ -658,7 +657,7 @@ def describe_agreement(group: ValidationGroup) -> list[str]:
         texts[0] += ", no band of the mean"
     errors = group.errors
     if errors is None:
-        return [*texts, f"No prediction. {join_sentences([group.reason])}".strip()]
+        return [*texts, f"No prediction. {wording.join_sentences([group.reason])}".strip()]
     rmse = SMALL_FORCE_SCALE.factor * errors.rmse
     percentage = format_percent(errors.rmse_share)
     texts.append(f"RMSE {rmse:.3g} {SMALL_FORCE_SCALE.unit}, {percentage} of the largest force")
@@ -690,7 +689,7 @@ def _describe_bands(groups: Sequence[ValidationGroup]) -> str:
         sentences.append(format_sentence("report.doubtful_model"))
     predictions = (group.prediction for group in groups if group.prediction is not None)
     notes = (note for prediction in predictions for note in prediction.notes)
-    sentences.append(join_sentences(notes))
+    sentences.append(wording.join_sentences(notes))
     return " ".join(filter(None, sentences))
 
 

@@ -406,7 +406,7 @@ def _make_curve_plots(
     ends = np.array(plots.clip_range(means, edges, max_extension))
     x = plots.make_axis("Displacement", x_scale, [line.x for line in lines])
     y = plots.make_axis(name, y_scale, [ends])
-    legend += group_plots.list_key_entries(lines, hidden=("mean",))
+    legend += group_plots.list_legend_entries(lines, hidden=("mean",))
     title, size = f"Mean force against displacement of {count}.", (392, 200)
     yield Plot(x, y, lines, heading, legend=legend, kind="means", title=title, size=size)
 

@@ -29,8 +29,8 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-_STYLE = Path(__file__).with_name("labpipe.mplstyle")
-_JOURNAL_STYLE = Path(__file__).with_name("journal.mplstyle")
+_STYLE_FILE = Path(__file__).with_name("labpipe.mplstyle")
+_JOURNAL_FILE = Path(__file__).with_name("journal.mplstyle")
 GREY = "#666666"
 N_COLOURS = 8
 """Number of colours for spools, groups and wires."""
@@ -38,6 +38,7 @@ _MM_PER_INCH, _POINTS_PER_INCH = 25.4, 72.0
 _LEFT_EDGE = 0.012
 """Left edge of texts, as a fraction of the width of the page."""
 DASHED = (0, (4, 1.6))
+"""Dash of lines for unloading and for doubtful results."""
 _DASHES: tuple[Any, ...] = (
     "-", (0, (5, 1.5)), (0, (1.5, 1.2)), (0, (5, 1.5, 1.2, 1.5)), (0, (9, 2)),
     (0, (3, 1, 1, 1, 1, 1)),
@@ -56,18 +57,18 @@ def choose_line_look(index: int) -> dict[str, Any]:
     return {"color": f"C{index % N_COLOURS}", "linestyle": dash}
 
 
-def sample_colour_map(count: int, end: float = 0.85) -> list[str]:
-    """Return equally spaced colours of the colour map.
+def sample_colour_map(count: int, last_position: float = 0.85) -> list[str]:
+    """Return equally spaced colours of the colour map viridis.
 
     Parameters
     ----------
     count : number of colours
-    end : position of the last colour, as a fraction of the colour map
+    last_position : position of the last colour, as a fraction of the colour map
     """
     import matplotlib as mpl
     from matplotlib.colors import to_hex
 
-    positions = end * np.linspace(0, 1, count)
+    positions = last_position * np.linspace(0, 1, count)
     return [to_hex(mpl.colormaps["viridis"](position)) for position in positions]
 
 
@@ -84,13 +85,13 @@ def read_looks() -> dict[str, dict[str, Any]]:
 
 def _read_settings(look: str) -> dict[str, Any]:
     """Read the settings of a look, such as ``curve c2`` with the number of a colour."""
-    kind, _, colour = look.partition(" ")
-    settings = {name: value for name, value in read_looks()[kind].items() if name != "sign"}
-    if colour:
-        number = int(colour[1:])
-        settings["color"] = f"C{number}"
-        if kind in {"curve", "mean"}:
-            settings["linestyle"] = choose_dash(number)
+    look_name, _, colour_class = look.partition(" ")
+    settings = {name: value for name, value in read_looks()[look_name].items() if name != "sign"}
+    if colour_class:
+        colour_number = int(colour_class[1:])
+        settings["color"] = f"C{colour_number}"
+        if look_name in {"curve", "mean"}:
+            settings["linestyle"] = choose_dash(colour_number)
     return settings if "facecolor" in settings else {"color": "black", **settings}
 
 
@@ -111,12 +112,12 @@ def use_style(*, is_journal: bool = False) -> Iterator[None]:
     from matplotlib.font_manager import fontManager
 
     settings: Any = mpl.rcParams
-    with mpl.rc_context(fname=str(_STYLE)), warnings.catch_warnings():
+    with mpl.rc_context(fname=str(_STYLE_FILE)), warnings.catch_warnings():
         if is_journal:
-            settings.update(mpl.rc_params_from_file(_JOURNAL_STYLE, use_default_template=False))
-        installed = set(fontManager.get_font_names())
+            settings.update(mpl.rc_params_from_file(_JOURNAL_FILE, use_default_template=False))
+        installed_fonts = set(fontManager.get_font_names())
         fonts = (font for family in settings["font.family"] for font in settings[f"font.{family}"])
-        settings["font.family"] = [font for font in fonts if font in installed]
+        settings["font.family"] = [font for font in fonts if font in installed_fonts]
         warnings.filterwarnings("ignore", r"Glyph \d+ .* missing from font", UserWarning)
         yield
 
@@ -130,7 +131,8 @@ def draw_page(page: Page) -> Figure:
 
     Returns
     -------
-    The figure, laid out for SVG. Headings have letters if there is more than one heading.
+    The figure, laid out for SVG. If several plots have a heading, their headings begin with the
+    letters of the panels.
     """
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
@@ -151,7 +153,8 @@ def draw_page(page: Page) -> Figure:
         prefix = f"({letter}) " if has_letters and plot.heading else ""
         panels[letter].set_title(prefix + plot.heading, loc="left", linespacing=1.25)
     if page.colours is not None:
-        colour_bar = figure.colorbar(_map_colours(page.colours), ax=[panels[letters[columns - 1]]])
+        right_panel = panels[letters[columns - 1]]
+        colour_bar = figure.colorbar(_make_colour_mapping(page.colours), ax=[right_panel])
         colour_bar.set_label(page.colours.label)
         _set_ticks(colour_bar.ax.yaxis, page.colours)
     for axes in panels.values() if page.shared_axes else ():
@@ -165,7 +168,7 @@ def draw_page(page: Page) -> Figure:
         if plot.is_to_scale:
             panels[letter].set_aspect("equal", adjustable="datalim")
     if any(plot.is_to_scale for plot in page.plots):
-        layout.execute(figure)  # extends the limits so that they fill the panels
+        layout.execute(figure)  # with equal scales, the limits are extended to fill the panels
     return figure
 
 
@@ -182,7 +185,7 @@ def _fit_texts(figure: Figure) -> None:
 
 
 def draw_plot(plot: Plot, axes: Axes, colours: Axis | None = None) -> None:
-    """Draw the lines of a plot, its axes, its labels and its key.
+    """Draw the lines of a plot, its axes and its labels, and add its legend entries.
 
     Parameters
     ----------
@@ -217,35 +220,36 @@ def draw_plot(plot: Plot, axes: Axes, colours: Axis | None = None) -> None:
 
 
 def _draw_line(line: Line, plot: Plot, axes: Axes, colours: Axis | None) -> None:
+    """Draw a line or an area; one with infinite coordinates extends across the panel."""
     from matplotlib.collections import LineCollection, PolyCollection
 
     settings = {"label": "", **_read_settings(line.look), **line.settings}
     x, y = plot.x.scale.factor * line.x, plot.y.scale.factor * line.y
-    is_wide, is_high = (bool(np.isinf(ends).any()) for ends in (x, y))
+    is_full_width, is_full_height = (bool(np.isinf(values).any()) for values in (x, y))
     if line.values is not None and colours is not None:
         points = np.column_stack([x, y])
         segments = np.stack([points[:-1], points[1:]], axis=1)
         settings.pop("color")  # it would replace the colours of the values
         coloured_line = LineCollection(list(segments), capstyle="round", **settings)
-        colour_map = _map_colours(colours)
-        coloured_line.set(cmap=colour_map.cmap, norm=colour_map.norm)
+        mapping = _make_colour_mapping(colours)
+        coloured_line.set(cmap=mapping.cmap, norm=mapping.norm)
         values = np.minimum(line.values[:-1], line.values[1:])
         coloured_line.set_array(colours.scale.factor * values)
         axes.add_collection(coloured_line)
-    elif line.is_closed and is_high:
+    elif line.is_closed and is_full_height:
         axes.axvspan(x[0], x[1], **settings)
     elif line.is_closed:
         axes.add_collection(PolyCollection(split_at_gaps(x, y), **settings))
-    elif is_wide:
+    elif is_full_width:
         axes.axhline(y[0], **settings)
-    elif is_high:
+    elif is_full_height:
         axes.axvline(x[0], **settings)
     else:
         axes.plot(x, y, **settings)
 
 
-def _map_colours(axis: Axis) -> Any:
-    """Return the mapping of values to colours; values below the low end are red."""
+def _make_colour_mapping(axis: Axis) -> Any:
+    """Make the mapping of values to colours; values below the low end of the axis are red."""
     import matplotlib as mpl
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import LogNorm
@@ -257,22 +261,20 @@ def _map_colours(axis: Axis) -> Any:
 def _draw_label(label: Label, plot: Plot, axes: Axes) -> None:
     """Draw a label; an infinite coordinate is at the end of the axis."""
     coordinates = [(label.x, plot.x.scale.factor), (label.y, plot.y.scale.factor)]
-    position = [
+    x, y = (
         float(value > 0) if math.isinf(value) else factor * value for value, factor in coordinates
-    ]
-    x_frame, y_frame = (
-        "axes fraction" if math.isinf(value) else "data" for value, _ in coordinates
     )
-    axes.annotate(
-        label.text, (position[0], position[1]), label.offset, (x_frame, y_frame), "offset points",
-        annotation_clip=False, **{"va": "center", "zorder": 6, **label.settings},
-    )  # fmt: skip
+    frames = ["axes fraction" if math.isinf(value) else "data" for value, _ in coordinates]
+    settings = {"va": "center", "zorder": 6, "annotation_clip": False, **label.settings}
+    text, (x_frame, y_frame) = label.text, frames
+    axes.annotate(text, (x, y), label.offset, (x_frame, y_frame), "offset points", **settings)
 
 
 def _set_ticks(drawn_axis: DrawnAxis, axis: Axis) -> None:
     """Set the ticks of an axis: the names of its rows, or round numbers."""
     max_steps = 4 if axis.is_log else 7  # logarithmic steps are narrow at the high end
-    max_linear_ratio, max_dense_ratio = 6.0, 500.0  # of the ends of a logarithmic axis
+    # largest ratios of the ends of a logarithmic axis for linear ticks, and for ticks at 1, 2 and 5
+    max_linear_ratio, max_dense_ratio = 6.0, 500.0
     from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, NullLocator
 
     low, high = drawn_axis.get_view_interval()
@@ -294,28 +296,30 @@ def _set_ticks(drawn_axis: DrawnAxis, axis: Axis) -> None:
 
 
 def _add_texts(figure: Figure, page: Page) -> LayoutEngine:
-    """Add title, footnote and a key of all labelled artists; add height for footnote and key.
+    """Add title, footnote and a legend of all labelled artists.
+
+    The figure becomes higher by the heights of the footnote and the legend.
 
     Returns
     -------
-    The layout of the panels between title, key and footnote. It is not set as the layout of the
+    The layout of the panels between title, legend and footnote. It is not set as the layout of the
     figure, because matplotlib would then draw the figure twice whenever it is saved.
     """
     import matplotlib as mpl
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
     size: float = mpl.rcParams["font.size"]
-    line_mm, key_line_mm = 0.52 * size, 0.6 * size
+    line_mm, legend_line_mm = 0.52 * size, 0.6 * size
     characters_per_mm = 0.72  # in a line of the footnote
     artists: dict[str, Any] = {}
     for axes in figure.axes:
         for artist, label in zip(*axes.get_legend_handles_labels(), strict=True):
             artists.setdefault(label, artist)
-    columns = page.key_columns or _count_key_columns(list(artists), page.width - 2.0)
-    rows = math.ceil(len(artists) / columns)
-    max_characters = int(characters_per_mm * page.width)
-    notes = [row for text in page.note.split("\n") for row in textwrap.wrap(text, max_characters)]
-    height = page.height + key_line_mm * rows + line_mm * len(notes)
+    n_columns = page.legend_columns or _count_legend_columns(list(artists), page.width - 2.0)
+    n_rows = math.ceil(len(artists) / n_columns)
+    max_length = int(characters_per_mm * page.width)
+    notes = [line for text in page.note.split("\n") for line in textwrap.wrap(text, max_length)]
+    height = page.height + legend_line_mm * n_rows + line_mm * len(notes)
     figure.set_size_inches(page.width / _MM_PER_INCH, height / _MM_PER_INCH)
     line_height = line_mm / height
     figure.text(_LEFT_EDGE, 1 - 0.3 * line_height, page.title, va="top", color=GREY)
@@ -323,34 +327,35 @@ def _add_texts(figure: Figure, page: Page) -> LayoutEngine:
         figure.text(_LEFT_EDGE, 0.3 * line_height, "\n".join(notes), va="bottom", color=GREY)
     if artists:
         figure.legend(
-            list(artists.values()), list(artists), loc="upper left", ncols=columns, borderpad=0,
+            list(artists.values()), list(artists), loc="upper left", ncols=n_columns, borderpad=0,
             borderaxespad=0, bbox_to_anchor=(_LEFT_EDGE, 1 - 1.25 * line_height),
         )  # fmt: skip
-    low = line_height * (0.4 + len(notes)) if notes else 0.0
-    high = 1 - 1.3 * line_height - rows * key_line_mm / height
+    bottom = line_height * (0.4 + len(notes)) if notes else 0.0
+    top = 1 - 1.3 * line_height - n_rows * legend_line_mm / height
     pad = 1.2 / _MM_PER_INCH
-    rect = (0.0, low, 1.0, high - low)
+    rect = (0.0, bottom, 1.0, top - bottom)
     return ConstrainedLayoutEngine(rect=rect, w_pad=pad, h_pad=pad)
 
 
-def _count_key_columns(labels: Sequence[str], width_mm: float) -> int:
-    """Count the columns of a key that fit into a width, mm."""
-    handle_mm = 11.8  # width of the drawn piece of a line and of the gaps beside it
+def _count_legend_columns(labels: Sequence[str], width_mm: float) -> int:
+    """Count the columns of a legend that fit into a width, mm."""
+    handle_mm = 11.8  # width of the line before the text of an entry, and of the gaps beside it
     import matplotlib as mpl
     from matplotlib.font_manager import FontProperties
     from matplotlib.textpath import text_to_path
 
     font = FontProperties(size=mpl.rcParams["legend.fontsize"])
-    points = [text_to_path.get_text_width_height_descent(text, font, False)[0] for text in labels]
-    widths = [handle_mm + width / _POINTS_PER_INCH * _MM_PER_INCH for width in points]
+    sizes = (text_to_path.get_text_width_height_descent(text, font, False) for text in labels)
+    widths = [handle_mm + points / _POINTS_PER_INCH * _MM_PER_INCH for points, *_ in sizes]
     if sum(widths) <= width_mm:
         return max(len(widths), 1)
     max_columns = max(int(width_mm / max(widths)), 1)
-    return math.ceil(len(widths) / math.ceil(len(widths) / max_columns))
+    n_rows = math.ceil(len(widths) / max_columns)
+    return math.ceil(len(widths) / n_rows)
 
 
 def draw_for_notebook(page: Page) -> Figure:
-    """Draw a page in the current style for a notebook, which may have another style.
+    """Draw a page for a notebook in the current style, which the notebook does not change.
 
     Parameters
     ----------
@@ -367,6 +372,7 @@ def draw_for_notebook(page: Page) -> Figure:
 
 
 def _encode_png(figure: Figure) -> bytes:
+    """Encode a figure as PNG in the style of labpipe."""
     image = BytesIO()
     with use_style():
         figure.savefig(image, format="png", dpi="figure")
@@ -393,7 +399,7 @@ def save_pages(
     dpi: int = 300,
     is_journal: bool = False,
 ) -> list[Path]:
-    """Draw figures in the style of labpipe and write each as SVG, on request as PNG and PDF.
+    """Draw figures in the style of labpipe and write each as SVG, and on request as PNG or PDF.
 
     Parameters
     ----------
@@ -407,7 +413,7 @@ def save_pages(
 
     Returns
     -------
-    Paths of the files in the order of the figures; of each figure SVG, PNG, PDF.
+    Paths of the files in the order of the figures. For each figure, SVG is before PNG and PDF.
 
     Raises
     ------
@@ -428,7 +434,7 @@ def save_pages(
 
 
 def list_pngs(pages: Iterable[Page], folder: str) -> list[str]:
-    """List the PNG files of figures in a folder, which an earlier run may have left."""
+    """List the paths that the PNG files of figures have in a folder, whether they exist or not."""
     return [f"{folder}/{page.name}.png" for page in pages]
 
 
@@ -439,7 +445,7 @@ def convert_write_errors(path: Path, noun: str) -> Iterator[None]:
     Parameters
     ----------
     path : path of the file or folder that the block writes
-    noun : noun of the message for what is written, such as ``figures``
+    noun : name of the content in the message of the error, such as ``figures``
 
     Raises
     ------
@@ -457,21 +463,22 @@ def _save_page(page: Page, folder: Path, *, run: str, dpi: int | None, is_pdf: b
     figure = draw_page(page)
     title, description = replace_unprintable(page.alt), replace_unprintable(page.caption)
     texts = {"Title": title, "Description": description, "Identifier": run}
-    svg = {"Date": None, **{name: text for name, text in texts.items() if text}}
-    png, pdf = {"Software": None, "run": run or None}, {"CreationDate": None, "Title": title}
-    formats: dict[str, dict[str, Any]] = {"svg": {"metadata": svg}}
+    svg_metadata = {"Date": None, **{name: text for name, text in texts.items() if text}}
+    settings_by_format: dict[str, dict[str, Any]] = {"svg": {"metadata": svg_metadata}}
     if dpi is not None:
-        formats["png"] = {"metadata": png, "dpi": dpi, "pil_kwargs": {"compress_level": 3}}
+        settings_by_format["png"] = {"dpi": dpi, "pil_kwargs": {"compress_level": 3}}
+        settings_by_format["png"]["metadata"] = {"Software": None, "run": run or None}
     if is_pdf:
-        formats["pdf"] = {"metadata": {**pdf, "Subject": description}}
-    paths = [folder / f"{page.name}.{ending}" for ending in formats]
-    for path, settings in zip(paths, formats.values(), strict=True):
+        pdf_metadata = {"CreationDate": None, "Title": title, "Subject": description}
+        settings_by_format["pdf"] = {"metadata": pdf_metadata}
+    paths = [folder / f"{page.name}.{extension}" for extension in settings_by_format]
+    for path, settings in zip(paths, settings_by_format.values(), strict=True):
         figure.savefig(path, **settings)
     return paths
 
 
 def encode_figure(page: Page) -> str:
-    """Draw a page in the current style and write it as a ``data:`` address for an HTML page.
+    """Draw a page in the current style and encode it as a ``data:`` address for an HTML page.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Make the figures of a test that its protocol names, such as curve, shapes and timeline."""
+"""Make the figures of a single test, such as its curve, its shapes and its timeline."""
 
 from __future__ import annotations
 
@@ -16,14 +16,7 @@ from labpipe.messages import format_sentence
 from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.schema import Protocol
 from labpipe.records.arrays import Flags, Floats, Ints
-from labpipe.records.curve import (
-    Branch,
-    ClockFit,
-    Direction,
-    MeasuredLaw,
-    PointFlag,
-    Shape,
-)  # fmt: skip
+from labpipe.records.curve import Branch, ClockFit, Direction, MeasuredLaw, PointFlag, Shape
 from labpipe.records.estimates import UnavailableError
 from labpipe.records.quality import Severity
 from labpipe.records.result import Result, Status, TestResult, find_result
@@ -50,8 +43,8 @@ def make_test_page(
     result : result of the test
     name : name of the files of the page
     panels : panels of the page
-    note : start of the footnote
-    settings : fields of `Page` for size and layout; a page that shows nothing is small
+    note : first sentences of the footnote; may be empty
+    settings : fields of `Page` for size and layout; they do not apply if no panel has a line
     """
     if not any(panel.lines for panel in panels):
         settings = {"height": 40.0}
@@ -60,8 +53,9 @@ def make_test_page(
         f"{result.test}  \u00b7  {specimen.type}, spool {specimen.spool}, sample {specimen.sample}"
         f"  \u00b7  {result.protocol}"
     )
-    problems = [f"{counts[s]} {s}" for s in (Status.DOUBTFUL, Status.FAILED) if counts[s]]
-    count_text = f"Of {len(result.results)} results: {', '.join(problems)}." if problems else ""
+    statuses = (status for status in (Status.DOUBTFUL, Status.FAILED) if counts[status])
+    problems = ", ".join(f"{counts[status]} {status}" for status in statuses)
+    count_text = f"Of {len(result.results)} results: {problems}." if problems else ""
     return Page(name, title, panels, " ".join(filter(None, [note, count_text])), **settings)
 
 
@@ -72,24 +66,25 @@ def _explain_missing(result: TestResult, content: str) -> str:
 
 
 def _read_protocol(result: TestResult) -> Protocol | None:
-    """Read the protocol of a test; None if it is not valid, as one of an earlier grammar."""
+    """Read the protocol of a test; None if it is invalid, for example of an earlier grammar."""
     try:
         return parse_protocol(result.protocol_yaml, result.test)
     except ProtocolError:
         return None
 
 
-_MAX_CYCLE_KEYS = 6
-"""Largest number of cycles in the key, and of cycles with the colours of the style.
+_MAX_LEGEND_CYCLES = 6
+"""Largest number of cycles in the legend of a figure.
 
-More cycles have the colours of a colour map.
+Up to this number, the cycles of a test have the colours of the style; otherwise, they have those of
+a colour map.
 """
 _LINE_STYLES: dict[Direction, Any] = {Direction.LOADING: "-", Direction.UNLOADING: DASHED}
 
 
 def make_force_displacement_page(result: TestResult) -> Page:
     """Make the page of force against displacement: the curve, and the recorded samples in grey."""
-    lines, aligned = list(_plot_curve(result)), result.aligned
+    lines, aligned = list(_make_curve_lines(result)), result.aligned
     if aligned is not None and {"force", "displacement"} <= set(aligned.series):
         x, y = (aligned.series[name].values for name in ("displacement", "force"))
         lines.insert(0, make_thinned_line("recorded", x, y, n_bins=4000))
@@ -102,14 +97,14 @@ def make_force_displacement_page(result: TestResult) -> Page:
 
 
 def _make_axes(result: TestResult, *quantities: str) -> tuple[Axis, Axis]:
-    """Make the axes of two quantities, or of displacement and force, in the units of a test."""
-    x, y = quantities or ("Displacement", "Force")
-    names = [quantity.lower().replace(" ", "_") for quantity in (x, y)]
-    x_scale, y_scale = wording.get_scales(result.display, *names)
-    return Axis(x, x_scale), Axis(y, y_scale)
+    """Make the axes of two quantities, displacement and force if none are given."""
+    x_name, y_name = quantities or ("Displacement", "Force")
+    quantity_keys = [name.lower().replace(" ", "_") for name in (x_name, y_name)]
+    x_scale, y_scale = wording.get_scales(result.display, *quantity_keys)
+    return Axis(x_name, x_scale), Axis(y_name, y_scale)
 
 
-def _plot_curve(result: TestResult) -> Iterator[Line]:
+def _make_curve_lines(result: TestResult) -> Iterator[Line]:
     """Yield the branches of the curve in the colours of their cycles, with marks at the peaks.
 
     Lines are solid in loading and dashed in unloading. A curve without branches is grey.
@@ -123,26 +118,26 @@ def _plot_curve(result: TestResult) -> Iterator[Line]:
         return
     n_cycles = max(branch.cycle for branch in branches)
     colours = choose_cycle_colours(n_cycles)
-    key_cycles = np.unique(np.linspace(1, n_cycles, min(n_cycles, _MAX_CYCLE_KEYS)).round())
+    legend_cycles = np.unique(np.linspace(1, n_cycles, min(n_cycles, _MAX_LEGEND_CYCLES)).round())
     for branch in branches:
         # one more sample makes the lines of neighbouring branches meet
         rows = slice(branch.start, branch.stop + 1)
-        label = f"cycle {branch.cycle}" if n_cycles > 1 and branch.cycle in key_cycles else ""
+        label = f"cycle {branch.cycle}" if n_cycles > 1 and branch.cycle in legend_cycles else ""
         settings = {"color": colours[branch.cycle - 1], "linestyle": _LINE_STYLES[branch.direction]}
         yield make_thinned_line("branch", x[rows], y[rows], label=label, **settings)
-    key_colour = GREY if n_cycles > 1 else colours[0]
+    legend_colour = GREY if n_cycles > 1 else colours[0]
     directions = {branch.direction for branch in branches}
     for direction, style in _LINE_STYLES.items() if n_cycles > 1 or len(directions) > 1 else ():
         if direction in directions:
-            settings = {"color": key_colour, "linestyle": style}
-            yield plots.make_key_entry("branch", label=str(direction), **settings)
+            settings = {"color": legend_colour, "linestyle": style}
+            yield plots.make_legend_line("branch", label=str(direction), **settings)
     _, cycle_numbers = curve.assign_samples()
     for cycle, colour in enumerate(colours, start=1):
         samples = np.flatnonzero((cycle_numbers == cycle) & ~np.isnan(y))
         if len(samples):
             peak = samples[np.argmax(y[samples])]
             yield make_line("peak", x[peak], y[peak], color=colour)
-    yield plots.make_key_entry("peak", label="peak", color=key_colour)
+    yield plots.make_legend_line("peak", label="peak", color=legend_colour)
 
 
 def _get_branches(result: TestResult) -> tuple[Branch, ...]:
@@ -150,16 +145,16 @@ def _get_branches(result: TestResult) -> tuple[Branch, ...]:
 
 
 def choose_cycle_colours(count: int) -> list[str]:
-    """Choose a colour per cycle: from the style for up to six cycles, else from a colour map."""
-    if count > _MAX_CYCLE_KEYS:
+    """Choose a colour for each of `count` cycles, from the style or from a colour map."""
+    if count > _MAX_LEGEND_CYCLES:
         return figure_page.sample_colour_map(count, 0.92)
     return [f"C{index}" for index in range(count)]
 
 
 def make_stiffness_lines_page(result: TestResult) -> Page:
-    """Make the page of the first loading with the lines fitted for stiffness, slips and failure.
+    """Make the page of the first loading with the fitted lines of stiffness, slips and failure.
 
-    The loading is also drawn as measured if slips were repaired.
+    The loading before the repair of slips is also drawn if any slip was repaired.
     """
     curve, lines, n_bins = result.curve, list[Line](), 1500
     loading = None if curve is None else curve.first_loading
@@ -170,40 +165,40 @@ def make_stiffness_lines_page(result: TestResult) -> Page:
             measured_force = result.aligned.series["force"].values[rows]
             lines.append(make_thinned_line("as_measured", x, measured_force, n_bins=n_bins))
         lines.append(make_thinned_line("loading", x, curve.force[rows], n_bins=n_bins))
-        lines += [*_plot_fits(result), *_plot_events(result)]
+        lines += [*_make_fit_lines(result), *_make_event_lines(result)]
     reason = _explain_missing(result, "loading branch")
     panels = [Plot(*_make_axes(result), lines, reason=reason)]
     return make_test_page(result, "stiffness-lines", panels, height=92)
 
 
-def _plot_fits(result: TestResult) -> Iterator[Line]:
+def _make_fit_lines(result: TestResult) -> Iterator[Line]:
     """Yield each fitted line over its window, broad and pale; lines of segments are dotted."""
     names = list(dict.fromkeys(fit.result for fit in result.lines))
     window_names = [name for name in names if not name.startswith("segment")]
     for fit in result.lines:
         x = np.array([fit.start, fit.stop])
+        y = fit.level + fit.slope * (x - fit.start)
         settings: dict[str, Any] = {"look": "fitted_segment"}
         if fit.result in window_names:  # the first colour is that of the curve
             colour = f"C{window_names.index(fit.result) % (N_COLOURS - 1) + 1}"
             settings = {"look": "fit_window", "color": colour}
-        y, number = fit.level + fit.slope * (x - fit.start), find_result(result.results, fit.result)
-        if number is None or number.value is None:
-            number = Result(fit.result, fit.slope, "N/m")
-        label = f"{wording.format_label(fit.result)}: {_describe_number(result, number)}"
+        entry = find_result(result.results, fit.result)
+        if entry is None or entry.value is None:
+            entry = Result(fit.result, fit.slope, "N/m")
+        label = f"{wording.format_label(fit.result)}: {_describe_entry(result, entry)}"
         yield make_line(x=x, y=y, label=label, **settings)
 
 
-def _describe_number(result: TestResult, number: Result) -> str:
-    """Write the value of a number with its interval and unit."""
-    scale = wording.choose_scale(number.name, number.unit, result.display)
-    value = np.nan if number.value is None else number.value
-    text = wording.format_number(value, number.interval, scale.factor).text
-    return f"{text} {scale.unit}"
+def _describe_entry(result: TestResult, entry: Result) -> str:
+    """Describe one result of a test by its value, its interval and its unit."""
+    scale = wording.choose_scale(entry.name, entry.unit, result.display)
+    value = np.nan if entry.value is None else entry.value
+    return f"{wording.format_number(value, entry.interval, scale.factor).text} {scale.unit}"
 
 
-def _plot_events(result: TestResult) -> Iterator[Line]:
-    """Yield break point, kink, onset of a plateau, slips and failure."""
-    values = {number.name: number.value for number in result.results}
+def _make_event_lines(result: TestResult) -> Iterator[Line]:
+    """Yield lines at break point, kink, onset of a plateau and slips, and the point of failure."""
+    values = {entry.name: entry.value for entry in result.results}
     for name in ("break_point", "kink_displacement", "plateau_displacement"):
         position = values.get(name)
         if position is not None:
@@ -216,15 +211,15 @@ def _plot_events(result: TestResult) -> Iterator[Line]:
         yield make_line("failure_point", displacement, force)
 
 
-class _Tension(NamedTuple):
-    """The curve of a tension test in stress and strain; the elastic line starts at zero strain.
+class _StressStrainCurve(NamedTuple):
+    """Stress-strain curve of a tension test; its elastic line starts at zero strain.
 
     Parameters
     ----------
     strain, stress : shape (n,), strain and stress (Pa) of all branches
     modulus : slope of the elastic line, Pa; NaN without an elastic line
     window : shape (2,), strains between which the line was fitted; empty without an elastic line
-    offsets : plastic strain of each proof stress, keyed by its name
+    offsets : plastic strain of each proof stress, keyed by the name of the proof stress
     """
 
     strain: Floats
@@ -234,7 +229,7 @@ class _Tension(NamedTuple):
     offsets: Mapping[str, float]
 
 
-def _compute_tension(result: TestResult) -> _Tension | None:
+def _compute_stress_strain(result: TestResult) -> _StressStrainCurve | None:
     """Compute stress and strain; None without branches, area, gauge length or valid protocol."""
     curve, branches, protocol = result.curve, _get_branches(result), _read_protocol(result)
     if curve is None or not branches or protocol is None:
@@ -250,100 +245,104 @@ def _compute_tension(result: TestResult) -> _Tension | None:
     rows = slice(branches[0].start, branches[-1].stop)
     x, force = curve.displacement[rows], curve.force[rows]
     x, force = compute_loading_sign(x) * x, compute_loading_sign(force) * force
-    modulus, toe, window = np.nan, float(x[np.isfinite(x)][:1].sum()), np.zeros(0)
+    first_displacement = float(x[np.isfinite(x)][:1].sum())  # 0 if no displacement is finite
+    modulus, toe, window = np.nan, first_displacement, np.zeros(0)
     for fit in result.lines:
         if fit.result == "elastic_modulus":
             window = np.sort(np.abs([fit.start, fit.stop]))
             modulus, toe = fit.slope * length / area, window[0] - fit.level / fit.slope
-    proofs = (entry for entry in protocol.results if isinstance(entry, ProofStress))
-    offsets = {proof.name: proof.offset for proof in proofs}
+    requests = protocol.results
+    offsets = {proof.name: proof.offset for proof in requests if isinstance(proof, ProofStress)}
     strain, window = (x - toe) / length, (window - toe) / length
-    return _Tension(strain, force / area, modulus, window, offsets)
+    return _StressStrainCurve(strain, force / area, modulus, window=window, offsets=offsets)
 
 
 def make_stress_strain_page(result: TestResult) -> Page:
-    """Make the page of (a) stress against strain with its numbers, (b) the elastic line."""
-    name, tension = "stress-strain", _compute_tension(result)
-    if tension is None:
+    """Make the page of (a) stress against strain with the results, (b) the elastic line."""
+    strain_headroom, stress_headroom = 1.6, 1.1  # ratios that show all of the elastic line in (b)
+    name, curve = "stress-strain", _compute_stress_strain(result)
+    if curve is None:
         empty_plot = Plot(reason=_explain_missing(result, "stress-strain curve"))
         return make_test_page(result, name, [empty_plot])
     x, y = _make_axes(result, "Strain", "Pressure")
     y = replace(y, name="Stress")
-    curve = make_thinned_line("stress", tension.strain, tension.stress, n_bins=1500)
-    lines = [curve, *_plot_tension_numbers(result, tension)]
+    line = make_thinned_line("stress", curve.strain, curve.stress, n_bins=1500)
+    lines = [line, *_make_tension_lines(result, curve)]
     whole_plot = Plot(x, y, lines, "Whole curve")
     initial_plot = Plot(x, y, heading="Beginning", reason="There is no elastic line to draw.")
-    if len(tension.window):  # the panel ends well above the elastic line and the first offset line
-        high = 1.6 * (tension.window[1] + min(tension.offsets.values(), default=tension.window[1]))
-        top = 1.1 * float(np.nanmax(tension.stress[tension.strain <= high]))
-        x = replace(x, low=-0.05 * high, high=high)
-        y = replace(y, low=-0.02 * top, high=top)
-        elastic_lines = _plot_elastic_lines(result, tension, top)
+    if len(curve.window):
+        elastic_strain, offsets = curve.window[1], curve.offsets.values()
+        max_strain = strain_headroom * (elastic_strain + min(offsets, default=elastic_strain))
+        max_stress = stress_headroom * float(np.nanmax(curve.stress[curve.strain <= max_strain]))
+        x = replace(x, low=-0.05 * max_strain, high=max_strain)
+        y = replace(y, low=-0.02 * max_stress, high=max_stress)
+        elastic_lines = _make_elastic_lines(result, curve, max_stress)
         initial_plot = Plot(x, y, [*lines, *elastic_lines], "Beginning")
     return make_test_page(result, name, [whole_plot, initial_plot], height=92)
 
 
-def _plot_tension_numbers(result: TestResult, tension: _Tension) -> Iterator[Line]:
+def _make_tension_lines(result: TestResult, curve: _StressStrainCurve) -> Iterator[Line]:
     """Yield the points of proof stress, yield stress, strength and break, and the elongation."""
-    numbers = {number.name: number for number in result.results if number.value is not None}
-    values = {name: number.value or 0.0 for name, number in numbers.items()}
-    points, sample = [], 0
-    for name, offset in tension.offsets.items():
+    entries = {entry.name: entry for entry in result.results if entry.value is not None}
+    values = {name: entry.value or 0.0 for name, entry in entries.items()}
+    points, index = [], 0
+    for name, offset in curve.offsets.items():
         if name in values:
-            strain = offset + values[name] / tension.modulus
+            strain = offset + values[name] / curve.modulus
             points.append((name, f"Rp{100.0 * offset:g}", strain, values[name]))
     for name, symbol, array in (
-        ("upper_yield_stress", "ReH", tension.stress),
-        ("lower_yield_stress", "ReL", tension.stress),
-        ("tensile_strength", "Rm", tension.stress),
-        ("elongation_at_break", "At", tension.strain),
+        ("upper_yield_stress", "ReH", curve.stress),
+        ("lower_yield_stress", "ReL", curve.stress),
+        ("tensile_strength", "Rm", curve.stress),
+        ("elongation_at_break", "At", curve.strain),
     ):
-        # the points follow one another along the curve
-        if name in values and np.isfinite(array[sample:]).any():
-            sample += int(np.nanargmin(np.abs(array[sample:] - values[name])))
-            points.append((name, symbol, tension.strain[sample], tension.stress[sample]))
-    for index, (name, symbol, strain, stress) in enumerate(points, start=1):
-        label = f"{symbol} {_describe_number(result, numbers[name])}"
-        colour = f"C{index % N_COLOURS}"
+        # each point is the nearest one after the previous point of the curve
+        if name in values and np.isfinite(array[index:]).any():
+            index += int(np.nanargmin(np.abs(array[index:] - values[name])))
+            points.append((name, symbol, curve.strain[index], curve.stress[index]))
+    for number, (name, symbol, strain, stress) in enumerate(points, start=1):
+        label = f"{symbol} {_describe_entry(result, entries[name])}"
+        colour = f"C{number % N_COLOURS}"
         yield make_line("tension_number", strain, stress, label=label, color=colour)
-    name = "elongation_at_maximum_force"
-    if name in values:
-        label = f"Agt {_describe_number(result, numbers[name])}"
-        yield plots.make_vertical_line("elongation", values[name], label=label)
+    if elongation := entries.get("elongation_at_maximum_force"):
+        label = f"Agt {_describe_entry(result, elongation)}"
+        yield plots.make_vertical_line("elongation", values[elongation.name], label=label)
 
 
-def _plot_elastic_lines(result: TestResult, tension: _Tension, top: float) -> Iterator[Line]:
-    """Yield the elastic line over its window and up to the stress `top`, and its offset lines."""
-    window, strain_at_top = tension.window, top / tension.modulus
-    number = Result("elastic_modulus", tension.modulus, "Pa")
-    label = f"E {_describe_number(result, find_result(result.results, number.name) or number)}"
-    yield make_line("fit_window", window, tension.modulus * window, label=label, color="C0")
-    yield make_line("elastic_line", [0.0, strain_at_top], [0.0, top])
-    for offset in tension.offsets.values():
-        yield make_line("offset_line", [offset, offset + strain_at_top], [0.0, top])
+def _make_elastic_lines(
+    result: TestResult, curve: _StressStrainCurve, max_stress: float
+) -> Iterator[Line]:
+    """Yield the elastic line over its window and up to a stress, and its offset lines."""
+    window, end_strain = curve.window, max_stress / curve.modulus
+    entry = find_result(result.results, "elastic_modulus")
+    label = f"E {_describe_entry(result, entry or Result('elastic_modulus', curve.modulus, 'Pa'))}"
+    yield make_line("fit_window", window, curve.modulus * window, label=label, color="C0")
+    yield make_line("elastic_line", [0.0, end_strain], [0.0, max_stress])
+    for offset in curve.offsets.values():
+        yield make_line("offset_line", [offset, offset + end_strain], [0.0, max_stress])
 
 
 def make_moment_curvature_page(result: TestResult) -> Page:
-    """Make the page of (a) the moments of all branches with the law, (b) the stiffness."""
+    """Make the page of (a) the moments of all branches with the law, (b) its stiffness."""
     bending = result.bending
     if bending is None:
         empty_plot = Plot(reason=_explain_missing(result, "measured moment-curvature"))
         return make_test_page(result, "moment-curvature", [empty_plot])
     x, moment = _make_axes(result, "Curvature", "Moment")
-    moment_axis, lines = replace(moment, name="Bending moment"), list(_plot_cloud(result))
+    moment_axis, lines = replace(moment, name="Bending moment"), list(_make_cloud_lines(result))
     heading = "Stiffness of the first loading"
     stiffness_plot = Plot(x, moment, heading=heading, reason=str(bending.reason or ""))
     if bending.law is not None:
         stiffness_plot = _make_stiffness_plot(result, bending.law, heading)
     panels = [Plot(x, moment_axis, lines, "Moment"), stiffness_plot]
-    return make_test_page(result, "moment-curvature", panels, height=92, key_columns=5)
+    return make_test_page(result, "moment-curvature", panels, height=92, legend_columns=5)
 
 
-def _plot_cloud(result: TestResult) -> Iterator[Line]:
+def _make_cloud_lines(result: TestResult) -> Iterator[Line]:
     """Yield the points of all branches, and the law with its 95 % interval.
 
     Points are dots in loading and open circles in unloading, in the colours of the cycles. If there
-    is a law, the points are shifted so that the origin is the straight, unloaded state. A grey
+    is a law, the points are shifted so that the origin is the straight, unloaded state, and a grey
     stripe marks the curvatures below the noise of the curvature.
     """
     max_points = 2500
@@ -361,12 +360,13 @@ def _plot_cloud(result: TestResult) -> Iterator[Line]:
         colour = colours[int(cloud.cycle[rows][0]) - 1]
         is_loading = branch < len(branches) and branches[branch].direction is Direction.LOADING
         points = (values[rows].ravel()[::stride] for values in (x, y))
-        face = colour if is_loading else "none"
-        yield make_line("cloud", *points, color=colour, markerfacecolor=face)
-    for cycle, colour in enumerate(colours if len(colours) <= _MAX_CYCLE_KEYS else (), 1):
-        yield plots.make_key_entry("cloud_key", label=f"cycle {cycle}", color=colour)
-    for label, face in (("loading", GREY), ("unloading", "none")):
-        yield plots.make_key_entry("cloud_key", label=label, color=GREY, markerfacecolor=face)
+        fill = colour if is_loading else "none"
+        yield make_line("cloud", *points, color=colour, markerfacecolor=fill)
+    legend_colours = colours if len(colours) <= _MAX_LEGEND_CYCLES else ()
+    for cycle, colour in enumerate(legend_colours, start=1):
+        yield plots.make_legend_line("cloud_key", label=f"cycle {cycle}", color=colour)
+    for label, fill in (("loading", GREY), ("unloading", "none")):
+        yield plots.make_legend_line("cloud_key", label=label, color=GREY, markerfacecolor=fill)
     if law is not None:
         yield make_line("law", law.curvature, law.moment)
         band = law.curvature, law.moment_lower, law.moment_upper
@@ -386,9 +386,9 @@ def _make_stiffness_plot(result: TestResult, law: MeasuredLaw, heading: str) -> 
     knot_rows = np.unique(np.searchsorted(law.moment, law.knots).clip(1, len(law.moment) - 1))
     knot_rows = knot_rows[np.isfinite(law.tangent[knot_rows])]
     curvature, tangent = law.curvature[knot_rows], law.tangent[knot_rows]
-    low = np.fmin(law.tangent_lower[knot_rows], tangent)
-    high = np.fmax(law.tangent_upper[knot_rows], tangent)
-    bars = plots.join_with_gaps(curvature, curvature), plots.join_with_gaps(low, high)
+    lower = np.fmin(law.tangent_lower[knot_rows], tangent)
+    upper = np.fmax(law.tangent_upper[knot_rows], tangent)
+    bars = plots.join_with_gaps(curvature, curvature), plots.join_with_gaps(lower, upper)
     secant_edges = law.secant_lower[1:], law.secant_upper[1:]
     lines = [
         plots.make_area("band_of_law", law.curvature[1:], *secant_edges),
@@ -402,23 +402,24 @@ def _make_stiffness_plot(result: TestResult, law: MeasuredLaw, heading: str) -> 
 
 
 def make_timeline_page(result: TestResult) -> Page:
-    """Make the page of force and motion against time, and the residuals of the clocks, if any."""
+    """Make the page of force, motion and, if clocks were fitted, their residuals against time."""
     aligned, curve = result.aligned, result.curve
-    forces, motions = list[Line](), _plot_motion(result)
+    force_lines, motion_lines = list[Line](), _make_motion_lines(result)
     fit = None if aligned is None else aligned.clock_fit
     if aligned is not None and "force" in aligned.series:
-        recorded = aligned.series["force"].values
-        forces.append(make_thinned_line("recorded", aligned.time, recorded, n_bins=900))
+        force = aligned.series["force"].values
+        force_lines.append(make_thinned_line("recorded", aligned.time, force, n_bins=900))
     if curve is not None:
-        forces.append(make_thinned_line("force", curve.time, curve.force, n_bins=900))
+        force_lines.append(make_thinned_line("force", curve.time, curve.force, n_bins=900))
     motion_name = "Travel" if aligned and "travel" in aligned.series else "Displacement"
-    scale = wording.get_scale(result.display, "time")
-    times = [line.x for line in (*forces, *motions)]
-    time = plots.make_axis("Time", scale, times, margin=0.01)
-    force, motion = wording.get_scales(result.display, "force", "displacement")
+    quantities = ("time", "force", "displacement")
+    time_scale, force_scale, motion_scale = wording.get_scales(result.display, *quantities)
+    times = [line.x for line in (*force_lines, *motion_lines)]
+    time = plots.make_axis("Time", time_scale, times, margin=0.01)
+    force_axis, motion_axis = Axis("Force", force_scale), Axis(motion_name, motion_scale)
     panels = [
-        Plot(time, Axis("Force", force), forces, reason=_explain_missing(result, "force")),
-        Plot(time, Axis(motion_name, motion), motions, reason=_explain_missing(result, "motion")),
+        Plot(time, force_axis, force_lines, reason=_explain_missing(result, "force")),
+        Plot(time, motion_axis, motion_lines, reason=_explain_missing(result, "motion")),
     ]
     if fit is not None:
         panels.append(_make_residual_plot(fit, time))
@@ -427,8 +428,8 @@ def make_timeline_page(result: TestResult) -> Page:
     return make_test_page(result, "timeline", panels, **layout)
 
 
-def _plot_motion(result: TestResult) -> list[Line]:
-    """Plot the travel, or the displacement if there is none, with the turning points."""
+def _make_motion_lines(result: TestResult) -> list[Line]:
+    """Make the line of the travel, or of the displacement without it, and the turning points."""
     aligned, curve = result.aligned, result.curve
     names = [name for name in ("travel", "displacement") if aligned and name in aligned.series]
     if aligned is not None and names:
@@ -438,21 +439,23 @@ def _plot_motion(result: TestResult) -> list[Line]:
     else:
         return []
     branches = _get_branches(result)
-    turns = np.unique([end for branch in branches for end in (branch.start_time, branch.stop_time)])
-    heights = np.interp(turns, time, values, left=np.nan, right=np.nan)
-    motion = make_thinned_line("motion", time, values, n_bins=900)
-    return [motion, *([make_line("turning_point", turns, heights)] if len(turns) else [])]
+    ends = (end for branch in branches for end in (branch.start_time, branch.stop_time))
+    turning_times = np.unique(list(ends))
+    turning_points = np.interp(turning_times, time, values, left=np.nan, right=np.nan)
+    lines = [make_thinned_line("motion", time, values, n_bins=900)]
+    lines += [make_line("turning_point", turning_times, turning_points)] if branches else []
+    return lines
 
 
 def _make_residual_plot(fit: ClockFit, time: Axis) -> Plot:
     """Make the panel of the residual of the clock fit at each event, with its 95 % interval.
 
-    A label gives offset and drift, each with half its interval, and the residual, if any.
+    A label gives offset and drift with their intervals, and the residual of more than two events.
     """
-    normal_quantile, n_parameters = 1.96, 2  # offset and drift
-    event_times, errors = fit.event_times_motion, normal_quantile * fit.event_errors
+    normal_quantile, n_parameters = 1.96, 2  # for 95 %; offset and drift
+    event_times, half_widths = fit.event_times_motion, normal_quantile * fit.event_errors
     residuals, n_events = fit.event_times_force - fit.to_force_time(event_times), len(event_times)
-    bars = plots.join_with_gaps(residuals - errors, residuals + errors)
+    bars = plots.join_with_gaps(residuals - half_widths, residuals + half_widths)
     lines = [
         plots.make_horizontal_line("zero", 0.0),
         make_line("clock_interval", plots.join_with_gaps(event_times, event_times), bars),
@@ -479,7 +482,7 @@ _FLAG_MARKS: dict[PointFlag, Any] = {
 """Symbol of a marker, keyed by the origin of its position."""
 
 _EXCURSION = "tip excursion"
-"""Name of the distance of the tip from its first position, used without a loading branch."""
+"""Name of the distance of the tip from its first position, for tests without a loading branch."""
 
 
 class FrameSelection(NamedTuple):
@@ -487,9 +490,9 @@ class FrameSelection(NamedTuple):
 
     Parameters
     ----------
-    frames : shape (n,), numbers of the frames, in order
+    frames : shape (n,), indices of the frames, in the order of the deflections
     deflections : shape (n,), nominal deflection of the tip in each frame, m
-    deflection_name : name of the deflection in the key
+    deflection_name : name of the deflection in the legend
     """
 
     frames: Ints
@@ -498,7 +501,7 @@ class FrameSelection(NamedTuple):
 
 
 def make_wire_shapes_page(result: TestResult) -> Page:
-    """Make the page of shapes in the plane of bending; in two planes without a loading branch."""
+    """Make the page of the shapes in the plane of bending, or in two planes without a loading."""
     panel_width_mm, frame_mm, gap_mm = 144.0, 17.0, 14.0
     shape = result.shape
     if shape is None or not len(shape.time):
@@ -506,14 +509,14 @@ def make_wire_shapes_page(result: TestResult) -> Page:
         return make_test_page(result, "wire-shapes", [empty_plot])
     selection = choose_shape_frames(result, shape)
     scale = wording.get_scale(result.display, "displacement")
-    names = "xyz" if selection.deflection_name == _EXCURSION else "xy"
+    axis_names = "xyz" if selection.deflection_name == _EXCURSION else "xy"
     curves = [_compute_fitted_curve(shape, int(frame)).T for frame in selection.frames]
     points = np.concatenate([shape.positions[selection.frames].reshape(-1, 3), *curves])
-    points = points[:, : len(names)]
-    x_axis, *side_axes = plots.make_axes_to_scale(names, scale, points, min_aspect=0.1)
+    points = points[:, : len(axis_names)]
+    x_axis, *side_axes = plots.make_axes_to_scale(axis_names, scale, points, min_aspect=0.1)
     panels, heights = [], []
-    for side_axis in side_axes:
-        lines = list(draw_shapes(shape, selection, scale, axis="xyz".index(side_axis.name)))
+    for axis_index, side_axis in enumerate(side_axes, start=1):
+        lines = list(make_shape_lines(shape, selection, scale, axis_index=axis_index))
         heading = f"x-{side_axis.name} view" if len(side_axes) > 1 else ""
         panels.append(Plot(x_axis, side_axis, lines, heading, is_to_scale=True))
         aspect = (side_axis.high - side_axis.low) / (x_axis.high - x_axis.low)
@@ -538,7 +541,7 @@ def choose_shape_frames(result: TestResult, shape: Shape) -> FrameSelection:
     At most seven frames from deflection zero upwards. If no deflection is known, only the first
     frame is chosen.
     """
-    deflection = find_loading_deflection(result, shape.time)
+    deflection = interpolate_loading_deflection(result, shape.time)
     name = "tip deflection" if _is_clamped(shape) else "deflection"
     if deflection is None:
         deflection, name = _compute_tip_excursion(shape.positions), _EXCURSION
@@ -553,22 +556,22 @@ def choose_frames_at_steps(deflection: Floats, factor: float = 1.0) -> tuple[Int
 
     Parameters
     ----------
-    deflection : shape (n_frames,), m; NaN in frames that are left out
+    deflection : shape (n_frames,), m; frames with NaN are not chosen
     factor : factor from m to the unit in which the steps are round
 
     Returns
     -------
-    frames : shape (n,), first frame at or beyond each step, because later frames may belong to
-        another motion
+    frames : shape (n,), index of the first frame at or beyond each step, because later frames may
+        belong to another motion
     deflections : shape (n,), deflection of each step, m; at most seven, from zero upwards
     """
-    max_steps = 6
+    max_steps, tolerance = 6, 1e-12  # tolerance of a deflection, m
     largest = factor * float(np.max(deflection, initial=0.0, where=~np.isnan(deflection)))
     decade = 10.0 ** floor(log10(largest / max_steps)) if largest > 0.0 else 1.0
     step = next(n * decade for n in (1.0, 2.0, 5.0, 10.0) if n * decade * max_steps >= largest)
     deflections = np.linspace(0.0, max_steps * step / factor, max_steps + 1)
-    frames_beyond = [np.flatnonzero(deflection >= level - 1e-12) for level in deflections]
-    frames = np.array([beyond[0] for beyond in frames_beyond if len(beyond)], dtype=np.int64)
+    frames_beyond = [np.flatnonzero(deflection >= level - tolerance) for level in deflections]
+    frames = np.array([rows[0] for rows in frames_beyond if len(rows)], dtype=np.int64)
     return frames, deflections[: len(frames)]
 
 
@@ -586,7 +589,7 @@ def _compute_tip_excursion(positions: Floats) -> Floats:
     return distance
 
 
-def find_loading_deflection(result: TestResult, time: Floats) -> Floats | None:
+def interpolate_loading_deflection(result: TestResult, time: Floats) -> Floats | None:
     """Interpolate the displacement of the curve at the frames of its first loading branch.
 
     Parameters
@@ -626,42 +629,43 @@ def _describe_offset(result: TestResult, shape: Shape) -> str:
     return format_sentence("report.markers_beside_axis", offset=offset, unit=scale.unit)
 
 
-def draw_shapes(
-    shape: Shape, selection: FrameSelection, scale: wording.Scale, *, axis: int
+def make_shape_lines(
+    shape: Shape, selection: FrameSelection, scale: wording.Scale, *, axis_index: int
 ) -> Iterator[Line]:
-    """Yield the points and fitted curves of selected frames, and their entries in the key.
+    """Yield the points and fitted curves of selected frames, and their entries in the legend.
 
     Parameters
     ----------
     shape : points and fitted curves of all frames
     selection : frames that are drawn
-    scale : display unit of displacements, for the key
-    axis : vertical axis: 1 for y, in the plane of bending; 2 for z, out of plane
+    scale : display unit of displacements, for the legend
+    axis_index : vertical axis: 1 for y, in the plane of bending; 2 for z, out of plane
     """
     colours, frames = sample_colour_map(len(selection.frames)), selection.frames.tolist()
     for frame, deflection, colour in zip(frames, selection.deflections, colours, strict=True):
-        curve = _compute_fitted_curve(shape, frame)[[0, axis]]
+        curve = _compute_fitted_curve(shape, frame)[[0, axis_index]]
         yield make_line("fitted_curve", *curve, color=colour)
         for flag, mark in _FLAG_MARKS.items():
             rows = shape.flags[frame] == flag
             if rows.any():
-                x, y = shape.positions[frame][rows][:, [0, axis]].T
+                x, y = shape.positions[frame][rows][:, [0, axis_index]].T
                 yield make_line("marker", x, y, color=colour, **mark)
         text = f"{deflection * scale.factor:g} {scale.unit}"
         label = f"{selection.deflection_name} {text}" if frame == frames[0] else text
-        yield plots.make_key_entry("fitted_curve", label=label, color=colour, linewidth=1.6)
+        yield plots.make_legend_line("fitted_curve", label=label, color=colour, linewidth=1.6)
     drawn_flags = set(np.unique(shape.flags[frames]))
     for flag, mark in _FLAG_MARKS.items():
         if flag in drawn_flags:
-            yield plots.make_key_entry("marker", label=flag.name.lower(), **mark)
+            yield plots.make_legend_line("marker", label=flag.name.lower(), **mark)
     if shape.coefficients.shape[2]:
-        yield plots.make_key_entry("fitted_curve", label="fitted curve")
+        yield plots.make_legend_line("fitted_curve", label="fitted curve")
 
 
 def _compute_fitted_curve(shape: Shape, frame: int) -> Floats:
     """Compute points on the fitted curve, shape (3, n_points), m; no points without a curve."""
     n_terms = shape.coefficients.shape[2]
-    parameter = np.linspace(0, 1, 81 if n_terms else 0)  # arc length over the total length
+    n_points = 81 if n_terms else 0
+    parameter = np.linspace(0, 1, n_points)  # arc length divided by the total length
     curve: Floats = shape.coefficients[frame] @ parameter[None, :] ** np.arange(n_terms)[:, None]
     return curve
 
@@ -672,12 +676,13 @@ FLAG_COLOURS = {
     PointFlag.FILLED: "#e69f00",
     PointFlag.MISSING: "#1a1a1a",
 }
+"""Colour of a flag in the figure of the flags, keyed by flag."""
 _FLAGS_BY_RANK = (
     PointFlag.CONSTRUCTED, PointFlag.MEASURED, PointFlag.RELABELLED, PointFlag.FILLED,
     PointFlag.MISSING,
 )  # fmt: skip
 """Flags of points in order of severity; the worst is last."""
-_TIME_BINS = 900
+_MAX_TIME_BINS = 900
 """Largest number of bins in time, about one per pixel."""
 
 
@@ -687,10 +692,10 @@ def make_marker_quality_page(result: TestResult) -> Page:
     times = [take.markers.time for take in result.recordings.values() if take.markers]
     times = times if result.shape is None else [result.shape.time, *times]
     time = plots.make_axis("Time", wording.get_scale(result.display, "time"), times, margin=0.01)
-    flags, tracking = make_flag_plot(result, time), _make_tracking_plot(result, time)
-    heights = [max(row_mm * len(flags.y.row_names), min_panel_mm), min_panel_mm]
+    panels = [make_flag_plot(result, time), _make_tracking_plot(result, time)]
+    heights = [max(row_mm * len(panels[0].y.row_names), min_panel_mm), min_panel_mm]
     return make_test_page(
-        result, "marker-quality", [flags, tracking], columns=1, shared_axes="x",
+        result, "marker-quality", panels, columns=1, shared_axes="x",
         height=sum(heights) + frame_mm, heights=heights,
     )  # fmt: skip
 
@@ -700,9 +705,9 @@ def make_flag_plot(result: TestResult, time: Axis) -> Plot:
 
     Parameters
     ----------
-    result : result of the test; constructed points have no row. Without a shape, the panel states
-        the reason
-    time : horizontal axis
+    result : result of the test. Points that are constructed in all frames have no row. Without a
+        shape, the panel states the reason
+    time : horizontal axis, of the time
 
     Notes
     -----
@@ -712,8 +717,8 @@ def make_flag_plot(result: TestResult, time: Axis) -> Plot:
     if shape is None or not len(shape.time):
         return Plot(time, reason=_explain_missing(result, "shape"))
     is_marker = ~(shape.flags == PointFlag.CONSTRUCTED).all(axis=0)
-    names = tuple(name for name, drawn in zip(shape.names, is_marker, strict=True) if drawn)
-    flags = plots.thin_flags(shape.flags[:, is_marker], _FLAGS_BY_RANK, n_bins=_TIME_BINS)
+    names = tuple(name for name, has_row in zip(shape.names, is_marker, strict=True) if has_row)
+    flags = plots.thin_flags(shape.flags[:, is_marker], _FLAGS_BY_RANK, n_bins=_MAX_TIME_BINS)
     edges = np.linspace(shape.time[0], shape.time[-1], len(flags) + 1)
     bars = []
     for flag, colour in FLAG_COLOURS.items():
@@ -722,8 +727,8 @@ def make_flag_plot(result: TestResult, time: Axis) -> Plot:
         rows, bins = np.nonzero(np.diff(is_flagged, axis=1, prepend=0, append=0))
         if len(rows):
             ends = edges[bins[::2]], edges[bins[1::2]]
-            look: dict[str, Any] = {"height": 0.72, "label": flag.name.lower(), "color": colour}
-            bars.append(plots.make_bars("flag", *ends, rows[::2], **look))
+            settings: dict[str, Any] = {"label": flag.name.lower(), "color": colour}
+            bars.append(plots.make_bars("flag", *ends, rows[::2], height=0.72, **settings))
     return Plot(time, Axis(low=0.5 - len(names), high=0.5, row_names=names), bars)
 
 
@@ -736,44 +741,44 @@ def _make_tracking_plot(result: TestResult, time: Axis) -> Plot:
     tracks = next(filter(None, takes), None)
     if tracks is None or not len(tracks.time):
         return Plot(time, reason=_explain_missing(result, "take"))
-    errors = []
+    error_lines = []
     for index, body in enumerate(tracks.bodies):
         if np.isfinite(body.error).any():
-            settings = {"label": body.name, "color": f"C{index}"}
-            error = plots.make_thinned_line(
-                "body_error", tracks.time, body.error, n_bins=_TIME_BINS, **settings
-            )
-            errors.append(error)
-    if errors:
+            line = make_thinned_line(
+                "body_error", tracks.time, body.error,
+                n_bins=_MAX_TIME_BINS, label=body.name, color=f"C{index}",
+            )  # fmt: skip
+            error_lines.append(line)
+    if error_lines:
         scale = wording.get_scale(result.display, "displacement")
-        return Plot(time, Axis("Body error", scale, low=0.0), errors)
+        return Plot(time, Axis("Body error", scale, low=0.0), error_lines)
     counts = (~np.isnan(tracks.positions).any(axis=2)).sum(axis=1).astype(np.float64)
-    line = plots.make_thinned_line("visible_markers", tracks.time, counts, n_bins=_TIME_BINS)
+    line = make_thinned_line("visible_markers", tracks.time, counts, n_bins=_MAX_TIME_BINS)
     return Plot(time, Axis("Visible markers", low=0.0, high=len(tracks.names) + 0.5), [line])
 
 
 def make_budget_page(result: TestResult) -> Page:
-    """Make the page of the uncertainty budgets of a test: a bar of shares for each number.
+    """Make the page of the uncertainty budgets of a test, with a bar of shares for each result.
 
     Parameters
     ----------
-    result : result of the test. The first `budgets.MAX_BARS` numbers with a budget have a bar,
+    result : result of the test. The first `budgets.MAX_BARS` results with a budget have a bar,
         except those of later cycles, of single slips, of the clocks and of the force limit
 
     Returns
     -------
-    A page; without any bar, a page that gives the reason.
+    The page. If there is no bar, it gives the reason.
     """
     row_mm, frame_mm = 6.0, 26.0
-    results = (entry for entry in result.results if budgets.has_budget_bar(entry.name))
-    numbers = [number for number in results if number.largest_cause is not None][: budgets.MAX_BARS]
+    candidates = (entry for entry in result.results if budgets.has_budget_bar(entry.name))
+    entries = [entry for entry in candidates if entry.largest_cause is not None][: budgets.MAX_BARS]
     bars = []
-    for number in numbers:
-        causes = [contribution.cause for contribution in number.budget]
-        shares = dict(zip(causes, number.fractions, strict=True))
-        bars.append(budgets.make_budget_bar(number, shares, number.interval, result.display))
+    for entry in entries:
+        causes = [contribution.cause for contribution in entry.budget]
+        shares = dict(zip(causes, entry.fractions, strict=True))
+        bars.append(budgets.make_budget_bar(entry, shares, entry.interval, result.display))
     panel, height = budgets.make_budget_plot(bars), frame_mm + row_mm * len(bars)
-    has_cycles = any("." in number.name for number in numbers)
+    has_cycles = any("." in entry.name for entry in entries)
     note = "Numbers per cycle: first cycle only." if has_cycles else ""
     return make_test_page(result, "uncertainty-budget", [panel], note, height=height)
 
@@ -791,7 +796,7 @@ FIGURES: dict[str, Callable[[TestResult], Page]] = {
 
 
 def save_figures(result: TestResult, folder: Path, *, png: bool = False) -> list[Path]:
-    """Write the figures that the protocol of a test names as SVG.
+    """Write the figures that the protocol of a test names as SVG files.
 
     Parameters
     ----------
@@ -826,9 +831,9 @@ def save_figures(result: TestResult, folder: Path, *, png: bool = False) -> list
 def is_for_journal(result: TestResult) -> bool:
     """Return whether the protocol of a test sets ``style: journal`` for its figures.
 
-    False for a protocol that is not valid, such as one of an earlier grammar.
+    The answer is False if the protocol is not valid, for example of an earlier grammar.
     """
-    if "style: journal" not in result.protocol_yaml:  # parsing takes longer
+    if "style: journal" not in result.protocol_yaml:  # a search is faster than parsing
         return False
     protocol = _read_protocol(result)
     return protocol is not None and protocol.report.style == "journal"

@@ -19,7 +19,7 @@ from labpipe.records.result import Status
 from labpipe.report import plot_records as plots
 from labpipe.report import wording
 from labpipe.report.figure_page import N_COLOURS, read_looks
-from labpipe.report.page_tables import GroupView, PageTest, make_figure_group
+from labpipe.report.page_tables import GroupView, PageTest, make_figure_view
 from labpipe.report.plot_records import Axis, LegendEntry, Line, Page, Plot, join_with_gaps
 from labpipe.statistics.lots import FORCE_LIMIT, PEAK_OVER_LIMIT
 
@@ -71,10 +71,20 @@ def _make_plot(
     hidden: Sequence[str] = (),
     **settings: Any,
 ) -> Plot:
-    """Make a plot of the lines of a group with their key, in which `mean` is the label of the mean.
+    """Make a plot of the lines of a group with their legend.
 
-    The key lists spools, or tests if they are few; then other looks. In files, tests are listed
-    only if all are of one spool. On the page, an entry hides a test.
+    The legend lists spools, or tests if they are few, and then the other kinds of lines. In files,
+    tests are listed only if all are of one spool. On the page, an entry hides a test.
+
+    Parameters
+    ----------
+    view : group of the lines
+    kind, title : see `Plot`; the name of the group is appended to the title
+    axes : horizontal and vertical axis
+    lines : lines in the order of drawing
+    mean : label of the mean in the legend
+    hidden : looks without an entry in the legend
+    settings : other fields of `Plot`
     """
     spools = {test.sample.specimen.spool: test.colour for test in view.tests}
     entries = [
@@ -86,7 +96,7 @@ def _make_plot(
             LegendEntry(f"curve {test.colour}", test.sample.test, "t", str(test.number))
             for test in view.tests
         ]
-    legend = [*entries, *list_key_entries(lines, "class", hidden, mean=mean)]
+    legend = [*entries, *list_legend_entries(lines, "class", hidden, mean=mean)]
     all_settings = {"legend": legend, "group": view.stem, "size": _SMALL_PLOT_SIZE, **settings}
     x, y = axes
     return Plot(x, y, lines, kind=kind, title=f"{title} {view.group.name}.", **all_settings)
@@ -104,7 +114,7 @@ def make_file_plots(group: Group) -> dict[str, list[Plot]]:
     Plots by the name of their figure: ``curves``, ``scaled`` (force over peak force), ``shapes``,
     ``moment`` and ``numbers``.
     """
-    all_plots = [*make_group_plots(make_figure_group(group)), *_make_number_plots(group)]
+    all_plots = [*make_group_plots(make_figure_view(group)), *_make_number_plots(group)]
     plots_by_kind = groupby(all_plots, key=lambda plot: plot.kind)
     return {kind: list(members) for kind, members in plots_by_kind}
 
@@ -166,15 +176,13 @@ def _make_curve_plots(view: GroupView) -> Iterator[Plot]:
     lines += [line for test in view.tests for line in _plot_fitted_lines(test)]
     lines += make_mean_lines(band)
     lines += [line for test in view.tests for line in _plot_events(test)]
-    x = plots.make_axis(
-        "Displacement", view.choose_scale("displacement"), [line.x for line in lines]
-    )
+    x = plots.make_axis("Displacement", view.get_scale("displacement"), [line.x for line in lines])
     limit_values = (test.find_value(FORCE_LIMIT) for test in view.tests)
     limits = sorted(set(filter(None, limit_values)))
     lines += [plots.make_horizontal_line("limit", limit) for limit in limits]
     curves = (curve for sample in group.samples for curve in (*sample.loading, *sample.unloading))
     forces = [*(curve.force for curve in curves), np.array(limits)]
-    y = _make_force_axis("Force", view.choose_scale("force"), forces, band)
+    y = _make_force_axis("Force", view.get_scale("force"), forces, band)
     title = f"Force against displacement of {wording.format_count(len(group.samples), 'sample')}:"
     mean, caption = f"mean of {band.n} {band.members}", wording.join_sentences([band.reason])
     size = 660, 240
@@ -216,7 +224,7 @@ def _make_curve_line(
 ) -> Line:
     """Make a line of `y` over the displacement of a curve, thinned to a number of points."""
     x = curve.displacement
-    rows = plots.simplify_line(x, y, max_points=max_points, tolerance=0.001)
+    rows = plots.find_shape_samples(x, y, max_points=max_points, tolerance=0.001)
     return Line(look, x[rows], y[rows], test)
 
 
@@ -270,7 +278,7 @@ def make_band_lines(band: Band, look: str = "", group: str = "") -> Iterator[Lin
 
 def _choose_band_rows(band: Band, values: Floats) -> Ints:
     """Choose the points that preserve the shape of a band or a mean."""
-    return plots.simplify_line(band.displacement, values, max_points=28, tolerance=0.001)
+    return plots.find_shape_samples(band.displacement, values, max_points=28, tolerance=0.001)
 
 
 def make_mean_lines(band: Band, look: str = "", group: str = "") -> Iterator[Line]:
@@ -290,10 +298,10 @@ def make_mean_lines(band: Band, look: str = "", group: str = "") -> Iterator[Lin
         yield Line(f"interval {look}".strip(), x, ends, group=group)
 
 
-def list_key_entries(
+def list_legend_entries(
     lines: Sequence[Line], attribute: str = "", hidden: Sequence[str] = (), **labels: str
 ) -> list[LegendEntry]:
-    """List the entries of a key for the looks of lines, in the order of ``looks.toml``.
+    """List the legend entries for the looks of lines, in the order of ``looks.toml``.
 
     Parameters
     ----------
@@ -325,7 +333,7 @@ def _make_shape_plots(view: GroupView) -> Iterator[Plot]:
             steps = max(steps, shapes.deflection, key=len)
     if not lines:
         return
-    scale, width = view.choose_scale("displacement"), _SMALL_PLOT_SIZE[0]
+    scale, width = view.get_scale("displacement"), _SMALL_PLOT_SIZE[0]
     names, points = ("Along the specimen", "Deflection"), np.vstack(point_sets)
     x_axis, y_axis = plots.make_axes_to_scale(names, scale, points, min_aspect=0.3, margin=0.03)
     length_per_point = (x_axis.high - x_axis.low) / width
@@ -355,11 +363,9 @@ def _make_moment_plots(view: GroupView) -> Iterator[Plot]:
     if not lines:
         return
     all_lines = [*areas, *lines]
-    x_axis = plots.make_axis(
-        "Curvature", view.choose_scale("curvature"), [line.x for line in lines]
-    )
+    x_axis = plots.make_axis("Curvature", view.get_scale("curvature"), [line.x for line in lines])
     moments = [line.y for line in all_lines]
-    y_axis = plots.make_axis("Bending moment", view.choose_scale("moment"), moments)
+    y_axis = plots.make_axis("Bending moment", view.get_scale("moment"), moments)
     title = "Bending moment against curvature of"
     caption = "Measured from the shapes, first loading."
     caption += " Area: 95 % interval of each sample." if areas else ""
@@ -381,9 +387,7 @@ def _make_scaled_plots(view: GroupView) -> Iterator[Plot]:
     lines = [*list(make_band_lines(band))[:1], *curves, *make_mean_lines(band)]
     if not lines:
         return
-    x = plots.make_axis(
-        "Displacement", view.choose_scale("displacement"), [line.x for line in lines]
-    )
+    x = plots.make_axis("Displacement", view.get_scale("displacement"), [line.x for line in lines])
     force_ratios = [line.y for line in curves]
     y = _make_force_axis("Force / peak force", plots.PLAIN_NUMBER, force_ratios, band)
     mean, caption = f"mean of {band.n} {band.members}", format_sentence("report.scaled_caption")
@@ -411,7 +415,7 @@ def _make_number_plots(group: Group) -> Iterator[Plot]:
             make_dot_axis(number.name, wording.choose_number_scale(group, number), lines),
             Axis(low=0.5 - len(rows), high=0.5, row_names=tuple(rows)),
             lines,
-            legend=list_key_entries(lines, hidden=("interval",)),
+            legend=list_legend_entries(lines, hidden=("interval",)),
             kind="numbers",
             title=f"Each sample's numbers, with 95 % intervals: {group.name}.",
             caption=caption if table_only_names else "",

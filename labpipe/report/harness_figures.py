@@ -16,20 +16,14 @@ from labpipe.records.harness_bundle import BundleModel, FrictionFit
 from labpipe.report import plot_records as plots
 from labpipe.report.figure_page import DASHED, sample_colour_map
 from labpipe.report.plot_records import Axis, Line, Page, Plot, make_line
-from labpipe.report.wire_report import (
-    FORCE_SCALE,
-    LENGTH_SCALE,
-    MOMENT_SCALE,
-    STIFFNESS_SCALE,
-    make_curvature_axis,
-)
-from labpipe.report.wording import format_number, join_sentences
+from labpipe.report.wire_report import MOMENT_SCALE, STIFFNESS_SCALE, make_curvature_axis
+from labpipe.report.wording import FORCE_SCALE, LENGTH_SCALE, format_number, join_sentences
 
 FIGURE, SWEEP_FIGURE = "harness", "harness-sweep"
 """Names of the figures and their files, without the ending."""
 
 _KINDS_OF_MARKS = ("clip", "pin", "grip", "ring", "string", "load")
-"""Kinds of boundaries, in the order of the key."""
+"""Kinds of boundaries, in the order of the legend."""
 _VIEWS = {"side": (0, 2), "end": (1, 2), "top": (0, 1)}
 """Numbers of the coordinates that point to the right and upwards in each view."""
 
@@ -393,13 +387,8 @@ def describe_stiffness(model: BundleModel) -> str:
     directions = f"{smallest} to {largest} over all directions"
     if _is_isotropic(model):
         directions = "equal in all directions"
-    return format_sentence(
-        "report.bounds_of_bundle",
-        all_slip=all_slip,
-        wires_slip=wires_slip,
-        nothing_slips=nothing_slips,
-        directions=directions,
-    )
+    facts = {"all_slip": all_slip, "wires_slip": wires_slip, "nothing_slips": nothing_slips}
+    return format_sentence("report.bounds_of_bundle", directions=directions, **facts)
 
 
 def _is_isotropic(model: BundleModel) -> bool:

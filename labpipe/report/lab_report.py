@@ -30,7 +30,9 @@ from labpipe.report.table_records import DASH, Cell, Record, Table, sort_notes, 
 from labpipe.statistics.lots import judge_results
 
 PAGE_FILE, TABLES_FILE, FIGURES_FOLDER = "report.html", "tables.xlsx", "figures"
+"""Names of the page, the workbook and the folder of figures in the folder of a report."""
 SCRIPTS = ("page_tables.js", "page_plots.js", "page_decisions.js")
+"""Files of the script of the page, in the order in which they are joined."""
 
 
 def write_report(
@@ -98,7 +100,7 @@ def render_page(
     *,
     has_test_pages: bool = False,
 ) -> str:
-    """Write the page of a campaign.
+    """Render the page of a campaign.
 
     Parameters
     ----------
@@ -115,7 +117,8 @@ def render_page(
     max_answers, max_decisions, min_groups = 8, 4, 3
     n_screen_lines, lines_per_decision = 26, 2  # on a screen of 900 pixels, below the letterhead
     groups, tests = page_tables.arrange_tests(campaign)
-    (causes, notes), questions = find_causes(campaign), comparisons.list_questions(campaign)
+    causes, notes = find_causes(campaign)
+    questions = comparisons.list_questions(campaign)
     open_decisions = find_open_decisions(causes, tests)
     n_answers = min(len(questions), max_answers)
     n_decisions = min(len(open_decisions), max_decisions)
@@ -151,7 +154,7 @@ def render_page(
         questions=questions,
         blocks=_list_key_blocks(groups, max_group_rows),
         open_decisions=open_decisions,
-        folds={"answers": n_answers, "decisions": n_decisions},
+        n_shown={"answers": n_answers, "decisions": n_decisions},
         causes=causes,
         notes=notes,
         tables=page_tables,
@@ -162,14 +165,13 @@ def render_page(
 
 
 def _list_key_blocks(groups: Sequence[GroupView], max_rows: int) -> list[dict[str, Any]]:
-    """List a block for the groups whose first numbers have common headings.
+    """List blocks of rows; the groups of a block have the same headings of their first numbers.
 
     Returns
     -------
-    For each block: ``heads``, the headings of the numbers; ``rows``, with the ``view`` of each
-    group, ``strip`` of the first number, ``cells`` of the first numbers, and the curve as a
-    sparkline, ``spark``; ``n_shown``, the number of rows that the page shows before it is unfolded,
-    `max_rows` in all blocks.
+    For each block, ``heads``, the headings of the numbers; ``rows`` from `_list_key_rows`; and
+    ``n_shown``, the number of rows that the page shows before it is unfolded. All blocks together
+    show about `max_rows` lines, including the headings.
     """
     members_by_heads: dict[tuple[tuple[str, str], ...], list[GroupView]] = {}
     for protocol in dict.fromkeys(view.group.protocol for view in groups):
@@ -179,12 +181,12 @@ def _list_key_blocks(groups: Sequence[GroupView], max_rows: int) -> list[dict[st
     for heads, members in members_by_heads.items():
         rows, n_shown = _list_key_rows(members, dict(heads)), min(len(members), max(max_rows, 0))
         blocks.append({"heads": [text for _, text in heads], "rows": rows, "n_shown": n_shown})
-        max_rows -= n_shown + 1
+        max_rows -= n_shown + 1  # the headings have a row, too
     return blocks
 
 
 def _list_key_heads(groups: Sequence[GroupView]) -> tuple[tuple[str, str], ...]:
-    """List names and headings of the first numbers of groups of one protocol."""
+    """List the names and headings of the first three numbers of groups of one protocol."""
     n_numbers = 3
     heads: dict[str, str] = {}
     for group, *_ in groups:
@@ -195,28 +197,35 @@ def _list_key_heads(groups: Sequence[GroupView]) -> tuple[tuple[str, str], ...]:
 
 
 def _list_key_rows(groups: Sequence[GroupView], heads: Mapping[str, str]) -> list[dict[str, Any]]:
-    """List the rows of groups; several groups have strips of the first number on one scale."""
+    """List the rows of groups of one block.
+
+    Returns
+    -------
+    For each group, the ``view``; the ``strip`` of the first number, or None for a single group; the
+    ``cells`` of the first numbers; and the path of the mean curve, ``spark``. All strips have one
+    scale.
+    """
     numbers = [_find_averaged_number(view.group, next(iter(heads), "")) for view in groups]
-    shown = [
-        (nan, None)
-        if number is None
-        else (number.mean.chosen.mean, _choose_interval_source(number).interval)
-        for number in numbers
-    ]
-    ends = [end for _, x in shown if x is not None for end in (x.lower, x.upper)]
-    strip_ends = plots.clip_range([mean for mean, _ in shown], ends, 1.0)
-    strips = [plots.make_mean_strip(strip_ends, interval, mean) for mean, interval in shown]
+    means, intervals = [], []
+    for number in numbers:
+        means.append(nan if number is None else number.mean.chosen.mean)
+        intervals.append(None if number is None else _choose_interval_source(number).interval)
+    ends = [end for x in intervals if x is not None for end in (x.lower, x.upper)]
+    strip_ends = plots.clip_range(means, ends, max_extension=1.0)
     rows = []
-    for view, mean_strip in zip(groups, strips, strict=True):
-        strip = mean_strip if len(groups) > 1 else None
-        cells = [_make_key_cell(view.group, name) for name in heads]
-        spark = _format_mean_curve(view)
-        rows.append({"view": view, "strip": strip, "cells": cells, "spark": spark})
+    for view, mean, interval in zip(groups, means, intervals, strict=True):
+        mean_strip = plots.make_mean_strip(strip_ends, interval, mean)
+        rows.append({
+            "view": view,
+            "strip": mean_strip if len(groups) > 1 else None,
+            "cells": [_make_key_cell(view.group, name) for name in heads],
+            "spark": _format_mean_curve(view),
+        })  # fmt: skip
     return rows
 
 
 def _find_averaged_number(group: Group, name: str) -> GroupNumber | None:
-    """Find a number of a group; None without a mean."""
+    """Find a number of a group by its name; None if no sample has a value."""
     number = group.find_number(name)
     return number if number is not None and number.values else None
 
@@ -229,7 +238,7 @@ def _choose_interval_source(number: GroupNumber) -> MeanInterval | Result:
 
 
 def _make_key_cell(group: Group, name: str) -> Cell:
-    """Make the cell of the mean of a number."""
+    """Make the cell of the mean of a number with its interval."""
     number = _find_averaged_number(group, name)
     if number is None:
         return Cell(DASH, tip="no sample has this number")
@@ -237,13 +246,13 @@ def _make_key_cell(group: Group, name: str) -> Cell:
     scale = wording.choose_number_scale(group, number)
     tip = "" if source is mean else "one test: uncertainty of its measurement"
     if (estimate := source.distinct_estimate) is not None:
-        written = wording.format_number(mean.mean, source.interval, scale.factor, estimate=estimate)
-        tip += f"{'; ' * bool(tip)}interval of the estimate {written.estimate}"
+        texts = wording.format_number(mean.mean, source.interval, scale.factor, estimate=estimate)
+        tip += f"{'; ' * bool(tip)}interval of the estimate {texts.estimate}"
     return Cell(wording.format_with_interval(mean.mean, source.interval, scale.factor), tip=tip)
 
 
 def _format_mean_curve(view: GroupView) -> str:
-    """Write the mean curve of a group, or its first curve without a mean, as a sparkline."""
+    """Format the mean curve of a group, or its first curve if there is no mean, as a sparkline."""
     band = view.group.band
     x, y = band.displacement, band.mean
     if band.n < 2 or not len(x):
@@ -251,12 +260,12 @@ def _format_mean_curve(view: GroupView) -> str:
         if curve is None:
             return ""
         x, y = curve.displacement, curve.force
-    rows = plots.simplify_line(x, y, max_points=24, tolerance=0.01)
+    rows = plots.find_shape_samples(x, y, max_points=24, tolerance=0.01)
     return plots.format_sparkline(x[rows], y[rows])
 
 
 class OpenDecision(NamedTuple):
-    """A cause that requires a decision, and its tests without a decision."""
+    """A cause that requires a decision, and the tests of this cause that have no decision."""
 
     cause: Cause
     tests: tuple[PageTest, ...]
@@ -285,7 +294,7 @@ def find_open_decisions(causes: Iterable[Cause], tests: Iterable[PageTest]) -> l
 
 
 def describe_campaign(campaign: Campaign, open_decisions: Sequence[OpenDecision]) -> str:
-    """Count tests and open decisions, such as ``24 tests · 1 rejected · 2 to decide``."""
+    """Count the tests and open decisions, such as ``24 tests · 1 rejected · 2 to decide``."""
     n_undecided = len({test.number for decision in open_decisions for test in decision.tests})
     counts = [
         wording.format_count(len(list_samples(campaign)), "test"),
@@ -307,7 +316,7 @@ def read_page_script() -> Markup:
 
 
 def format_page_data(campaign: Campaign, *, report_id: str) -> Markup:
-    """Write the data of the script for a ``script`` element of type ``application/json``.
+    """Format the data for the script, which a ``script`` element of the page contains as JSON.
 
     Parameters
     ----------
@@ -340,11 +349,9 @@ def fill_template(template: str, **values: Any) -> str:
     """
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
+    loader = FileSystemLoader(Path(__file__).parent)
     environment = Environment(
-        loader=FileSystemLoader(Path(__file__).parent),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
+        loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True
     )
     is_text = "{" in template
     page = environment.from_string(template) if is_text else environment.get_template(template)
@@ -352,7 +359,7 @@ def fill_template(template: str, **values: Any) -> str:
 
 
 def read_part(name: str) -> str:
-    """Read a style or a script of pages."""
+    """Read a file of the styles or the scripts of pages by its name."""
     return (files("labpipe.report") / name).read_text(encoding="utf-8")
 
 
@@ -385,7 +392,7 @@ def compute_hash(text: str) -> Markup:
 
 
 def format_css_string(text: str) -> str:
-    """Write a text as an escaped string of a style sheet.
+    """Format a text as a string of a style sheet.
 
     Parameters
     ----------
@@ -440,8 +447,8 @@ def read_logo(path: Path) -> str:
             content = path.read_bytes()
             picture = Image.open(BytesIO(content), formats=("PNG", "JPEG"))
             picture.load()
-            kind = str(picture.format).lower()
-            return f"data:image/{kind};base64,{base64.b64encode(content).decode()}"
+            image_type = str(picture.format).lower()
+            return f"data:image/{image_type};base64,{base64.b64encode(content).decode()}"
     except UnidentifiedImageError:
         fault = "a file of another format"
     except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
@@ -482,11 +489,12 @@ def render_test(result: TestResult, *, report: str = "") -> str:
 
 
 def _list_facts(result: TestResult) -> list[tuple[str, str]]:
-    specimen, length = result.specimen, wording.get_scale(result.display, "displacement")
+    """List the facts at the head of the page of a test: pairs of a name and a text."""
+    specimen, scale = result.specimen, wording.get_scale(result.display, "displacement")
     sizes = specimen.dimensions.items()
-    texts = {name: f"{length.factor * size:.4g} {length.unit}" for name, size in sizes}
-    texts |= specimen.labels
-    dimensions = [f"{name.replace('_', ' ')} {text}" for name, text in texts.items()]
+    size_texts = {name: f"{scale.factor * size:.4g} {scale.unit}" for name, size in sizes}
+    size_texts |= specimen.labels
+    dimensions = [f"{name.replace('_', ' ')} {text}" for name, text in size_texts.items()]
     observations = [f"{name.replace('_', ' ')}: {text}" for name, text in specimen.observed.items()]
     verdict = judge_results(result.results)
     instruments = ", ".join(
@@ -494,13 +502,13 @@ def _list_facts(result: TestResult) -> list[tuple[str, str]]:
         f" {f'due {instrument.due}' if instrument.due else 'no due date'})"
         for instrument in result.instruments
     )
-    tested = f"{result.date or 'date not stated'} by {result.operator or 'operator not stated'}"
+    testing = f"{result.date or 'date not stated'} by {result.operator or 'operator not stated'}"
     return [
         ("Specimen", f"{specimen.type}, spool {specimen.spool}, sample {specimen.sample}"),
         *([] if verdict is None else [("Verdict", verdict.text)]),
         *([("Observed", "; ".join(observations))] if observations else []),
         ("Dimensions", ", ".join(dimensions) or DASH),
-        ("Tested", tested),
+        ("Tested", testing),
         ("Instruments", instruments or "no calibration certificate stated in the protocol"),
         ("Protocol", result.protocol),
         ("Run", f"{result.run[:16] or DASH}, labpipe {result.labpipe_version}"),
@@ -508,32 +516,34 @@ def _list_facts(result: TestResult) -> list[tuple[str, str]]:
 
 
 def _make_number_table(result: TestResult) -> Table:
+    """Make the table of the results of a test."""
     rows: list[Record] = []
     reason_above = ""
-    for number in result.results:
-        scale = wording.choose_scale(number.name, number.unit, result.display)
-        value = wording.format_result(number, scale.factor)
-        reason = wording.join_sentences(number.reasons)
+    for entry in result.results:
+        scale = wording.choose_scale(entry.name, entry.unit, result.display)
+        value_text = wording.format_result(entry, scale.factor)
+        reason = wording.join_sentences(entry.reasons)
         rows.append({
-            "Number": Cell(wording.format_heading(number.name, scale), tip=number.name),
-            "Value, 95 %": Cell(value, mark="?" if number.status is Status.DOUBTFUL else ""),
-            "State": Cell(str(number.status), tip=", ".join(number.codes)),
+            "Number": Cell(wording.format_heading(entry.name, scale), tip=entry.name),
+            "Value, 95 %": Cell(value_text, mark="?" if entry.status is Status.DOUBTFUL else ""),
+            "State": Cell(str(entry.status), tip=", ".join(entry.codes)),
             "Why": "As above." if reason and reason == reason_above else reason,
-            "Largest causes of the interval": _list_largest_causes(number),
+            "Largest causes of the interval": _describe_largest_causes(entry),
         })  # fmt: skip
         reason_above = reason
     return tabulate("Numbers of this test", rows)
 
 
-def _list_largest_causes(number: Result) -> str:
-    """List up to three causes of at least 1 % of the variance, with their shares."""
-    n_causes, min_share = 3, 0.01
-    shares = sorted(zip(number.fractions, number.budget, strict=True), key=lambda pair: -pair[0])
-    largest = [(share, entry) for share, entry in shares[:n_causes] if share >= min_share]
-    return "; ".join(f"{entry.cause} {100 * share:.0f} %" for share, entry in largest)
+def _describe_largest_causes(result: Result) -> str:
+    """List up to three causes of at least 1 % of the variance of a result, with their shares."""
+    max_causes, min_share = 3, 0.01
+    pairs = sorted(zip(result.fractions, result.budget, strict=True), key=lambda pair: -pair[0])
+    largest = [(share, cause) for share, cause in pairs[:max_causes] if share >= min_share]
+    return "; ".join(f"{cause.cause} {100 * share:.0f} %" for share, cause in largest)
 
 
 def _make_note_table(result: TestResult) -> Table:
+    """Make the table of the notes on a test, the most severe first."""
     rows: list[Record] = [
         {
             "Where": Cell(wording.replace_names(note.where), tip=note.code),

@@ -33,10 +33,10 @@ class PageTest(NamedTuple):
 
     Parameters
     ----------
-    number : position in the table of tests, from 0; None in a figure
+    number : row of the test in the table of tests, from 0; None in a figure
     sample : specimen and results of the test
-    state : ``ok``, ``doubtful``, ``failed`` or ``rejected``
-    group : group of the test; None for a rejected test that matches no group
+    state : ``ok``, ``doubtful``, ``failed`` or ``rejected``; empty in a figure
+    group : group of the test; None in a figure, or for a rejected test that matches no group
     stem : stem of the file names of the group; empty without a group
     colour : class of the colour of its lines, such as ``c2``; empty for a rejected test
     rejection : reason, person and day of a rejection; empty for other tests
@@ -67,7 +67,7 @@ class GroupView(NamedTuple):
     Parameters
     ----------
     group : group of samples; may be empty
-    stem : stem of the addresses of its links; empty in a figure
+    stem : stem of the file names of the group, as in its links; empty in a figure
     tests : tests of the samples
     rejected : rejected tests that match the group
     """
@@ -83,25 +83,27 @@ class GroupView(NamedTuple):
         max_detailed_samples = 6
         return len(self.tests) <= max_detailed_samples
 
-    def choose_scale(self, quantity: str) -> wording.Scale:
+    def get_scale(self, quantity: str) -> wording.Scale:
         """Get the display unit of a quantity in the group."""
         return wording.get_scale(wording.get_display(self.group), quantity)
 
 
-def make_figure_group(group: Group) -> GroupView:
-    """Make the group of a figure, with a colour per spool, or per sample for few of one spool.
+def make_figure_view(group: Group) -> GroupView:
+    """Make the view of a group for a figure, with a colour per spool.
+
+    If the tests are few and all of one spool, there is a colour per test.
 
     Parameters
     ----------
     group : group of samples; may be empty
     """
-    page_group = GroupView(group, "", [PageTest(None, sample, "") for sample in group.samples])
+    view = GroupView(group, "", [PageTest(None, sample, "") for sample in group.samples])
     spools = [sample.specimen.spool for sample in group.samples]
-    is_one_spool = len(set(spools)) == 1 and page_group.is_detailed
-    keys = range(len(spools)) if is_one_spool else spools
+    has_test_colours = len(set(spools)) == 1 and view.is_detailed
+    keys = range(len(spools)) if has_test_colours else spools
     colours = {key: f"c{index % N_COLOURS}" for index, key in enumerate(dict.fromkeys(keys))}
-    pairs = zip(page_group.tests, keys, strict=True)
-    return page_group._replace(tests=[test._replace(colour=colours[key]) for test, key in pairs])
+    pairs = zip(view.tests, keys, strict=True)
+    return view._replace(tests=[test._replace(colour=colours[key]) for test, key in pairs])
 
 
 def arrange_tests(campaign: Campaign) -> tuple[list[GroupView], list[PageTest]]:
@@ -119,15 +121,15 @@ def arrange_tests(campaign: Campaign) -> tuple[list[GroupView], list[PageTest]]:
     stems_by_group = {group.name: stem for group, stem in zip(campaign.groups, stems, strict=True)}
     tests: list[PageTest] = []
     for group, stem in zip(campaign.groups, stems, strict=True):
-        for test in make_figure_group(group).tests:
+        for test in make_figure_view(group).tests:
             state = combine_states(test.sample)
             tests.append(test._replace(number=len(tests), state=state, group=group, stem=stem))
     for sample in campaign.rejected_samples:
-        match = find_group_of_rejected(sample, campaign)
+        matching_group = find_group_of_rejected(sample, campaign)
         rejection = campaign.rejected.get(sample.source, sample.decision)
-        stem = "" if match is None else stems_by_group[match.name]
-        test = PageTest(len(tests), sample, REJECTED, match, stem, rejection=rejection)
-        tests.append(test)
+        stem = "" if matching_group is None else stems_by_group[matching_group.name]
+        test = PageTest(len(tests), sample, REJECTED, group=matching_group, stem=stem)
+        tests.append(test._replace(rejection=rejection))
     groups = []
     for group, stem in zip(campaign.groups, stems, strict=True):
         members = [test for test in tests if test.stem == stem]
@@ -162,13 +164,13 @@ def find_group_of_rejected(sample: Sample, campaign: Campaign) -> Group | None:
     Parameters
     ----------
     sample : specimen and results of the rejected test
-    campaign : groups of the report and the fields of their grouping
+    campaign : groups of the report, and names of the fields by which tests are grouped
 
     Returns
     -------
     The group; None if there is none. Test and group have the same protocol, and the same values of
-    the fields by which the campaign is grouped, except the spool. If several groups qualify, the
-    one with the most fields in common is returned.
+    the fields by which tests are grouped, except the spool. If several groups qualify, the one with
+    the most fields in common is returned.
     """
     fields = list_fields(sample.specimen)
     matches = [
@@ -185,7 +187,7 @@ def find_group_of_rejected(sample: Sample, campaign: Campaign) -> Group | None:
 
 
 def combine_states(sample: Sample) -> str:
-    """Combine the states of the results of a test to the worst of them, such as ``doubtful``."""
+    """Return the worst state among the results of a test, such as ``doubtful``."""
     statuses = {result.status for result in sample.results}
     worst_first = (Status.FAILED, Status.DOUBTFUL)
     return next((str(status) for status in worst_first if status in statuses), str(Status.OK))
@@ -217,7 +219,7 @@ def list_samples(campaign: Campaign) -> list[Sample]:
 def describe_testing(samples: Sequence[Sample]) -> str:
     """Describe when and by whom tests were made, such as ``2026-03-02 to 2026-03-06 by AB``.
 
-    Tests of unknown day and tests without operator are counted.
+    The text also counts the tests of unknown day and the tests without operator.
     """
     dates = sorted(sample.date for sample in samples if sample.date is not None)
     n_undated = len(samples) - len(dates)
@@ -234,13 +236,13 @@ def describe_testing(samples: Sequence[Sample]) -> str:
 
 
 class InstrumentLine(NamedTuple):
-    """An instrument of a report.
+    """Line of a report on an instrument.
 
     Parameters
     ----------
     name : channel of the instrument and certificate of its calibration
-    calibration : due date of the calibration, as text; the number of tests made after it, if any
-    is_overdue : whether a test was made after the due date
+    calibration : text on the due date of the calibration, and on the tests made after this date
+    is_overdue : whether any test was made after the due date
     """
 
     name: str
@@ -273,7 +275,7 @@ def list_instruments(samples: Sequence[Sample]) -> list[InstrumentLine]:
 
 
 def name_roles(samples: Iterable[Sample]) -> str:
-    """Name the roles of the recorded files of tests, such as ``frame, camera``."""
+    """Join the roles of the recorded files of tests, each once, such as ``frame, camera``."""
     return ", ".join(dict.fromkeys(source.role for sample in samples for source in sample.inputs))
 
 
@@ -285,7 +287,7 @@ A larger group has tables of samples (`make_sample_tables`) instead.
 
 
 def describe_group(group: Group) -> str:
-    """Describe a group by its number of samples, protocol, days and operators; empty if empty."""
+    """Describe samples, protocol, days and operators of a group; empty without samples."""
     counts, testing = wording.describe_counts(group), describe_testing(group.samples)
     text = f"{counts}, protocol {group.protocol}, tested {testing}."
     return text if group.samples else ""
@@ -306,43 +308,43 @@ def make_number_table(group: Group) -> Table:
     ----------
     group : group of tests, with or without samples
     """
-    n_plots = 8  # more rows without plots keep the table short
-    columns = group.samples if len(group.samples) <= MAX_SAMPLE_COLUMNS else ()
+    max_plots = 8  # later rows have no plot, which keeps the table short
+    samples = group.samples if len(group.samples) <= MAX_SAMPLE_COLUMNS else ()
     rows = []
-    for row, number in enumerate(group.numbers):
+    for index, number in enumerate(group.numbers):
         scale = wording.choose_number_scale(group, number)
         rows.append([
             Cell(wording.format_heading(number.name, scale), tip=number.name),
-            Cell("", drawing=_draw_strip(number) if row < n_plots and number.values else None),
+            Cell("", drawing=_make_strip(number) if index < max_plots and number.values else None),
             *_make_mean_cells(group, number, scale.factor),
-            *(_make_sample_cell(number, sample, scale.factor) for sample in columns),
+            *(_make_sample_cell(number, sample, scale.factor) for sample in samples),
         ])  # fmt: skip
-    heads = ["Number", "Plot", "Mean, 95 %", "n", "s", *(column.test for column in columns)]
+    heads = ["Number", "Plot", "Mean, 95 %", "n", "s", *(sample.test for sample in samples)]
     return Table("", heads, rows, tuple(_list_table_notes(group)))
 
 
 def _make_mean_cells(group: Group, number: GroupNumber, factor: float) -> tuple[Cell, Cell, Cell]:
-    """Make the cells of mean, count and standard deviation."""
+    """Make the cells of the mean, its count and the standard deviation of a number."""
     mean = number.mean
     if not number.values:
         return Cell(DASH, tip="no sample has this number"), Cell("0"), Cell(DASH)
-    count = f"{mean.chosen.n}"
+    count_text = f"{mean.chosen.n}"
     if not mean.is_pooled:
-        count = wording.format_count(mean.chosen.n, "spool")
+        count_text = wording.format_count(mean.chosen.n, "spool")
     elif mean.chosen.n != len(group.samples):
-        count = f"{mean.chosen.n} of {len(group.samples)}"
+        count_text = f"{mean.chosen.n} of {len(group.samples)}"
     return (
         Cell(wording.format_mean(mean.chosen, factor)),
-        Cell(count, tip=str(mean.decision) if len(mean.spool_means) > 1 else ""),
+        Cell(count_text, tip=str(mean.decision) if len(mean.spool_means) > 1 else ""),
         Cell(wording.format_number(mean.chosen.deviation, None, factor, digits=2).value),
     )
 
 
-def _draw_strip(number: GroupNumber) -> MeanStrip:
-    """Draw samples, mean and interval of a number on their own scale."""
-    max_dots = 12  # more samples would overlap
-    max_extension = 1.5  # largest part of the scale beyond the values, relative to their range
-    values = [value.value for value in number.values.values() if value.value is not None]
+def _make_strip(number: GroupNumber) -> MeanStrip:
+    """Make the drawing of samples, mean and interval of a number on a scale of this number."""
+    max_dots = 12  # more dots would overlap
+    max_extension = 1.5  # of the scale beyond the values at each end, relative to their range
+    values = [result.value for result in number.values.values() if result.value is not None]
     interval, mean = number.mean.chosen.interval, number.mean.chosen.mean
     interval_ends = () if interval is None else (interval.lower, interval.upper)
     dots = values if len(values) <= max_dots else ()
@@ -351,13 +353,14 @@ def _draw_strip(number: GroupNumber) -> MeanStrip:
 
 
 def _make_sample_cell(number: GroupNumber, sample: Sample, factor: float) -> Cell:
+    """Make the cell of a number of a sample, which may be doubtful, failed or an outlier."""
     result = number.values.get(sample.test) or find_result(sample.results, number.name)
     is_outlier = any(outlier.sample == sample.test for outlier in number.outliers)
     return make_result_cell(result, factor, is_outlier=is_outlier)
 
 
 def make_result_cell(result: Result | None, factor: float, *, is_outlier: bool = False) -> Cell:
-    """Make the cell of a result of a test: ``?`` marks a doubtful one, ``!`` an outlier.
+    """Make the cell of a result of a test: ``?`` marks a doubtful result, ``!`` an outlier.
 
     Parameters
     ----------
@@ -416,24 +419,24 @@ def _list_mark_notes(group: Group) -> Iterator[str]:
         yield format_sentence("report.outlier_in_mean", test=test, numbers="; ".join(labels))
 
 
-def make_sample_tables(page_group: GroupView) -> list[Table]:
+def make_sample_tables(view: GroupView) -> list[Table]:
     """Make tables with a row per sample and up to eight numbers each.
 
     Parameters
     ----------
-    page_group : group of tests, with or without samples
+    view : group of tests, with or without samples
 
     Returns
     -------
-    The tables; empty if `make_number_table` shows the samples.
+    The tables; none if `make_number_table` shows the samples.
     """
-    max_numbers_per_table, tables, group = 8, list[Table](), page_group.group
+    max_numbers_per_table, tables, group = 8, list[Table](), view.group
     if len(group.samples) <= MAX_SAMPLE_COLUMNS:
         return tables
     main_numbers = [number for number in group.numbers if wording.is_main(number.name)]
     for numbers in split_pages(main_numbers, max_numbers_per_table):
         rows = []
-        for test in page_group.tests:
+        for test in view.tests:
             sample = test.sample
             row: Record = {"Test": sample.test}
             if not tables:
@@ -458,33 +461,34 @@ def make_budget_bars(group: Group) -> tuple[list[budgets.BudgetBar], Mapping[str
 
     Returns
     -------
-    Up to five bars, of the first means with intervals or, without any, of the single tests; and
-    ``colour`` and ``is_common`` of each of their causes.
+    bars : up to five bars, of the first means with a budget. If no mean has a budget, the bars are
+        those of the single tests
+    cause_looks : ``colour`` and ``is_common`` of each cause in the bars, keyed by the cause
     """
-    n_bars, display = 5, wording.get_display(group)
+    max_bars, display = 5, wording.get_display(group)
     numbers = [number for number in group.numbers if budgets.has_budget_bar(number.name)]
     all_budgets = ((number, summarise_budget(number)) for number in numbers)
-    numbered_budgets = [(number, budget) for number, budget in all_budgets if budget.test_shares]
+    number_budgets = [(number, budget) for number, budget in all_budgets if budget.test_shares]
     bars = [
         budgets.make_budget_bar(number, budget.mean_shares, number.mean.chosen.interval, display)
-        for number, budget in numbered_budgets
+        for number, budget in number_budgets
         if budget.mean_shares
     ]
     if not bars:
-        n = max((len(number.values) for number in group.numbers), default=0)
-        text = "one test" if n == 1 else f"{n} tests"
+        n_tests = max((len(number.values) for number in group.numbers), default=0)
+        text = "one test" if n_tests == 1 else f"{n_tests} tests"
         bars = [
             budgets.make_budget_bar(number, budget.test_shares, None, display)._replace(text=text)
-            for number, budget in numbered_budgets
+            for number, budget in number_budgets
         ]
-    bars = bars[:n_bars]
-    shares = budgets.sort_shares([bar.shares for bar in bars])
+    bars = bars[:max_bars]
+    sorted_shares = budgets.sort_shares([bar.shares for bar in bars])
     cause_looks = {
-        name: {"colour": budgets.get_cause_colour(name), "is_common": IS_COMMON.get(name)}
-        for name in budgets.list_drawn_causes(shares)
+        cause: {"colour": budgets.get_cause_colour(cause), "is_common": IS_COMMON.get(cause)}
+        for cause in budgets.list_drawn_causes(sorted_shares)
     }
-    bars = [bar._replace(shares=part) for bar, part in zip(bars, shares, strict=True)]
-    return bars, cause_looks
+    pairs = zip(bars, sorted_shares, strict=True)
+    return [bar._replace(shares=shares) for bar, shares in pairs], cause_looks
 
 
 def make_spool_table(group: Group) -> Table | None:
@@ -515,14 +519,15 @@ def make_spool_table(group: Group) -> Table | None:
 def make_slip_table(group: Group) -> Table | None:
     """Make the table of the slips of a group; None without slips."""
     length, force = wording.get_scales(wording.get_display(group), "displacement", "force")
-    write, rows = wording.format_with_interval, list[Record]()
+    format_value, rows = wording.format_with_interval, list[Record]()
     for sample in group.samples:
         for slip in sample.slips:
-            position = write(slip.position, slip.position_interval, length.factor)
+            position = format_value(slip.position, slip.position_interval, length.factor)
+            drop = format_value(slip.drop, slip.drop_interval, force.factor)
             rows.append({
                 "Sample": sample.test,
                 length.label("Displacement"): position,
-                force.label("Force lost"): write(slip.drop, slip.drop_interval, force.factor),
+                force.label("Force lost"): drop,
                 "Treatment": DECISIONS[slip.decision],
             })  # fmt: skip
     return tabulate(f"{group.name}: slips in the grips", rows) if rows else None
@@ -531,7 +536,7 @@ def make_slip_table(group: Group) -> Table | None:
 def choose_lot_scale(group: Group, lot: Lot) -> wording.Scale:
     """Choose the display scale of the ratio of a force to the limit of a lot.
 
-    The ratio is shown as a force, or as it is if the samples have several limits.
+    The scale converts the ratio to a force. If the samples have several limits, the ratio is shown.
     """
     if lot.limit is None:
         return wording.Scale(1.0, "")
@@ -540,15 +545,15 @@ def choose_lot_scale(group: Group, lot: Lot) -> wording.Scale:
 
 
 def describe_observations(samples: Sequence[Sample]) -> str:
-    """Count the answers on the test sheets, such as ``slip 3, contact broken outside 1``.
+    """List the observations on the test sheets with their counts, such as ``slip 3, break 1``.
 
     Parameters
     ----------
     samples : samples of one group
     """
     sheets = [sample.specimen.observed for sample in samples]
-    names = dict.fromkeys(name for sheet in sheets for name in sheet)
-    counts = Counter(sheet.get(name, NOT_STATED) for name in names for sheet in sheets)
+    questions = dict.fromkeys(question for sheet in sheets for question in sheet)
+    counts = Counter(sheet.get(name, NOT_STATED) for name in questions for sheet in sheets)
     return ", ".join(f"{answer} {count}" for answer, count in counts.most_common())
 
 
@@ -643,10 +648,11 @@ def make_bounds_table(campaign: Campaign) -> Table | None:
             for bound in (stiffness.low, stiffness.free, stiffness.high, *stiffness.principal)
         )
         value = nan if stiffness.value is None else stiffness.value
-        share = wording.format_number(100.0 * stiffness.degree, None, digits=2).value
-        if stiffness.degree_interval is not None:
-            share = wording.format_with_interval(stiffness.degree, stiffness.degree_interval, 100.0)
-        share += "" if isnan(stiffness.degree) else " %"
+        degree, interval = stiffness.degree, stiffness.degree_interval
+        degree_text = wording.format_number(100.0 * degree, None, digits=2).value
+        if interval is not None:
+            degree_text = wording.format_with_interval(degree, interval, 100.0)
+        degree_text += "" if isnan(degree) else " %"
         directions = "" if smallest == largest else f"{smallest} to {largest}"
         test = Cell(stiffness.test, stiffness.group)
         rows.append({
@@ -657,14 +663,14 @@ def make_bounds_table(campaign: Campaign) -> Table | None:
             scale.label("All slips"): all_slip,
             scale.label("Wires slip"): wires_slip,
             scale.label("Nothing slips"): Cell(nothing_slips, directions),
-            "Share of the range": Cell(share, wording.join_sentences(stiffness.reasons)),
+            "Share of the range": Cell(degree_text, wording.join_sentences(stiffness.reasons)),
         })  # fmt: skip
     notes = format_sentence("report.bounds_of_bundles"), format_sentence("report.share_of_the_way")
     return tabulate("Between slipping and sticking", rows, notes=notes)
 
 
 def make_cause_table(cause: Cause) -> Table:
-    """Make the table of a cause: a row per issue."""
+    """Make the table of the issues of a cause, a row per issue."""
     rows: list[Record] = [
         {
             "Test": Cell(", ".join(issue.tests) or "the whole group", issue.group),
@@ -676,15 +682,15 @@ def make_cause_table(cause: Cause) -> Table:
     return tabulate(f"{cause.kind} ({len(cause.issues)})", rows)
 
 
-def make_note_table(notes: Iterable[Cause]) -> Table | None:
-    """Make the table of the notes without consequences, a row per code; None without notes."""
+def make_note_table(causes: Iterable[Cause]) -> Table | None:
+    """Make the table of the notes without consequences, a row per cause; None without causes."""
     rows: list[Record] = [
         {
-            "Note (first of its kind)": Cell(note.issues[0].reason, tip=note.code),
-            "Number": str(len(note.issues)),
-            "Where": note.subject,
+            "Note (first of its kind)": Cell(cause.issues[0].reason, tip=cause.code),
+            "Number": str(len(cause.issues)),
+            "Where": cause.subject,
         }
-        for note in notes
+        for cause in causes
     ]
     return tabulate("Notes without consequences", rows) if rows else None
 
@@ -717,9 +723,9 @@ def make_test_rows(tests: Iterable[PageTest]) -> list[dict[str, Any]]:
 
     Returns
     -------
-    For each ``test``: the ``first_cell`` with its first main number, the ``decision`` (``accept``,
-    ``reject`` or empty) with its ``grounds``, the file ``page`` and its ``address``, and the
-    ``reason`` why the test is doubtful, failed or rejected.
+    A dictionary per row: the ``test``; the ``first_cell``, with the first main number; the
+    ``decision`` (``accept``, ``reject`` or empty) and its ``grounds``; the file of the ``page`` and
+    its ``address``; and the ``reason`` why the test is doubtful, failed or rejected.
     """
     rows = []
     for test in tests:
@@ -738,7 +744,7 @@ def make_test_rows(tests: Iterable[PageTest]) -> list[dict[str, Any]]:
 
 
 def name_page_file(label: str) -> str:
-    """Name the file of the page of a test, relative to the folder of the report.
+    """Return the path of the page of a test, relative to the folder of the report.
 
     Parameters
     ----------
@@ -764,7 +770,7 @@ def _make_first_number_cell(sample: Sample, numbers: Sequence[GroupNumber]) -> C
 
 
 def describe_problems(test: PageTest) -> str:
-    """Join the reasons of the doubtful and failed results of a test, or describe its rejection.
+    """Describe why a test is rejected, or why results of the test are doubtful or failed.
 
     Parameters
     ----------

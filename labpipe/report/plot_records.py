@@ -67,8 +67,8 @@ class Axis:
 
         Returns
         -------
-        Position of each tick, from 0 at the low end to 1 at the high end, and its text. Empty for
-        an axis with row names.
+        Position of each tick, from 0 at the low end to 1 at the high end, and its text. The list is
+        empty for an axis with row names.
 
         Raises
         ------
@@ -88,9 +88,10 @@ class Axis:
         steps = (power_of_ten * size for size in (1.0, 2.0, 2.5, 5.0, 10.0))
         step = next(step for step in steps if step * max_steps >= high - low)
         first, last = np.ceil(low / step - tolerance), np.floor(high / step + tolerance)
+        values = [multiple * step for multiple in range(int(first), int(last) + 1)]
+        texts = [f"{value:.6g}".replace("-", "\u2212") for value in values]
         return [
-            ((number * step - low) / (high - low), f"{number * step:.6g}".replace("-", "\u2212"))
-            for number in range(int(first), int(last) + 1)
+            ((value - low) / (high - low), text) for value, text in zip(values, texts, strict=True)
         ]
 
 
@@ -107,7 +108,7 @@ class Line:
     group : stem of the file names of the group; empty if the plot shows a single group
     is_closed : whether each part is the outline of an area
     settings : settings of matplotlib that override those of the look
-    values : shape (n,), SI, values that the colours of the line show; None for a single colour
+    values : shape (n,), SI, values that the colours of the line represent; None for a single colour
     """
 
     look: str
@@ -120,7 +121,7 @@ class Line:
     values: Floats | None = None
 
     def format_path(self, x: Axis, y: Axis) -> str:
-        """Write the line as an SVG path in integer coordinates, interrupted at gaps.
+        """Format the line as an SVG path in integer coordinates, interrupted at gaps.
 
         Parameters
         ----------
@@ -133,29 +134,32 @@ class Line:
         >>> make_line("curve", [0.0, 9.0, 10.0], [5.0, 5.0, 9.0]).format_path(axis, axis)
         'M0 65530l9 0 1-4'
         """
-        end = "z" if self.is_closed else ""
+        closing = "z" if self.is_closed else ""
         grid = _convert_to_grid(self.x, x), GRID_SIZE - _convert_to_grid(self.y, y)
         segments = split_at_gaps(*grid)
-        return "".join(_format_segment(*segment.T) + end for segment in segments)
+        return "".join(_format_segment(*segment.T) + closing for segment in segments)
 
 
 _GAP = np.full((1, 2), nan)
+"""Point that interrupts a line."""
 
 
 def split_at_gaps(x: Floats, y: Floats) -> list[Floats]:
-    """Split a line at NaN into parts of shape (n_points, 2)."""
+    """Split a line at NaN into segments of shape (n_points, 2)."""
     points = np.column_stack([x, y])
     is_missing = np.isnan(points).any(axis=1)
-    parts = np.split(points, np.flatnonzero(np.diff(is_missing)) + 1)
-    return [part for part in parts if len(part) and not np.isnan(part).any()]
+    segments = np.split(points, np.flatnonzero(np.diff(is_missing)) + 1)
+    return [segment for segment in segments if len(segment) and not np.isnan(segment).any()]
 
 
 def _convert_to_grid(values: Floats, axis: Axis) -> Floats:
+    """Convert values, SI, to integer coordinates, at most one axis length beyond the axis."""
     coordinates: Floats = GRID_SIZE * (values - axis.low) / (axis.high - axis.low)
     return np.clip(np.rint(coordinates), -GRID_SIZE, 2 * GRID_SIZE)
 
 
 def _format_segment(x_grid: Floats, y_grid: Floats) -> str:
+    """Format a segment of a line as an SVG path of its first point and the steps between points."""
     start = f"M{x_grid[0]:.0f} {y_grid[0]:.0f}"
     if len(x_grid) == 1:
         return f"{start}h0"
@@ -174,7 +178,7 @@ def make_line(
 def make_thinned_line(
     look: str, x: Floats, y: Floats, *, n_bins: int = 350, **settings: Any
 ) -> Line:
-    """Make a line of a figure from the extremes of `y` in bins of samples."""
+    """Make a line of a figure from the extremes of `y` in bins of samples; see `find_extremes`."""
     rows = find_extremes(y, n_bins=n_bins)
     return make_line(look, x[rows], y[rows], **settings)
 
@@ -189,15 +193,15 @@ def make_vertical_line(look: str, x: float, **settings: Any) -> Line:
     return make_line(look, x, [-inf, inf], **settings)
 
 
-def make_area(look: str, x: Floats, low: Floats, high: Floats, **settings: Any) -> Line:
+def make_area(look: str, x: Floats, lower: Floats, upper: Floats, **settings: Any) -> Line:
     """Make the area between two curves, with a gap wherever one of them is NaN."""
-    lower, upper = split_at_gaps(x, low + 0.0 * high), split_at_gaps(x, high + 0.0 * low)
-    parts = [
-        edge
-        for below, above in zip(lower, upper, strict=True)
-        for edge in (below, above[::-1], _GAP)
-    ]
-    return make_line(look, *np.concatenate([_GAP, *parts]).T, is_closed=True, **settings)
+    # 0 * NaN gives both curves the same gaps
+    lower_edges = split_at_gaps(x, lower + 0.0 * upper)
+    upper_edges = split_at_gaps(x, upper + 0.0 * lower)
+    outlines = [_GAP]
+    for lower_edge, upper_edge in zip(lower_edges, upper_edges, strict=True):
+        outlines += [lower_edge, upper_edge[::-1], _GAP]
+    return make_line(look, *np.concatenate(outlines).T, is_closed=True, **settings)
 
 
 def make_span(look: str, low: float, high: float, **settings: Any) -> Line:
@@ -209,27 +213,37 @@ def make_span(look: str, low: float, high: float, **settings: Any) -> Line:
 def make_bars(
     look: str, left: Floats, right: Floats, rows: NDArray[Any], *, height: float, **settings: Any
 ) -> Line:
-    """Make bars between two values of the horizontal axis, in the rows at 0, -1, -2 and so on."""
-    low, high = -rows - 0.5 * height, -rows + 0.5 * height
-    outlines = join_with_gaps(left, left, right, right), join_with_gaps(low, high, high, low)
+    """Make horizontal bars in rows of a plot.
+
+    Parameters
+    ----------
+    look : look of the bars
+    left, right : shape (n,), values of the horizontal axis at the ends of each bar, SI
+    rows : shape (n,), index of the row of each bar, from 0; row 1 is at -1
+    height : height of a bar, relative to the height of a row
+    settings : settings of matplotlib that override those of the look
+    """
+    bottom, top = -rows - 0.5 * height, -rows + 0.5 * height
+    outlines = join_with_gaps(left, left, right, right), join_with_gaps(bottom, top, top, bottom)
     return make_line(look, *outlines, is_closed=True, **settings)
 
 
 def make_circles(look: str, x: ArrayLike, y: ArrayLike, radius: ArrayLike, **settings: Any) -> Line:
     """Make circular areas from their centres and radii, SI."""
-    angle = np.append(np.linspace(0.0, 2.0 * np.pi, 90), nan)
+    n_points = 90  # of each circle
+    angle = np.append(np.linspace(0.0, 2.0 * np.pi, n_points), nan)
     centre_x, centre_y, radii = (np.atleast_1d(values)[:, None] for values in (x, y, radius))
     outlines = centre_x + radii * np.cos(angle), centre_y + radii * np.sin(angle)
     return make_line(look, *outlines, is_closed=True, **settings)
 
 
-def make_key_entry(look: str, **settings: Any) -> Line:
-    """Make an entry of the key that draws nothing in the plot."""
+def make_legend_line(look: str, **settings: Any) -> Line:
+    """Make a line that has an entry in the legend and draws nothing in the plot."""
     return make_line(look, [], [], **settings)
 
 
 def join_with_gaps(*columns: ArrayLike) -> Floats:
-    """Join columns row by row with NaN after each row, which interrupts a line."""
+    """Join columns row by row, with NaN after each row, so that a line is interrupted there."""
     return np.column_stack([*columns, np.full(np.size(columns[0]), nan)]).ravel()
 
 
@@ -280,7 +294,7 @@ class Plot:
     lines : lines in the order of drawing; the last is on top
     heading : heading of the panel, for a figure of several panels
     labels : texts in the panel of a figure
-    legend : entries of the legend; without any, a figure lists the labels of the looks of its lines
+    legend : entries of the legend; if there are none, a figure lists the labels of its lines
     reason : reason why there are no lines, which a figure shows instead of them
     is_to_scale : whether both axes of a figure have the same scale
     has_frame : whether a figure shows axes and labels
@@ -315,21 +329,20 @@ SINGLE_COLUMN, DOUBLE_COLUMN = 120.0, 180.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Page:
-    """A figure: plots with a title, a footnote and a common key.
+    """A figure: plots with a title, a footnote and a common legend.
 
     Parameters
     ----------
-    name : name of its files, without the ending
+    name : name of its files, without extension
     title : title of one line
     plots : panels, row by row
     note : footnote; may be empty
-    height, width : height and width of title and panels on paper, mm; key and footnote add to the
-        height
+    height, width : size of title and panels on paper, mm; legend and footnote add to the height
     columns : largest number of panels side by side
     layout : arrangement of the panels ``a``, ``b`` and so on, row by row, instead of `columns`
     widths, heights : widths of columns and heights of rows, relative to each other; equal if empty
     shared_axes : axes that all panels have in common: ``x``, ``y``, ``xy`` or none
-    key_columns : number of columns of the key; 0 for as many as fit
+    legend_columns : number of columns of the legend; 0 for as many as fit
     colours : axis of the colours of lines; None if no line is coloured by values
     caption, alt : description and alternative text in its files
     """
@@ -345,7 +358,7 @@ class Page:
     widths: Sequence[float] = ()
     heights: Sequence[float] = ()
     shared_axes: str = ""
-    key_columns: int = 0
+    legend_columns: int = 0
     colours: Axis | None = None
     caption: str = ""
     alt: str = ""
@@ -381,14 +394,17 @@ def make_axes_to_scale(
     """
     ends = np.array([_compute_range(column) for column in points.T])
     half_ranges = 0.5 * np.ptp(ends, axis=1)
-    longest = float(half_ranges.max()) or 0.5 / scale.factor
+    longest = float(half_ranges.max()) or 0.5 / scale.factor  # one display unit for equal points
     half_ranges = np.maximum(half_ranges, min_aspect * longest) + 2.0 * margin * longest
-    columns = zip(names, ends.mean(axis=1).tolist(), half_ranges.tolist(), strict=True)
-    return tuple(Axis(name, scale, middle - half, middle + half) for name, middle, half in columns)
+    middles = ends.mean(axis=1)
+    limits = (middles - half_ranges).tolist(), (middles + half_ranges).tolist()
+    return tuple(
+        Axis(name, scale, low, high) for name, low, high in zip(names, *limits, strict=True)
+    )
 
 
 def _compute_range(values: ArrayLike) -> tuple[float, float]:
-    """Compute the lowest and the highest finite value; 0 and 1 without any."""
+    """Compute the lowest and the highest finite value; 0 and 1 if no value is finite."""
     finite = np.extract(np.isfinite(values), values)
     return (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 1.0)
 
@@ -396,14 +412,14 @@ def _compute_range(values: ArrayLike) -> tuple[float, float]:
 def clip_range(
     values: ArrayLike, interval_ends: ArrayLike, max_extension: float
 ) -> tuple[float, float]:
-    """Return a range that includes all values, and intervals up to a limit beyond the values.
+    """Compute a range that includes all values, and intervals up to a limit beyond the values.
 
     Wide intervals are cut off, so that the values remain distinguishable.
 
     Parameters
     ----------
-    values : values to show; without any, 0 and 1. Numbers that are not finite are ignored here and
-        in `interval_ends`
+    values : values to show; 0 and 1 are shown if there are none. Numbers that are not finite are
+        ignored here and in `interval_ends`
     interval_ends : ends of intervals or bands
     max_extension : largest extension of the range beyond the values at each end, as a fraction of
         the range of the values. It does not apply if all values are equal
@@ -415,12 +431,14 @@ def clip_range(
 
 
 class MeanStrip(NamedTuple):
-    """Drawing of a mean in a cell of a table, in pixels: 0 to 120 between the ends of its scale.
+    """Positions for the drawing of a mean in a cell of a table, pixels.
+
+    The scale of the drawing extends from 0 to 120.
 
     Parameters
     ----------
     mean : position of the mean; None without a mean
-    bar : positions of the ends of its interval; empty without an interval
+    bar : positions of the ends of the interval of the mean; empty without an interval
     dots : positions of the samples
     """
 
@@ -455,7 +473,7 @@ def make_mean_strip(
 
 
 def format_sparkline(x: Floats, y: Floats) -> str:
-    """Write a small curve without axes as an SVG path that fills its frame."""
+    """Format a small curve without axes as an SVG path that fills its frame."""
     x_axis = make_axis("", PLAIN_NUMBER, [x], margin=0.0)
     y_axis = make_axis("", PLAIN_NUMBER, [y], margin=0.05)
     return Line("", x, y).format_path(x_axis, y_axis)
@@ -477,38 +495,38 @@ def find_extremes(values: Floats, *, n_bins: int) -> Ints:
     Returns
     -------
     Sorted indices: the lowest and the highest sample of each bin, the first NaN of each bin, and
-    both ends of the line. All samples if there are at most four per bin.
+    both ends of the line. All samples are returned if there are at most four per bin.
     """
-    count = len(values)
-    if count <= 4 * n_bins:
-        return np.arange(count, dtype=np.int64)
-    width = -(-count // n_bins)
-    padding = np.repeat(values[-1:], -count % width)
-    bins = np.append(values, padding).reshape(-1, width)
-    is_missing, starts = np.isnan(bins), width * np.arange(len(bins))
+    n_samples = len(values)
+    if n_samples <= 4 * n_bins:
+        return np.arange(n_samples, dtype=np.int64)
+    bin_size = -(-n_samples // n_bins)
+    padding = np.repeat(values[-1:], -n_samples % bin_size)
+    bins = np.append(values, padding).reshape(-1, bin_size)
+    is_missing, starts = np.isnan(bins), bin_size * np.arange(len(bins))
     lowest = starts + np.where(is_missing, inf, bins).argmin(axis=1)
     highest = starts + np.where(is_missing, -inf, bins).argmax(axis=1)
     first_missing = (starts + is_missing.argmax(axis=1))[is_missing.any(axis=1)]
-    rows = np.concatenate([lowest, highest, first_missing, [0, count - 1]])
-    return np.unique(np.minimum(rows, count - 1))
+    rows = np.concatenate([lowest, highest, first_missing, [0, n_samples - 1]])
+    return np.unique(np.minimum(rows, n_samples - 1))
 
 
-def simplify_line(
+def find_shape_samples(
     positions: Floats, values: Floats, *, max_points: int, tolerance: float = 0.002
 ) -> Ints:
-    """Find the samples that preserve the shape of a simplified line.
+    """Find the samples that preserve the shape of a line.
 
     Parameters
     ----------
     positions, values : shape (n,), coordinates in the order of drawing; NaN interrupts the line
     max_points : largest number of samples; the ends of gaps are kept even if there are more
-    tolerance : largest difference of a value from the simplified line, as a fraction of the range
-        of the values; reached only if `max_points` allows it
+    tolerance : largest difference of a value from the line through the kept samples, as a fraction
+        of the range of the values; it may be exceeded if `max_points` is reached
 
     Returns
     -------
-    Sorted indices of the kept samples. Without finite samples, the index of the first sample, if
-    there is one.
+    Sorted indices of the kept samples. If no sample is finite, only the first sample, if any, is
+    kept.
 
     Notes
     -----
@@ -530,7 +548,7 @@ def simplify_line(
     kept_samples = {*starts.tolist(), *stops.tolist(), *(finite[before_gaps] + 1).tolist()}
     max_distance = tolerance * float(np.ptp(values[finite]))
     segments = [
-        _find_furthest_sample(positions, values, int(start), int(stop))
+        _make_segment(positions, values, int(start), int(stop))
         for start, stop in zip(starts, stops, strict=True)
     ]
     heapq.heapify(segments)
@@ -539,13 +557,13 @@ def simplify_line(
         if -distance <= max_distance:
             break
         kept_samples.add(furthest)
-        heapq.heappush(segments, _find_furthest_sample(positions, values, start, furthest))
-        heapq.heappush(segments, _find_furthest_sample(positions, values, furthest, stop))
+        heapq.heappush(segments, _make_segment(positions, values, start, furthest))
+        heapq.heappush(segments, _make_segment(positions, values, furthest, stop))
     return np.array(sorted(kept_samples), dtype=np.int64)
 
 
-def _find_furthest_sample(positions: Floats, values: Floats, start: int, stop: int) -> _Segment:
-    """Find the sample of a segment that is furthest from the chord between its ends."""
+def _make_segment(positions: Floats, values: Floats, start: int, stop: int) -> _Segment:
+    """Make the segment between two samples, with the sample that is furthest from its chord."""
     if stop - start < 2:
         return (0.0, start, start, stop)
     x, y = positions[start : stop + 1], values[start : stop + 1]
@@ -567,20 +585,20 @@ def thin_flags(
     Parameters
     ----------
     flags : shape (n_frames, n_points), flag of each point in each frame
-    flags_by_rank : the flags 0 to n - 1 in order of severity, the worst last
+    flags_by_rank : all possible flags, 0 to n - 1, in order of severity; the worst is last
     n_bins : largest number of bins
 
     Returns
     -------
-    Worst flag of each point within each bin, shape (bins, n_points).
+    Worst flag of each point within each bin, shape (at most `n_bins`, n_points).
     """
-    n_frames, by_rank = len(flags), np.array(flags_by_rank, dtype=np.uint8)
-    ranks = np.argsort(by_rank).astype(np.uint8)[flags]
+    n_frames, ranked_flags = len(flags), np.array(flags_by_rank, dtype=np.uint8)
+    ranks = np.argsort(ranked_flags).astype(np.uint8)[flags]
     edges = np.linspace(0, n_frames, min(n_bins, n_frames), endpoint=False)
     starts = np.unique(edges.astype(np.int64))
     worst_ranks = np.maximum.reduceat(ranks, starts, axis=0) if n_frames else ranks
-    thinned: NDArray[np.uint8] = by_rank[worst_ranks]
-    return thinned
+    thinned_flags: NDArray[np.uint8] = ranked_flags[worst_ranks]
+    return thinned_flags
 
 
 def split_doubtful(is_reliable: Flags) -> Iterator[tuple[Flags, float]]:

@@ -25,6 +25,7 @@ from labpipe.report.plot_records import MeanStrip
 from labpipe.report.wording import compute_last_place, replace_unprintable, shorten
 
 DASH = "\u2013"
+"""Text of a cell without a value."""
 
 
 class Cell(NamedTuple):
@@ -51,7 +52,7 @@ class Cell(NamedTuple):
 
 
 class NumberCell(NamedTuple):
-    """A number with all its digits, and its number format in a workbook.
+    """A number with all its digits, and the format in which a workbook displays the number.
 
     Parameters
     ----------
@@ -64,6 +65,7 @@ class NumberCell(NamedTuple):
 
 
 Value: TypeAlias = str | float | Cell | NumberCell | None
+"""Content of a cell; None for an empty cell."""
 Record: TypeAlias = dict[str, Value]
 """Cells of a row, keyed by their headings."""
 
@@ -75,8 +77,8 @@ class Chart(NamedTuple):
     ----------
     title : title above the chart; may be empty
     x, y : headings of the columns that the chart draws
-    lines : first and last row of each line, from 0, keyed by the name of the line; the first 12 are
-        drawn
+    lines : indices of the first and the last row of each line, keyed by the name of the line; only
+        the first 12 lines are drawn
     is_log : whether both axes are logarithmic
     """
 
@@ -118,7 +120,7 @@ def tabulate(
     records : cells of each row, keyed by heading; a missing cell is empty
     heads : headings in order; if there are none, those of the records in the order in which they
         first occur
-    settings : notes and charts of the table
+    settings : fields `notes` and `charts` of the table
     """
     all_records = list(records)
     columns = list(heads) or list(dict.fromkeys(head for record in all_records for head in record))
@@ -140,8 +142,8 @@ def make_records(common_cells: Record, columns: Mapping[str, Floats | Ints]) -> 
 
 def sort_notes(notes: Iterable[tuple[str, QualityNote]]) -> list[tuple[str, QualityNote]]:
     """Sort pairs of a subject and its note, the most severe note first."""
-    severity_order = list(reversed(Severity))
-    return sorted(notes, key=lambda pair: severity_order.index(pair[1].severity))
+    severities = list(reversed(Severity))
+    return sorted(notes, key=lambda pair: severities.index(pair[1].severity))
 
 
 def make_note_records(head: str, notes: Iterable[tuple[str, QualityNote]]) -> list[Record]:
@@ -178,24 +180,25 @@ def tabulate_curves(
     Parameters
     ----------
     title, heads : see `tabulate`
-    charts : title of each chart, and the records of its lines, keyed by the name of the line; a
-        line of one point is not drawn
-    x, y : headings of the columns that a chart draws; each heading for y gives a chart
+    charts : pairs of a title and the records of the lines, keyed by the name of the line; a line of
+        one point is not drawn
+    x, y : headings of the columns that a chart draws; there is a chart for each heading of `y`.
+        With several headings, a chart has the title of its column
     start : index of the first point of each line in the charts
     is_log : whether both axes are logarithmic
     """
-    records, chart_list = list[Record](), list[Chart]()
+    records, sheet_charts = list[Record](), list[Chart]()
     for common_title, records_by_line in charts:
         lines: dict[str, tuple[int, int]] = {}
-        for line, line_records in records_by_line.items():
+        for line_name, line_records in records_by_line.items():
             first, last = len(records) + start, len(records) + len(line_records) - 1
             records += line_records
             if first < last:
-                lines[line] = first, last
+                lines[line_name] = first, last
         for head in y if lines else ():
             chart_title = common_title if len(y) == 1 else head.partition(" (")[0].capitalize()
-            chart_list.append(Chart(chart_title, x, head, lines, is_log))
-    return tabulate(title, records, heads, charts=chart_list)
+            sheet_charts.append(Chart(chart_title, x, head, lines, is_log=is_log))
+    return tabulate(title, records, heads, charts=sheet_charts)
 
 
 def make_number_cell(
@@ -211,7 +214,7 @@ def make_number_cell(
 
     Returns
     -------
-    The cell; None if there is no finite number.
+    The cell; None if the number is missing or not finite.
     """
     if value is None or not math.isfinite(value):
         return None
@@ -251,8 +254,8 @@ def make_percent_cell(ratio: float | Interval | None, field: str = "") -> Number
 
     Parameters
     ----------
-    ratio : ratio, or interval of a ratio; without a finite number, there is no cell
-    field : field of the interval that is written, such as ``lower``
+    ratio : ratio, or interval of a ratio; there is no cell if it is missing or not finite
+    field : name of the field of the interval that the cell shows, such as ``lower``
     """
     value = getattr(ratio, field) if isinstance(ratio, Interval) else ratio
     return None if value is None or not math.isfinite(value) else NumberCell(value, "0.0%")
@@ -275,7 +278,7 @@ def choose_number_format(value: float, last_place: int) -> str:
     >>> choose_number_format(3.1e-7, -8)
     '0.0E+00'
     """
-    # larger numbers and smaller digits are written with a power of ten
+    # numbers that are larger, or have digits that are smaller, are displayed with a power of ten
     max_plain_value, min_plain_place = 1e7, -6
     if value and (abs(value) >= max_plain_value or last_place < min_plain_place):
         return _format_decimals(math.floor(math.log10(abs(value))) - last_place) + "E+00"
@@ -283,12 +286,12 @@ def choose_number_format(value: float, last_place: int) -> str:
 
 
 def _format_decimals(count: int) -> str:
-    """Return the number format with a given number of decimals."""
+    """Return the number format with `count` decimals, at most 15, which is all that Excel shows."""
     return f"0.{'0' * min(count, 15)}" if count > 0 else "0"
 
 
 def compute_column_place(column: Sequence[Value]) -> int | None:
-    """Compute the power of ten of the last displayed digit of a column's numbers without a format.
+    """Compute the power of ten of the last displayed digit of the plain numbers of a column.
 
     Parameters
     ----------
@@ -296,7 +299,7 @@ def compute_column_place(column: Sequence[Value]) -> int | None:
 
     Returns
     -------
-    Power of ten, with which the largest number has five digits; None if there is no number other
+    Power of ten with which the largest number has five digits; None if there is no number other
     than zero.
     """
     sizes = [abs(cell) for cell in column if isinstance(cell, float) and math.isfinite(cell)]
@@ -304,14 +307,14 @@ def compute_column_place(column: Sequence[Value]) -> int | None:
 
 
 def format_in_column(value: float | NumberCell, column_place: int | None) -> NumberCell:
-    """Give a number the format of its column; a number too small for it gets another format.
+    """Format a number as its column is formatted; a number that is too small has another format.
 
     Parameters
     ----------
     value : number, or a cell with a format, which is kept
     column_place : power of ten of the last digit of the column, from `compute_column_place`
     """
-    min_digits = 3  # a number that would have fewer digits gets a format of its own
+    min_digits = 3  # a number that would show fewer digits has another format
     if isinstance(value, NumberCell):
         return value
     if isinstance(value, int) or column_place is None:
@@ -326,6 +329,7 @@ READ_ME = "read me"
 _CHART_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 """Colours of Okabe and Ito, as in the figures."""
 _CHART_DASHES = ("solid", "dash", "square_dot", "dash_dot")
+"""Dashes of lines in charts; each repetition of the colours has the next dash."""
 
 
 def save_tables(
@@ -359,37 +363,38 @@ def save_tables(
     Unprintable characters are replaced by U+FFFD. Equal tables give equal bytes.
     """
     text = (files("labpipe.report") / "workbooks.toml").read_text(encoding="utf-8")
-    description, all_tables, memory = tomllib.loads(text)[book], list(tables), io.BytesIO()
+    description, all_tables, buffer = tomllib.loads(text)[book], list(tables), io.BytesIO()
     layouts = {table.title: description["sheets"].get(table.title, {}) for table in all_tables}
-    writer = _WorkbookWriter(memory, title, footer or title)
+    writer = _WorkbookWriter(buffer, title, footer or title)
     writer.add_read_me([title, *facts, *description["about"]], layouts)
     for index, table in enumerate(all_tables):
         writer.add_table(table, layouts[table.title], is_first=not index)
     writer.book.close()
     with convert_write_errors(path, "a workbook"):
-        path.write_bytes(memory.getvalue())
+        path.write_bytes(buffer.getvalue())
 
 
 class _WorkbookWriter:
     """Writer of a workbook, sheet by sheet."""
 
-    def __init__(self, file: io.BytesIO, title: str, footer: str) -> None:
+    def __init__(self, buffer: io.BytesIO, title: str, footer: str) -> None:
         from xlsxwriter import Workbook
 
-        self.book = Workbook(file, {"in_memory": True})
-        created = datetime(2000, 1, 1)  # the same tables give the same bytes
+        self.book = Workbook(buffer, {"in_memory": True})
+        created = datetime(2000, 1, 1)  # a constant date, so that equal tables give equal bytes
         self.book.set_properties({"title": replace_unprintable(title), "created": created})
         self.formats: dict[str, Any] = {}
         text = shorten(replace_unprintable(footer), 90).replace("&", "&&")
+        # codes of Excel: 8 points; text on the left, sheet in the middle, page on the right
         self.footer = f"&L&8{text}&C&8&A&R&8page &P of &N"
         self.head_format = self.get_format(bold=True, text_wrap=True, bottom=1, align="left")
 
-    def get_format(self, number_format: str = "", **look: Any) -> Any:
+    def get_format(self, number_format: str = "", **settings: Any) -> Any:
         """Return the format of a cell; equal formats are added to the workbook once."""
-        key = f"{number_format} {sorted(look)}" if look else number_format
+        key = f"{number_format} {sorted(settings)}" if settings else number_format
         if key not in self.formats:
-            number_look = {"num_format": number_format} if number_format else {}
-            self.formats[key] = self.book.add_format({"valign": "top", **number_look, **look})
+            settings |= {"num_format": number_format} if number_format else {}
+            self.formats[key] = self.book.add_format({"valign": "top", **settings})
         return self.formats[key]
 
     def add_sheet(self, name: str) -> Any:
@@ -402,26 +407,39 @@ class _WorkbookWriter:
         sheet.fit_to_pages(1, 0)
         return sheet
 
-    def add_read_me(self, lines: Sequence[str], layouts: Mapping[str, Mapping[str, Any]]) -> None:
-        """Add the sheet that explains the workbook and the question that each sheet answers."""
+    def add_read_me(self, texts: Sequence[str], layouts: Mapping[str, Mapping[str, Any]]) -> None:
+        """Add the sheet that describes the workbook and lists its sheets with their questions.
+
+        Parameters
+        ----------
+        texts : title of the workbook, and paragraphs that describe the workbook
+        layouts : sections of the sheets in ``workbooks.toml``, keyed by the name of the sheet
+        """
         points_per_line, characters_per_line = 15.0, 115
         sheet, wrapped = self.add_sheet(READ_ME), self.get_format(text_wrap=True)
         sheet.set_column(0, 0, 26)
         sheet.set_column(1, 1, 100)
-        _write_text(sheet, 0, 0, lines[0], self.head_format)
-        for row, line in enumerate(lines[1:], start=1):
+        _write_text(sheet, 0, 0, texts[0], self.head_format)
+        for row, text in enumerate(texts[1:], start=1):
             sheet.merge_range(row, 0, row, 1, "", wrapped)
-            _write_text(sheet, row, 0, line, wrapped)
-            sheet.set_row(row, points_per_line * math.ceil(len(line) / characters_per_line))
-        start = len(lines) + 1
+            _write_text(sheet, row, 0, text, wrapped)
+            sheet.set_row(row, points_per_line * math.ceil(len(text) / characters_per_line))
+        head_row = len(texts) + 1
         for column, head in enumerate(("Sheet", "Question")):
-            _write_text(sheet, start, column, head, self.head_format)
-        for row, (name, layout) in enumerate(layouts.items(), start=start + 1):
+            _write_text(sheet, head_row, column, head, self.head_format)
+        for row, (name, layout) in enumerate(layouts.items(), start=head_row + 1):
             sheet.write_url(row, 0, f"internal:'{name}'!A1", string=name)
             _write_text(sheet, row, 1, layout.get("question", ""), wrapped)
 
     def add_table(self, table: Table, layout: Mapping[str, Any], *, is_first: bool) -> None:
-        """Add the sheet of a table with its charts."""
+        """Add the sheet of a table with its charts.
+
+        Parameters
+        ----------
+        table : content of the sheet
+        layout : section of the sheet in ``workbooks.toml``
+        is_first : whether a spreadsheet program shows this sheet when it opens the workbook
+        """
         sheet, wrapped_heads = self.add_sheet(table.title), layout.get("wrapped", ())
         heads = make_unique_heads(table.heads or ["no rows"])
         if is_first:
@@ -444,8 +462,8 @@ class _WorkbookWriter:
     def write_column(
         self, sheet: Any, column: int, values: Sequence[Value], *, is_wrapped: bool
     ) -> None:
-        """Write the cells of a column."""
-        formula_starts = "=+-@#"  # such a text becomes a formula when a person edits it
+        """Write the cells of a column below its heading; texts are wrapped if `is_wrapped`."""
+        formula_starts = "=+-@#"  # a text that starts so becomes a formula when a person edits it
         layout = {"text_wrap": True} if is_wrapped else {"align": "left", "indent": 1}
         column_place, text_format = compute_column_place(values), self.get_format(**layout)
         for row, value in enumerate(values, start=1):
@@ -466,7 +484,7 @@ class _WorkbookWriter:
 
     def place_charts(self, sheet: Any, table: Table) -> None:
         """Place the charts in rows of two, below the table or beside a long table."""
-        max_rows_above = 80  # charts below a longer table would hardly be found
+        max_rows_above = 80  # a reader would not find charts below a longer table
         width, height, gap = 704, 436, 16  # pixels
         top, left = len(table.rows) + 2, 0
         if table.charts and len(table.rows) > max_rows_above:
@@ -474,32 +492,36 @@ class _WorkbookWriter:
             sheet.print_area(0, 0, len(table.rows), len(table.heads) - 1)
         for index, chart in enumerate(table.charts):
             row, column = divmod(index, 2)
-            chart_object = _draw_chart(self.book, table, chart)
+            chart_object = _add_chart(self.book, table, chart)
             chart_object.set_size({"width": width - gap, "height": height - gap})
             offset = {"x_offset": column * width, "y_offset": row * height, "object_position": 3}
             sheet.insert_chart(top, left, chart_object, offset)
 
 
 def make_unique_heads(heads: Sequence[str]) -> list[str]:
-    """Make headings of a table unique regardless of case, not empty, of at most 255 characters."""
+    """Make headings valid for a table of Excel: unique regardless of case, and not empty.
+
+    A heading has at most 250 characters, and a number if it would repeat another heading.
+    """
     unique_heads: dict[str, str] = {}
     for head in heads:
         printable_head = replace_unprintable(head)[:250] or "column"
-        name, count = printable_head, 1
-        while name.casefold() in unique_heads:
+        unique_head, count = printable_head, 1
+        while unique_head.casefold() in unique_heads:
             count += 1
-            name = f"{printable_head} {count}"
-        unique_heads[name.casefold()] = name
+            unique_head = f"{printable_head} {count}"
+        unique_heads[unique_head.casefold()] = unique_head
     return list(unique_heads.values())
 
 
 def _write_text(sheet: Any, row: int, column: int, text: str, cell_format: Any) -> None:
+    """Write a text, with unprintable characters replaced, to a cell."""
     sheet.write_string(row, column, replace_unprintable(text), cell_format)
 
 
 def _compute_widths(table: Table, wrapped_heads: Sequence[str]) -> list[int]:
-    """Compute the width of each column for its longest text, within limits, in characters."""
-    button_width, max_wrapped_width, max_width = 3, 46, 34
+    """Compute the width of each column, characters: that of its longest text, within limits."""
+    button_width, max_wrapped_width, max_width = 3, 46, 34  # a button of a heading sorts its column
     widths = [max(8, *map(len, head.split(" "))) + button_width for head in table.heads]
     for row in table.rows:
         for column, value in enumerate(row):
@@ -510,11 +532,12 @@ def _compute_widths(table: Table, wrapped_heads: Sequence[str]) -> list[int]:
     return list(map(min, widths, limits))
 
 
-def _draw_chart(book: Any, table: Table, chart: Chart) -> Any:
-    """Draw a chart of a table for a workbook."""
+def _add_chart(book: Any, table: Table, chart: Chart) -> Any:
+    """Add a chart of the columns of a table to a workbook."""
+    max_lines = 12  # more lines could not be distinguished
     chart_object = book.add_chart({"type": "scatter", "subtype": "straight"})
     x, y = (table.heads.index(head) for head in (chart.x, chart.y))
-    for index, (name, (first, last)) in enumerate(list(chart.lines.items())[:12]):
+    for index, (name, (first, last)) in enumerate(list(chart.lines.items())[:max_lines]):
         dash = _CHART_DASHES[index // len(_CHART_COLOURS) % len(_CHART_DASHES)]
         colour = _CHART_COLOURS[index % len(_CHART_COLOURS)]
         chart_object.add_series({
@@ -537,5 +560,5 @@ def _draw_chart(book: Any, table: Table, chart: Chart) -> Any:
 
 
 def _escape_formula(text: str) -> str:
-    """Escape a text of a chart that begins like a formula."""
+    """Precede an initial ``=`` with a thin space, so that a chart does not show a formula."""
     return re.sub("^=", "\u200a=", replace_unprintable(text))

@@ -17,24 +17,22 @@ from labpipe.records.arrays import Flags, Floats, Ints
 from labpipe.records.quality import Severity
 from labpipe.records.wire import WireLayout, WireTable
 from labpipe.report import plot_records as plots
-from labpipe.report import table_records
+from labpipe.report import table_records, wording
 from labpipe.report.figure_page import choose_line_look, split_pages
 from labpipe.report.plot_records import Axis, Label, Line, Page, Plot, make_line
 from labpipe.report.table_records import Record, Table
-from labpipe.report.wording import Scale, format_number, join_sentences, shorten
+from labpipe.report.wording import FORCE_SCALE, LENGTH_SCALE, Scale, format_number
 
 CURVATURE_SCALE = Scale(1.0, "1/m")
-LENGTH_SCALE = Scale(1e3, "mm")
 MOMENT_SCALE = Scale(1e3, "N·mm")
 STIFFNESS_SCALE = Scale(1e6, "N·mm²")
 LARGE_STIFFNESS_SCALE = Scale(1.0, "N·m²")
-FORCE_SCALE = Scale(1.0, "N")
 
 MAX_WIRES = 12
-"""Largest number of wires on a page whose lines a reader can distinguish."""
+"""Largest number of wires on a page; a reader could not distinguish more lines."""
 
 
-def choose_stiffness_unit(tables: Sequence[WireTable]) -> Scale:
+def choose_stiffness_scale(tables: Sequence[WireTable]) -> Scale:
     """Choose the unit of bending stiffness of a figure: N·mm², or N·m² from 1 N·m² upwards."""
     largest = max(table.stick_stiffness for table in tables)
     return STIFFNESS_SCALE if largest < 1.0 else LARGE_STIFFNESS_SCALE
@@ -42,13 +40,13 @@ def choose_stiffness_unit(tables: Sequence[WireTable]) -> Scale:
 
 def _shorten_name(table: WireTable) -> str:
     """Shorten the name of a wire so that other texts fit into the same line."""
-    return shorten(" ".join(table.name.split()), 24)
+    return wording.shorten(" ".join(table.name.split()), 24)
 
 
 def describe_strands(table: WireTable) -> str:
-    """Write the number and the diameter of the strands, such as ``19 × 0.24 mm``.
+    """Describe the number and the diameter of the strands, such as ``19 × 0.24 mm``.
 
-    Neighbouring layers of one diameter are counted together: a core of 0.3 mm with six strands of
+    Neighbouring layers of equal diameter are counted together: a core of 0.3 mm with six strands of
     0.25 mm is ``1 × 0.3 + 6 × 0.25 mm``.
     """
     spec = table.spec
@@ -60,11 +58,13 @@ def describe_strands(table: WireTable) -> str:
 
 def join_warnings(table: WireTable) -> str:
     """Join the warnings and errors among the notes of a wire as sentences."""
-    return join_sentences(note for note in table.notes if note.severity is not Severity.INFO)
+    return wording.join_sentences(
+        note for note in table.notes if note.severity is not Severity.INFO
+    )
 
 
-def is_curved(table: WireTable) -> Flags:
-    """Return whether each curvature of a table can be on a logarithmic axis, shape (n,)."""
+def flag_bent_rows(table: WireTable) -> Flags:
+    """Flag the positive curvatures of a table, which a logarithmic axis can show, shape (n,)."""
     return np.asarray(table.curvature > 0.0)
 
 
@@ -79,7 +79,7 @@ def make_sections_page(name: str, tables: Sequence[WireTable]) -> Page:
 
     Parameters
     ----------
-    name : file name without the ending
+    name : file name without its extension
     tables : laws of the wires
 
     Returns
@@ -88,13 +88,13 @@ def make_sections_page(name: str, tables: Sequence[WireTable]) -> Page:
     model and the bending stiffness with all strands sticking and all slipping. All panels have the
     same scale if the largest wire is at most 2.5 times as large as the smallest.
     """
-    max_size_ratio = 2.5
+    max_size_ratio = 2.5  # with a larger ratio, the smallest section would be hard to read
     sections_per_row, section_mm, text_mm, note_mm = 4, 45.0, 19.0, 8.0
     radii = [table.layout.wire_radius for table in tables]
     has_common_scale = max(radii) <= max_size_ratio * min(radii)
-    unit = choose_stiffness_unit(tables)
+    scale = choose_stiffness_scale(tables)
     panels = [
-        make_section_plot(table, max(radii) if has_common_scale else radius, unit)
+        make_section_plot(table, max(radii) if has_common_scale else radius, scale)
         for table, radius in zip(tables, radii, strict=True)
     ]
     scale_text = ""
@@ -105,39 +105,42 @@ def make_sections_page(name: str, tables: Sequence[WireTable]) -> Page:
     height = math.ceil(len(tables) / sections_per_row) * (section_mm + text_mm) + note_mm
     width = plots.DOUBLE_COLUMN if len(tables) > 2 else plots.SINGLE_COLUMN
     title = f"Cross-sections of the wire model{scale_text}"
-    return Page(name, title, panels, note, height, width, sections_per_row)
+    size: dict[str, Any] = {"height": height, "width": width, "columns": sections_per_row}
+    return Page(name, title, panels, note, **size)
 
 
-def make_section_plot(table: WireTable, reach: float, unit: Scale) -> Plot:
-    """Make a panel of one cross-section with a scale bar, and its name and numbers as heading.
+def make_section_plot(table: WireTable, max_radius: float, scale: Scale) -> Plot:
+    """Make a panel of one cross-section with a scale bar.
+
+    The heading gives the name of the wire, its strands and its bending stiffness.
 
     Parameters
     ----------
     table : law of the wire
-    reach : distance from the axis of the wire to its edge in the panel, m
-    unit : display unit of the bending stiffness
+    max_radius : radius of the largest wire that would fit into the panel, m
+    scale : display unit of the bending stiffness
     """
-    layout, edge = table.layout, 1.06 * reach
+    layout, edge = table.layout, 1.06 * max_radius
     decade = 10.0 ** math.floor(math.log10(LENGTH_SCALE.factor * edge)) / LENGTH_SCALE.factor
     bar_length = max(step * decade for step in (1.0, 2.0, 5.0) if step * decade <= edge)
     bar_height = -1.1 * edge
     lines = [
         plots.make_circles("insulation_wall", 0.0, 0.0, layout.wire_radius),
         plots.make_circles("bore", 0.0, 0.0, layout.bore_radius),
-        *plot_strands(layout, table.spec.orientation),
+        *make_strand_lines(layout, table.spec.orientation),
         make_line("neutral_axis", [-edge, edge], 0.0),
         make_line("scale_bar", [-edge, bar_length - edge], bar_height),
     ]
     if layout.kind == "compressed":
         lines.append(make_line("centroid", *_rotate_centres(layout, table.spec.orientation)))
     bar_text = f"{LENGTH_SCALE.factor * bar_length:g} {LENGTH_SCALE.unit}"
-    stick = format_number(table.stick_stiffness, None, unit.factor, digits=3).value
-    slip = format_number(table.slip_stiffness, None, unit.factor, digits=3).value
+    stick_text = format_number(table.stick_stiffness, None, scale.factor, digits=3).value
+    slip_text = format_number(table.slip_stiffness, None, scale.factor, digits=3).value
     diameter = 2.0 * LENGTH_SCALE.factor * layout.wire_radius
     heading = (
         f"{_shorten_name(table)}\n{describe_strands(table)}\n"
         f"{layout.kind}, wire {diameter:.3g} {LENGTH_SCALE.unit}\n"
-        f"stick {stick}, slip {slip} {unit.unit}"
+        f"stick {stick_text}, slip {slip_text} {scale.unit}"
     )
     x = Axis(scale=LENGTH_SCALE, low=-edge, high=edge)
     y = Axis(scale=LENGTH_SCALE, low=-1.22 * edge, high=edge)
@@ -145,7 +148,7 @@ def make_section_plot(table: WireTable, reach: float, unit: Scale) -> Plot:
     return Plot(x, y, lines, heading, labels, is_to_scale=True, has_frame=False)
 
 
-def plot_strands(layout: WireLayout, orientation: float = 0.0) -> Iterator[Line]:
+def make_strand_lines(layout: WireLayout, orientation: float = 0.0) -> Iterator[Line]:
     """Yield the outlines of the strands of each layer; the neutral axis is the x axis.
 
     Parameters
@@ -158,9 +161,10 @@ def plot_strands(layout: WireLayout, orientation: float = 0.0) -> Iterator[Line]
     A line per layer, with a circle per strand. Compressed strands are sectors of rings without
     gaps; each sector has the area of its strand.
     """
+    n_points = 91  # on each arc of a sector
     x, y = _rotate_centres(layout, orientation)
-    areas = np.bincount(layout.layer, weights=layout.diameter**2)
-    edges = np.sqrt(np.concatenate([[0.0], np.cumsum(areas)])) / 2.0
+    squares = np.bincount(layout.layer, weights=layout.diameter**2)
+    ring_radii = np.sqrt(np.concatenate([[0.0], np.cumsum(squares)])) / 2.0
     has_core = np.sum(layout.layer == 0) == 1
     for index in range(int(layout.layer.max()) + 1):
         label = "core" if has_core and index == 0 else f"ring {index + (not has_core)}"
@@ -170,11 +174,10 @@ def plot_strands(layout: WireLayout, orientation: float = 0.0) -> Iterator[Line]
             radii = layout.diameter[rows] / 2.0
             yield plots.make_circles("strand", x[rows], y[rows], radii, **settings)
             continue
-        outlines = []
+        outlines, radii = [], np.repeat(ring_radii[[index + 1, index]], n_points)
         for angle in np.arctan2(y, x)[rows]:
-            angles = angle + np.linspace(-np.pi, np.pi, 91) / rows.sum()
-            radii = np.concatenate([np.full(91, edges[index + 1]), np.full(91, edges[index])])
-            angles = np.concatenate([angles, angles[::-1]])
+            arc = angle + np.linspace(-np.pi, np.pi, n_points) / rows.sum()
+            angles = np.concatenate([arc, arc[::-1]])
             outlines += [np.stack([radii * np.cos(angles), radii * np.sin(angles)])]
             outlines += [np.full((2, 1), np.nan)]
         yield make_line("strand", *np.hstack(outlines), is_closed=True, **settings)
@@ -189,6 +192,7 @@ def _rotate_centres(layout: WireLayout, orientation: float) -> tuple[Floats, Flo
 def _make_wire_page(
     table: WireTable, kind: str, panels: Sequence[Plot], height: float, note: str = ""
 ) -> Page:
+    """Make a page of one wire, with its warnings in the footnote; `height` is in mm."""
     diameter = 2.0 * LENGTH_SCALE.factor * table.layout.wire_radius
     title = (
         f"{_shorten_name(table)}  ·  wire model  ·  {describe_strands(table)}, {table.layout.kind}"
@@ -196,11 +200,11 @@ def _make_wire_page(
     )
     name = f"{_INVALID_IN_FILE_NAME.sub('-', table.name)}.{kind}"
     notes = " ".join(filter(None, [note, join_warnings(table)]))
-    return Page(name, title, panels, notes, height, plots.SINGLE_COLUMN)
+    return Page(name, title, panels, notes, height=height, width=plots.SINGLE_COLUMN)
 
 
-def _mark_doubtful_range(limit: float, end: float) -> list[Line]:
-    """Make a pale area from a limit to the end of a panel, where the model is doubtful."""
+def _make_doubtful_areas(limit: float, end: float) -> list[Line]:
+    """Make the pale area from a limit of the model to the end of a panel; none beyond the end."""
     return [plots.make_span("doubtful_range", limit, end)] if limit < end else []
 
 
@@ -218,15 +222,16 @@ def make_stiffness_page(table: WireTable) -> Page:
     over all orientations of the section.
     """
     headroom = 1.4  # ratio of the top of the panel to the higher limit of the stiffness
+    max_overlap = 1.3  # ratio by which secants may exceed this limit without more headroom
     min_label_ratio = 1.35  # below this ratio of the limits, their labels would overlap
-    is_bent, unit = is_curved(table), choose_stiffness_unit([table])
+    is_bent, scale = flag_bent_rows(table), choose_stiffness_scale([table])
     x, stick, slip = table.curvature[is_bent], table.stick_stiffness, table.slip_stiffness
     moments = (table.lowest_moment, table.highest_moment, table.moment - table.plastic)
     lowest, highest, elastic = (moment[is_bent] / x for moment in moments)
-    onsets = table.slip_onsets
-    onsets = onsets[(onsets > 0.0) & (onsets <= table.curvature[-1])]
+    is_shown = (table.slip_onsets > 0.0) & (table.slip_onsets <= table.curvature[-1])
+    onsets = table.slip_onsets[is_shown]
     low = 0.9 * float(np.nanmin([lowest, elastic, table.tangent_stiffness[is_bent]]))
-    high = headroom * max(stick, float(np.nanmax(highest)) / 1.3)
+    high = headroom * max(stick, float(np.nanmax(highest)) / max_overlap)
     lines = [
         make_line("secant", x, table.secant_stiffness[is_bent]),
         make_line("tangent", x, table.tangent_stiffness[is_bent]),
@@ -235,17 +240,17 @@ def make_stiffness_page(table: WireTable) -> Page:
         plots.make_horizontal_line("stiffness_limit", stick),
         plots.make_horizontal_line("stiffness_limit", slip),
         *([make_line("onset_of_slip", onsets, 1.06 * low)] if len(onsets) else []),
-        *_mark_doubtful_range(table.doubtful_curvature, table.curvature[-1]),
+        *_make_doubtful_areas(table.doubtful_curvature, table.curvature[-1]),
     ]
     stick_text, slip_text = (
-        f"all {state}\n{format_number(unit.factor * stiffness, None, digits=4).value}"
+        f"all {state}\n{format_number(scale.factor * stiffness, None, digits=4).value}"
         for state, stiffness in (("stick", stick), ("slip", slip))
     )
-    texts = {stick: stick_text, slip: slip_text}
+    label_texts = {stick: stick_text, slip: slip_text}
     if stick < min_label_ratio * slip:
-        texts = {slip: f"{stick_text}\n{slip_text}"}
-    labels = [Label(text, np.inf, stiffness, (3.0, 0.0)) for stiffness, text in texts.items()]
-    y = Axis("Bending stiffness", unit, low, high, is_log=True)
+        label_texts = {slip: f"{stick_text}\n{slip_text}"}
+    labels = [Label(text, np.inf, y_value, (3.0, 0.0)) for y_value, text in label_texts.items()]
+    y = Axis("Bending stiffness", scale, low, high, is_log=True)
     panel = Plot(make_curvature_axis(x), y, lines, labels=labels)
     return _make_wire_page(table, "stiffness", [panel], 76.0)
 
@@ -259,34 +264,34 @@ def make_moment_page(table: WireTable) -> Page:
 
     Returns
     -------
-    A page with two panels: the stacked components of the moment, and their shares of the moment
-    against curvature on a logarithmic axis, which shows how sticking strands begin to slip.
+    A page with two panels: the stacked components of the moment, and their shares of the moment.
+    The curvature of the second panel is logarithmic, which shows how strands begin to slip.
     """
     max_top_ratio = 2.0  # largest ratio of the top of the panel to the largest moment
-    is_bent, moment = is_curved(table), table.moment
+    is_bent, moment = flag_bent_rows(table), table.moment
     components = {
         "moment_of_insulation": table.insulation,
         "moment_of_bent_strands": table.bending + table.plastic,
         "moment_of_slipping_strands": table.slip,
         "moment_of_sticking_strands": table.stick,
     }
-    shares = {name: part[is_bent] / moment[is_bent] for name, part in components.items()}
+    shares = {look: component[is_bent] / moment[is_bent] for look, component in components.items()}
     x, elastic, end = table.curvature, moment - table.plastic, float(table.curvature[-1])
     top = 1.04 * min(float(elastic.max()), max_top_ratio * float(moment.max()))
-    lines = [make_line("total_moment", x, moment), make_line("without_yielding", x, elastic)]
-    doubtful_range = _mark_doubtful_range(table.doubtful_curvature, end)
+    curves = [make_line("total_moment", x, moment), make_line("without_yielding", x, elastic)]
+    doubtful_areas = _make_doubtful_areas(table.doubtful_curvature, end)
     x_axis, log_axis = Axis("Curvature", CURVATURE_SCALE, 0.0, end), make_curvature_axis(x[is_bent])
     moment_axis = Axis("Bending moment", MOMENT_SCALE, 0.0, top)
     share_axis = Axis("Share of the moment", Scale(100.0, "%"), 0.0, 1.0)
-    moments = [*_stack_areas(x, components), *lines, *doubtful_range]
-    moment_shares = [*_stack_areas(x[is_bent], shares), *doubtful_range]
-    moment_plot = Plot(x_axis, moment_axis, moments, "moment")
-    share_plot = Plot(log_axis, share_axis, moment_shares, "shares of the moment")
+    moment_lines = [*_stack_areas(x, components), *curves, *doubtful_areas]
+    share_lines = [*_stack_areas(x[is_bent], shares), *doubtful_areas]
+    moment_plot = Plot(x_axis, moment_axis, moment_lines, "moment")
+    share_plot = Plot(log_axis, share_axis, share_lines, "shares of the moment")
     return _make_wire_page(table, "moment", [moment_plot, share_plot], 62.0)
 
 
 def _stack_areas(x: Floats, heights: Mapping[str, Floats]) -> Iterator[Line]:
-    """Yield stacked areas from the bottom up; `heights` is keyed by the looks of the areas."""
+    """Yield areas that are stacked from zero upwards; `heights` is keyed by their looks."""
     bottom = np.zeros(len(x))
     for look, height in heights.items():
         yield plots.make_area(look, x, bottom, bottom + height)
@@ -302,34 +307,32 @@ def make_cantilever_page(table: WireTable) -> Page:
 
     Returns
     -------
-    A page with the curve and two straight lines, force = 3 EI deflection / length^3, with the
-    stiffness of all strands sticking and of all slipping without friction.
+    A page with the curve and two straight lines, force = 3 EI deflection / length^3. EI is the
+    stiffness with all strands sticking, or with all slipping without friction.
     """
-    headroom, length, state_at_rest = 1.08, table.spec.length, table.rest
+    headroom = 1.08  # ratio of the top of the panel to the largest end load
+    length, state_at_rest = table.spec.length, table.rest
     note = format_sentence("report.cantilever", length=LENGTH_SCALE.factor * length)
     if state_at_rest is not None:
-        force, sag = 1e3 * state_at_rest.force, 1e6 * state_at_rest.sag
-        at_rest = format_sentence("report.cantilever_at_rest", force=force, sag=sag)
-        note = f"{at_rest} {note}"
-    if len(table.tip_deflection) < 2:  # only the state at rest
+        facts = {"force": 1e3 * state_at_rest.force, "sag": 1e6 * state_at_rest.sag}  # mN, µm
+        note = f"{format_sentence('report.cantilever_at_rest', **facts)} {note}"
+    if len(table.tip_deflection) < 2:  # the curve has no point but that at rest
         panel = Plot(reason=format_sentence("report.no_end_loads"))
         return _make_wire_page(table, "cantilever", [panel], 40.0, note)
-    x = table.tip_deflection
-    end = float(x[-1])
-    force_per_stiffness = 3.0 * end / length**3
+    x, end = table.tip_deflection, float(table.tip_deflection[-1])
+    stick_force, slip_force = (
+        3.0 * end / length**3 * stiffness
+        for stiffness in (table.stick_stiffness, table.slip_stiffness)
+    )
     lines = [
         make_line("cantilever", x, table.tip_force),
-        make_line(
-            "cantilever_all_stick", [0.0, end], [0.0, force_per_stiffness * table.stick_stiffness]
-        ),
-        make_line(
-            "cantilever_all_slip", [0.0, end], [0.0, force_per_stiffness * table.slip_stiffness]
-        ),
-        *_mark_doubtful_range(table.doubtful_deflection, end),
+        make_line("cantilever_all_stick", [0.0, end], [0.0, stick_force]),
+        make_line("cantilever_all_slip", [0.0, end], [0.0, slip_force]),
+        *_make_doubtful_areas(table.doubtful_deflection, end),
     ]
-    deflection = Axis("Tip deflection", LENGTH_SCALE, 0.0, end)
-    end_load = Axis("End load", FORCE_SCALE, 0.0, headroom * float(np.max(table.tip_force)))
-    return _make_wire_page(table, "cantilever", [Plot(deflection, end_load, lines)], 70.0, note)
+    x_axis = Axis("Tip deflection", LENGTH_SCALE, 0.0, end)
+    y_axis = Axis("End load", FORCE_SCALE, 0.0, headroom * float(np.max(table.tip_force)))
+    return _make_wire_page(table, "cantilever", [Plot(x_axis, y_axis, lines)], 70.0, note)
 
 
 def make_comparison_page(name: str, tables: Sequence[WireTable]) -> Page:
@@ -337,26 +340,29 @@ def make_comparison_page(name: str, tables: Sequence[WireTable]) -> Page:
 
     Parameters
     ----------
-    name : file name without the ending
+    name : file name without its extension
     tables : laws of at most `MAX_WIRES` wires
     """
-    secants, moments = [], []
+    secant_lines, moment_lines = [], []
     for index, table in enumerate(tables):
         settings = {**choose_line_look(index), "label": _shorten_name(table)}
-        for part, opacity in plots.split_doubtful(table.curvature <= table.doubtful_curvature):
-            is_drawn, settings["alpha"] = part & is_curved(table), opacity
-            curvature, secant = table.curvature[is_drawn], table.secant_stiffness[is_drawn]
-            secants.append(make_line("wire", curvature, secant, **settings))
-            moments.append(make_line("wire", table.curvature[part], table.moment[part], **settings))
-    x = make_curvature_axis(np.concatenate([secant_line.x for secant_line in secants]))
-    stiffness = Axis("Secant bending stiffness", choose_stiffness_unit(tables), is_log=True)
-    moment = Axis("Bending moment", MOMENT_SCALE, low=0.0)
+        for rows, opacity in plots.split_doubtful(table.curvature <= table.doubtful_curvature):
+            settings["alpha"] = opacity
+            x, moment = table.curvature[rows], table.moment[rows]
+            moment_lines.append(make_line("wire", x, moment, **settings))
+            bent_rows = rows & flag_bent_rows(table)
+            x, secant = table.curvature[bent_rows], table.secant_stiffness[bent_rows]
+            secant_lines.append(make_line("wire", x, secant, **settings))
+    log_axis = make_curvature_axis(np.concatenate([line.x for line in secant_lines]))
+    stiffness_axis = Axis("Secant bending stiffness", choose_stiffness_scale(tables), is_log=True)
+    x_axis = Axis("Curvature", CURVATURE_SCALE, low=0.0)
+    moment_axis = Axis("Bending moment", MOMENT_SCALE, low=0.0)
     panels = [
-        Plot(x, stiffness, secants, "secant stiffness"),
-        Plot(Axis("Curvature", CURVATURE_SCALE, low=0.0), moment, moments, "moment"),
+        Plot(log_axis, stiffness_axis, secant_lines, "secant stiffness"),
+        Plot(x_axis, moment_axis, moment_lines, "moment"),
     ]
     title, note = "Wires compared  ·  wire model", format_sentence("report.wires_compared")
-    return Page(name, title, panels, note, 76.0, plots.SINGLE_COLUMN)
+    return Page(name, title, panels, note, height=76.0, width=plots.SINGLE_COLUMN)
 
 
 _INVALID_IN_FILE_NAME = re.compile(r'[\\/:*?"<>|\x00-\x1f]')
@@ -389,7 +395,7 @@ def list_wire_figures(tables: Sequence[WireTable]) -> Iterator[Page]:
 
 
 def list_figure_names(name: str) -> list[str]:
-    """List the names of the figures of one wire, without file endings.
+    """List the file names of the figures of one wire, without extensions.
 
     Parameters
     ----------
@@ -415,7 +421,7 @@ def compute_orientation_spread(table: WireTable) -> float | None:
     Difference in per cent of the moment at the same curvature; None if all curvatures of the table
     are zero.
     """
-    rows = is_curved(table)
+    rows = flag_bent_rows(table)
     if not rows.any():
         return None
     spread = (table.highest_moment - table.lowest_moment)[rows] / table.moment[rows]
@@ -432,16 +438,17 @@ def choose_law_rows(table: WireTable, max_rows: int) -> Ints:
 
     Returns
     -------
-    Sorted row numbers. All rows are chosen if they are few enough or no moment is positive.
-    Otherwise, the first row, of zero curvature, is chosen and the rows that preserve the shape of
-    the law in logarithms (`simplify_line`), so that the first slips count as much as the end.
+    Sorted indices of rows. All rows are chosen if there are at most `max_rows`, or if no moment is
+    positive. Otherwise, the first row, of zero curvature, and those that preserve the shape of the
+    law are chosen with `find_shape_samples`. The shape is that of the logarithms, so that the first
+    slips have as much weight as the end of the law.
     """
-    count = len(table.curvature)
-    usable_rows = np.flatnonzero(is_curved(table) & (table.moment > 0.0))
-    if count <= max_rows or not len(usable_rows):
-        return np.arange(count, dtype=np.int64)
+    n_rows = len(table.curvature)
+    usable_rows = np.flatnonzero(flag_bent_rows(table) & (table.moment > 0.0))
+    if n_rows <= max_rows or not len(usable_rows):
+        return np.arange(n_rows, dtype=np.int64)
     x, y = np.log(table.curvature[usable_rows]), np.log(table.moment[usable_rows])
-    rows = usable_rows[plots.simplify_line(x, y, max_points=max_rows - 1, tolerance=0.0)]
+    rows = usable_rows[plots.find_shape_samples(x, y, max_points=max_rows - 1, tolerance=0.0)]
     return np.union1d([0], rows).astype(np.int64)
 
 
@@ -451,13 +458,13 @@ def compute_row_error(table: WireTable, rows: Ints) -> float:
     Parameters
     ----------
     table : law of the wire
-    rows : shape (n,), numbers of the rows
+    rows : shape (n,), indices of the rows
 
     Returns
     -------
     Error in per cent of the moment at the same curvature.
     """
-    is_bent = is_curved(table)
+    is_bent = flag_bent_rows(table)
     interpolated = np.interp(table.curvature, table.curvature[rows], table.moment[rows])
     error = np.abs(interpolated - table.moment)[is_bent] / np.abs(table.moment[is_bent])
     return 100.0 * float(np.max(error, initial=0.0))
@@ -467,11 +474,12 @@ def make_summary_record(table: WireTable) -> Record:
     """Make the cells of a wire in the summary, except its name; a missing number is None."""
     spec, layout, curvature = table.spec, table.layout, float(table.curvature[-1])
     area = LENGTH_SCALE.factor**2 * float(np.sum(np.pi / 4.0 * layout.diameter**2))
-    factor = STIFFNESS_SCALE.factor
-    spread = compute_orientation_spread(table)
-    limit = table.doubtful_curvature if table.is_doubtful.any() else None
-    share = None if limit is None else np.interp(limit, table.curvature, table.insulation_share)
-    rest, deflection = table.rest, table.tip_deflection
+    factor, rest, deflection = STIFFNESS_SCALE.factor, table.rest, table.tip_deflection
+    doubtful_curvature, share_there = None, None
+    if table.is_doubtful.any():
+        doubtful_curvature = table.doubtful_curvature
+        share = np.interp(doubtful_curvature, table.curvature, table.insulation_share)
+        share_there = 100.0 * float(share)
     tip_texts = (f"{LENGTH_SCALE.factor * tip:g}" for tip in REPORTED_DEFLECTIONS)
     end_load_headings = [FORCE_SCALE.label(f"end load at {text} mm") for text in tip_texts]
     end_loads = FORCE_SCALE.factor * interpolate_end_load(table, np.array(REPORTED_DEFLECTIONS))
@@ -492,13 +500,13 @@ def make_summary_record(table: WireTable) -> Record:
         "last slip (1/m)": table.find_slip_onset(-1),
         "range, curvature (1/m)": curvature,
         "range, bending radius (mm)": LENGTH_SCALE.factor / curvature,
-        "doubtful beyond, curvature (1/m)": limit,
-        "insulation's share there (%)": None if share is None else 100.0 * float(share),
+        "doubtful beyond, curvature (1/m)": doubtful_curvature,
+        "insulation's share there (%)": share_there,
         "insulation's share at the end (%)": 100.0 * float(table.insulation_share[-1]),
         "moment at the end (N·mm)": MOMENT_SCALE.factor * float(table.moment[-1]),
         "secant stiffness at the end (N·mm²)": factor * float(table.secant_stiffness[-1]),
         "tangent stiffness at the end (N·mm²)": factor * float(table.tangent_stiffness[-1]),
-        "spread over orientations, largest (%)": spread,
+        "spread over orientations, largest (%)": compute_orientation_spread(table),
         "axial stiffness, without rotation (N)": table.axial_stiffness,
         "torsional stiffness, fixed length (N·mm²)": factor * table.torsional_stiffness,
         "torsional stiffness, free length (N·mm²)": factor * table.free_torsional_stiffness,
@@ -530,6 +538,7 @@ _LAW_COLUMNS: tuple[tuple[str, str, Scale], ...] = (
     ("highest moment of all orientations", "highest_moment", MOMENT_SCALE),
     ("share of the insulation", "insulation_share", Scale(100.0, "%")),
 )
+"""Heading without a unit, field of `WireTable`, and scale of each column of the laws."""
 
 
 def save_wire_workbook(
@@ -572,11 +581,11 @@ def _list_tables(
     max_rows = max(max_law_rows // max(len(tables), 1), min_law_rows)
     law_rows = [choose_law_rows(table, max_rows) for table in tables]
     laws = _tabulate_laws(tables, law_rows)
-    wires = [row[0] for row in laws.rows]
+    law_wires = [row[0] for row in laws.rows]
     warnings = {name: f"not modelled: {reason}" for name, reason in refusals.items()}
     records: list[Record] = [{"wire": name, "warnings": text} for name, text in warnings.items()]
     for table, rows in zip(tables, law_rows, strict=True):
-        link = f"'laws'!A{wires.index(table.name) + 2}"
+        link = f"'laws'!A{law_wires.index(table.name) + 2}"
         records.append({
             "wire": table_records.Cell(table.name, link=link),
             **make_summary_record(table),
@@ -585,6 +594,7 @@ def _list_tables(
             "error between the rows shown, largest (% of moment)": compute_row_error(table, rows),
             "stress tables": stress_tables.get(table.name),
         })  # fmt: skip
+    # only the records of wires with a law, which are last, have all headings
     heads = dict.fromkeys(head for record in reversed(records) for head in record)
     yield table_records.tabulate("wires", records, heads)
     yield laws
@@ -624,9 +634,9 @@ def _tabulate_cantilevers(tables: Sequence[WireTable]) -> Table:
 def _make_law_records(
     table: WireTable, columns: Mapping[str, Floats], is_doubtful: Flags
 ) -> list[Record]:
-    """Make the records of a curve of a wire, and mark the doubtful records."""
+    """Make the records of a curve of a wire, with the mark ``yes`` where the model is doubtful."""
     records = table_records.make_records({"wire": table.name}, columns)
-    marks = ("yes" if doubt else None for doubt in is_doubtful.tolist())
+    marks = ("yes" if flag else None for flag in is_doubtful.tolist())
     return [record | {"doubtful": mark} for record, mark in zip(records, marks, strict=True)]
 
 

@@ -33,6 +33,9 @@ class Scale(NamedTuple):
         return f"{quantity} ({self.unit})" if self.unit else quantity
 
 
+LENGTH_SCALE, FORCE_SCALE = Scale(1e3, "mm"), Scale(1.0, "N")
+"""Display units of lengths and forces of wires and harnesses."""
+
 _UNPRINTABLE = re.compile(
     r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\ud800-\udfff\ufffe\uffff]"
 )

@@ -24,7 +24,7 @@ from labpipe.records.declarations import (
     Needs,
     Output,
     Ratio,
-    Snake,
+    SnakeName,
     StiffnessName,
 )
 from labpipe.records.estimates import Estimate, Failure, UnavailableError, return_failure
@@ -219,7 +219,7 @@ class BendingStiffness(DerivedKind):
     length_uncertainty: Annotated[
         Distance | None, "Standard uncertainty of L, where specimen.uncertainty does not say it"
     ] = None
-    name: Annotated[Snake, "Such as bending_stiffness_at_start"] = "bending_stiffness"
+    name: Annotated[SnakeName, "Such as bending_stiffness_at_start"] = "bending_stiffness"
     corrections: Annotated[
         tuple[Literal["large-deflection", "roller-radius", "roller-friction"], ...],
         "Of three-point: what an exactly bent elastic beam does otherwise",
@@ -376,7 +376,7 @@ class MomentCurvature(Kind):
     kind: Annotated[
         Literal["secant", "tangent"], "secant: moment / curvature; tangent: slope of the law"
     ] = "secant"
-    name: Annotated[Snake, "Such as bending_stiffness_at_20"] = "bending_stiffness"
+    name: Annotated[SnakeName, "Such as bending_stiffness_at_20"] = "bending_stiffness"
 
     def measure(self, test: ReducedTest) -> Iterator[Part]:
         """Measure the secant or tangent stiffness of the law at a curvature."""

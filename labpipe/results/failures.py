@@ -22,9 +22,9 @@ from labpipe.records.curve import Branch, Curve, Direction, Interval
 from labpipe.records.declarations import (
     Area,
     Force,
-    FromCard,
     Needs,
     Output,
+    ShippedCard,
     WholeNumber,
 )
 from labpipe.records.estimates import Failure, UnavailableError
@@ -450,7 +450,7 @@ class ForceLimit(Kind):
         Output(PEAK_OVER_LIMIT, "1", "Peak force over its limit", ("force", "observation")),
     )
     card: Annotated[
-        LimitCard | None, FromCard(), "A shipped card by its name, or one that is written out"
+        LimitCard | None, ShippedCard(), "A shipped card by its name, or one that is written out"
     ] = None
     column: Annotated[str, "Column of the card"] = ""
     at_least: Annotated[Force | None, "Limit of the lab, in place of a card"] = None

@@ -403,8 +403,8 @@ class BendingTest:
         With n = (-sin, cos) and t = (cos, sin): d kappa = n . d r'' - 2 kappa t . d r', where r''
         and r' are linear in the markers by the least-squares operator of the fit.
         """
-        length, terms = self.shape.length, int(self.shape.coefficients.shape[2])
-        basis = build_curve_basis(terms=terms, length=length, clamped=True, free_tip=self.free_tip)
+        length, n = self.shape.length, int(self.shape.coefficients.shape[2])
+        basis = build_curve_basis(terms=n, length=length, has_clamp=True, free_tip=self.free_tip)
         second = polyval(arc_length / length, polyder(basis.matrix, 2)).T / length**2
         first, is_visible = basis.compute_slopes(arc_length), np.isfinite(markers).all(axis=2)
         gain = np.full(curves.angle.shape, np.nan)
@@ -575,7 +575,7 @@ def fit_loading_law(test: BendingTest, cloud: BendingCloud) -> MeasuredLaw:
         common_errors,
         scale_error=test.errors.force_scale,
         noise=rest.marker_noise / np.sqrt(frames_per_mean),
-        curvature_noise=float(np.nanmedian(cloud.noise[cloud.branch == test.first_branch])),
+        curvature_noise=float(np.nanmedian(cloud.total_error[cloud.branch == test.first_branch])),
         n_frames=n_means * frames_per_mean,
     )
 

@@ -20,7 +20,7 @@ from labpipe.records.declarations import (
     Length,
     Needs,
     Output,
-    Snake,
+    SnakeName,
     StiffnessName,
 )
 from labpipe.records.estimates import Failure, UnavailableError, return_failure
@@ -669,7 +669,7 @@ class LineStiffness(InitialStiffness):
         "straight line from {start_mm:g} mm to {stop_mm:g} mm of the first loading, "
         "interval for correlated noise"
     )
-    name: Annotated[Snake, "Such as stiffness_first"] = "stiffness"
+    name: Annotated[SnakeName, "Such as stiffness_first"] = "stiffness"
 
     def list_methods(self, test: ReducedTest) -> tuple[str]:
         """Return the method, which has time as the instrument if the test has a shape."""
@@ -787,7 +787,7 @@ class Modulus(DerivedKind):
         Literal["stated", "rectangle", "annulus", "thin-wall"],
         "The area of specimen.section that the modulus refers to",
     ]
-    name: Annotated[Snake, "Such as modulus_annulus"] = "modulus"
+    name: Annotated[SnakeName, "Such as modulus_annulus"] = "modulus"
 
     def measure_outcome(self, test: ReducedTest, stiffness: Stiffness) -> kinds.Outcome:
         """Measure the modulus with the uncertainties of stiffness, gauge length and area."""

@@ -21,7 +21,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from labpipe.records import causes
 from labpipe.records.arrays import Floats, Ints, drop_missing
 from labpipe.records.curve import Direction, FittedLine
-from labpipe.records.declarations import Fraction, Needs, Output, Snake
+from labpipe.records.declarations import Fraction, Needs, Output, SnakeName
 from labpipe.records.estimates import Estimate, Failure, UnavailableError, return_failure
 from labpipe.records.quality import Reason
 from labpipe.results import kinds
@@ -514,7 +514,7 @@ class ProofStress(TensionResult):
     outputs: ClassVar = (Output("{name}", "Pa"),)
     method: ClassVar = "stress where the curve meets the elastic line shifted by {offset:.2%}"
     offset: Annotated[Fraction, "Plastic strain, such as 0.2 %"]
-    name: Annotated[Snake, "Such as proof_stress_0_2"] = "proof_stress"
+    name: Annotated[SnakeName, "Such as proof_stress_0_2"] = "proof_stress"
 
     def list_quantities(self, test: ReducedTest, pull: Pull) -> Sequence[PullQuantity]:
         """List the stress at which the curve falls below the shifted elastic line."""

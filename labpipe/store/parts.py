@@ -21,8 +21,8 @@ from labpipe.records.curve import (
     Branch,
     ClockFit,
     Curve,
-    DrawnLaw,
-    DrawnShapes,
+    FigureLaw,
+    FigureShapes,
     FittedLine,
     Interval,
     MeasuredLaw,
@@ -589,7 +589,7 @@ def read_test(root: Any, stages: Collection[str] = ()) -> TestResult:
 
 def read_reported_test(
     root: Any, choose_frames: FrameChoice
-) -> tuple[TestResult, DrawnShapes | None, DrawnLaw | None]:
+) -> tuple[TestResult, FigureShapes | None, FigureLaw | None]:
     """Read the parts of a test that a report shows.
 
     Parameters
@@ -608,9 +608,9 @@ def read_reported_test(
         group, datasets = root["shape"], list_datasets(Shape)
         frames, deflection = choose_frames(result, read_array(group, "time", datasets["time"]))
         positions = read_array_rows(group, "positions", datasets["positions"], frames)
-        shapes = DrawnShapes(deflection, positions[:, :, :2])
+        shapes = FigureShapes(deflection, positions[:, :, :2])
     if (group := root.get("bending/law")) is not None:
-        law = DrawnLaw(**read_arrays(group, MeasuredLaw, list_datasets(DrawnLaw)))
+        law = FigureLaw(**read_arrays(group, MeasuredLaw, list_datasets(FigureLaw)))
     return result, shapes, law
 
 

@@ -13,7 +13,7 @@ import h5py
 from numpy.typing import NDArray
 
 from labpipe.errors import LabpipeError, StoreError
-from labpipe.records.curve import DrawnLaw, DrawnShapes
+from labpipe.records.curve import FigureLaw, FigureShapes
 from labpipe.records.result import TestResult
 from labpipe.store.datasets import GroupWriter, has_same_content, locate_array, read_text
 from labpipe.store.layout import SCHEMA_ATTRIBUTE, SCHEMA_VERSION
@@ -127,7 +127,7 @@ def read_outcome(path: Path) -> TestResult:
 
 def read_reported(
     path: Path, choose_frames: FrameChoice
-) -> tuple[TestResult, DrawnShapes | None, DrawnLaw | None]:
+) -> tuple[TestResult, FigureShapes | None, FigureLaw | None]:
     """Read the parts of a result file that a report shows.
 
     Parameters

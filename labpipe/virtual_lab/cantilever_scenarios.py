@@ -646,8 +646,8 @@ def _compute_max_curvature(shapes: list[CantileverShape], max_curvature: float) 
 
 def _is_same_state(first: WireState, second: WireState) -> bool:
     """Return whether the plays of two states differ by at most 1e-9 of the largest play."""
-    largest_play = float(np.max(np.abs(second.plays), initial=1e-12))
-    return bool(np.max(np.abs(first.plays - second.plays), initial=0.0) <= 1e-9 * largest_play)
+    largest_play = float(np.max(np.abs(second.history), initial=1e-12))
+    return bool(np.max(np.abs(first.history - second.history), initial=0.0) <= 1e-9 * largest_play)
 
 
 KINK_WINDOW = (0.2e-3, 5e-3)

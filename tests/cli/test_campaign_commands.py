@@ -215,7 +215,7 @@ def test_statuses_of_a_report() -> None:
     left_out = {"a/result.h5": "a/result.h5: expected this, found that. Do so."}
     assert print_left_out(reported(fine)) == 0
     assert print_left_out(reported(troubled)) == 1
-    assert print_left_out(reported(troubled, left_out=left_out)) == 2
+    assert print_left_out(reported(troubled, failures=left_out)) == 2
 
 
 @pytest.mark.usefixtures("campaign")

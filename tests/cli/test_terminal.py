@@ -210,7 +210,7 @@ def test_table_of_a_calibration(fitted: CalibrationStudy, approved: Approve) -> 
     note = QualityNote("test_doubtful", Severity.WARNING, "T1", "taken as it is: gap")
     silent = replace(first, value=float("nan"), intervals=(), verdict=Identifiability.FIXED)
     parts = (Interval(0.6, 1.8), Interval(4.0, 9.0))
-    two_parts = replace(third, intervals=parts, verdict=Identifiability.TWO)
+    two_parts = replace(third, intervals=parts, verdict=Identifiability.TWO_SOLUTIONS)
     unusual = (
         (replace(first, is_open_below=True), second, replace(third, intervals=())),
         (silent, second, two_parts),

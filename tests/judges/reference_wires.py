@@ -192,7 +192,7 @@ def bend_along(
 
 def _axial(forward: RingModel, backward: RingModel, path: Floats) -> Floats:
     """Moment of the axial forces along a path, shape (n,)."""
-    state = [np.zeros((1, ring.end)) for ring in forward.rings]
+    state = [np.zeros((1, ring.end_index)) for ring in forward.rings]
     moment = np.zeros(len(path))
     for i, step in enumerate(np.diff(path, prepend=0.0)):
         own = _slide(forward, backward, state, float(step))
@@ -207,11 +207,11 @@ def _slide(forward: RingModel, backward: RingModel, state: list[Floats], step: f
     for q in reversed(range(len(forward.rings))):
         there, back = forward.rings[q], backward.rings[q]
         pressure = compute_ring_pressure(forward, q, outer)
-        most = pressure * there.slip_per_pressure + there.slip_from_tension
-        least = -(pressure * back.slip_per_pressure + back.slip_from_tension)
-        state[q] = np.clip(state[q] + step * there.stick_force, least, most)
-        force = state[q] * forward.sign[: there.end]
-        own[there.start : there.end] = force[0, there.start :]
+        most = pressure * there.slip_per_pressure + there.tension_slip_force
+        least = -(pressure * back.slip_per_pressure + back.tension_slip_force)
+        state[q] = np.clip(state[q] + step * there.stick_stiffness, least, most)
+        force = state[q] * forward.sign[: there.end_index]
+        own[there.start_index : there.end_index] = force[0, there.start_index :]
         outer.insert(0, force)
     return own
 

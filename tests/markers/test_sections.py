@@ -81,7 +81,7 @@ def test_frame_and_sections() -> None:
     markers, rest = take()
     sections = find_sections(markers.positions, rest, min_distance=0.004)
 
-    assert sections.count == 15
+    assert sections.n_sections == 15
     assert np.allclose(np.diff(sections.x), 0.0127, atol=1e-6)
     assert np.linalg.det(sections.rotation_lab_to_specimen) == pytest.approx(1.0)
     lab_down = np.array([0.0, -1.0, 0.0])  # mid-span goes down in the frame of the cameras

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from labpipe.markers import specimen_shape
 from labpipe.markers.specimen_shape import (
-    EXACT,
+    NO_UNCERTAINTY,
     EndConditions,
     Offsets,
     ShapeFit,
@@ -59,7 +59,7 @@ def fit(
     clamp: Floats | None = None,
     centre_offset: float = CENTRE_OFFSET,
     offsets: Offsets | None = None,
-    uncertainties: Offsets = EXACT,
+    uncertainties: Offsets = NO_UNCERTAINTY,
 ) -> ShapeFit:
     frames, count = markers.shape[:2]
     visible = np.isfinite(markers).all(axis=2)
@@ -131,8 +131,8 @@ def test_one_more_term_shows_the_systematic_error(law: str) -> None:
     wire = bent(law, 58)
     fitted = fit(take(wire))
     error = tip_error(fitted, wire)[0, :2]
-    assert np.abs(error + fitted.tip_systematic[20, :2]).max() < np.abs(error).max()
-    assert np.abs(error[1]) < 2 * np.abs(fitted.tip_systematic[20, 1])
+    assert np.abs(error + fitted.tip_change[20, :2]).max() < np.abs(error).max()
+    assert np.abs(error[1]) < 2 * np.abs(fitted.tip_change[20, 1])
 
 
 def test_standard_error_of_the_tip_is_what_noise_does() -> None:
@@ -194,9 +194,9 @@ def test_shapes_that_cannot_be_fitted() -> None:
         fit(markers, terms=12)
     with pytest.raises(ValueError, match="rest: expected a frame with first and last point"):
         compute_deflection(fit(markers).shape, rest_frames=slice(0, 0))
-    assert build_curve_basis(terms=4, length=0.085, clamped=True, free_tip=True)
+    assert build_curve_basis(terms=4, length=0.085, has_clamp=True, free_tip=True)
     with pytest.raises(ValueError, match=r"terms=3: expected at least 4"):
-        build_curve_basis(terms=3, length=0.085, clamped=True, free_tip=True)
+        build_curve_basis(terms=3, length=0.085, has_clamp=True, free_tip=True)
     markers[REST, :6] = np.nan
     with pytest.raises(ValueError, match=r"markers at rest=2: expected at least 3 markers seen"):
         fit(markers)
@@ -248,7 +248,7 @@ def test_frames_that_miss_markers_give_what_they_would_alone() -> None:
 
 def test_without_a_clamp_arc_length_starts_at_the_first_marker() -> None:
     s, markers = sagging(0.0)
-    rest_curve = fit_rest_curve(markers, offsets=Offsets(), clamped=False, free_tip=False)
+    rest_curve = fit_rest_curve(markers, offsets=Offsets(), has_clamp=False, free_tip=False)
     np.testing.assert_allclose(rest_curve.arc_length, s - s[0], atol=1e-7)
 
 

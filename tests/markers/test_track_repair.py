@@ -24,8 +24,8 @@ NOISE = 2e-5
 
 
 def repair(take: WireTake, **changes: float) -> RepairedTracks:
-    limits = {"max_gap": 0.5, "max_jump": 0.004, "frozen": 0.2} | changes
-    return repair_tracks(take.tracks, along=take.tracks.names, reference=take.clamp, **limits)
+    limits = {"max_gap": 0.5, "max_jump": 0.004, "frozen_time": 0.2} | changes
+    return repair_tracks(take.tracks, track_names=take.tracks.names, clamp=take.clamp, **limits)
 
 
 def codes(repaired: RepairedTracks) -> list[str]:
@@ -178,7 +178,7 @@ def short(names: tuple[str, ...] = NAMES, clamp: Floats | None = None) -> WireTa
     [
         (short(), {"max_gap": 0.0}, "max_gap=0.0: expected a value above 0"),
         (short(), {"max_jump": -1.0}, "max_jump=-1.0: expected a value above 0"),
-        (short(), {"frozen": float("nan")}, "frozen=nan: expected a value above 0"),
+        (short(), {"frozen_time": float("nan")}, "frozen=nan: expected a value above 0"),
         (short(("M1", "M2")), {}, "markers=2: .* at least 3 markers along the specimen.*M1, M2"),
         (short(("M1", "M1", "M2")), {}, "along=.*: expected different names out of"),
         (short(clamp=np.full((50, 3), np.nan)), {}, "reference: expected positions of the clamp"),
@@ -224,7 +224,7 @@ def test_notes_on_repairs(approved: Approve) -> None:
     nameless[200:, 6], nameless[200:, 0] = truth[200:, 0], np.nan
     nameless[50:90, 7] = 0.5
     names = tuple(f"Unlabeled {number}" for number in range(15))
-    bare = repair(WireTake(marker_tracks(names[:8], nameless), take.clamp), frozen=5.0)
+    bare = repair(WireTake(marker_tracks(names[:8], nameless), take.clamp), frozen_time=5.0)
     repairs = {
         "a jump that stays": repair(with_positions(take, jumped)),
         "many gaps": repair(with_positions(take, gappy)),

@@ -142,7 +142,7 @@ def test_least_total_distance_decides_between_competitors() -> None:
     chosen_links = links(positions)
     # the crossing is nearer by 3.5 mm, more than the quarter of max_jump that a label weighs
     assert chosen_links.successor.tolist()[:2] == [3, 2]
-    assert chosen_links.ambiguous == ()
+    assert chosen_links.ambiguous_pairs == ()
 
 
 def test_a_link_is_worth_making_up_to_the_longest_jump() -> None:
@@ -161,7 +161,7 @@ def test_of_two_images_equally_near_neither_is_taken() -> None:
     positions[25:, 2] = [0.0, -0.0004, 0.0]
     chosen_links = links(positions)
     assert chosen_links.successor.tolist() == [-1, -1, -1]
-    assert chosen_links.ambiguous == ((0, 1),)
+    assert chosen_links.ambiguous_pairs == ((0, 1),)
 
 
 def test_names_the_program_gave_for_want_of_better() -> None:
@@ -205,7 +205,7 @@ def test_which_marker_a_chain_is(case: str) -> None:
     naming = name(pieces, names)
     starts = {label: [chain.start for chain in of] for label, of in naming.markers.items()}
     assert starts == markers
-    assert [chain.start for chain in naming.doubtful] == doubtful
-    assert [chain.start for chain in naming.unassigned] == leftover
-    by_elimination = [label for label, _ in naming.assigned_by_elimination]
+    assert [chain.start for chain in naming.doubtful_chains] == doubtful
+    assert [chain.start for chain in naming.unassigned_chains] == leftover
+    by_elimination = [label for label, _ in naming.eliminations]
     assert by_elimination == ([1] if "only free" in case else [])

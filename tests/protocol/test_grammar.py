@@ -19,7 +19,7 @@ from labpipe.records.declarations import (
     Key,
     LargerThan,
     Length,
-    Snake,
+    SnakeName,
     Span,
     TaggedChoice,
 )
@@ -39,7 +39,7 @@ class Line:
     kind: ClassVar = "line"
     start: Annotated[Distance, Key("from")]
     stop: Annotated[Distance, Key("to"), LargerThan("start", "from"), "Where it ends"]
-    name: Snake = "line"
+    name: SnakeName = "line"
     grip: Grip | None = None
     number: int = field(default=0, compare=False)
 

@@ -29,7 +29,7 @@ from labpipe.records.declarations import (
     Mass,
     Offset,
     Ratio,
-    Snake,
+    SnakeName,
     Span,
 )
 from tests.approved import Approve
@@ -64,7 +64,7 @@ VALUE_FAULTS: list[tuple[Any, tuple[object, ...]]] = [
     (Text, (True, "")),
     (FileStem, ("a/b", "nul.1")),
     (SingleLine, ("A\x072", "\ud800", "A2\n")),
-    (Snake, ("Force",)),
+    (SnakeName, ("Force",)),
     (Length, ("53", "53 s", "85 kg", "85 MM", "20 1/m", "0 mm", "-5 mm", None)),
     (Length, ("12,5 mm", "-0,125 mm", "1,000 mm", "1 000 mm", "1'000 mm")),
     (Length, ("1.000,5 mm", "1,000.5 mm", "1 000 000,25 mm")),

@@ -24,7 +24,7 @@ from labpipe.records.arrays import (
     find_runs,
     median,
 )
-from labpipe.records.curve import ClockFit, Curve, DrawnLaw, DrawnShapes, Interval, Series, Shape
+from labpipe.records.curve import ClockFit, Curve, FigureLaw, FigureShapes, Interval, Series, Shape
 from labpipe.records.group import SampleCurve
 from labpipe.records.recording import Clock, MarkerTracks, RigidBody
 from labpipe.records.wire import Prediction, Profile, WireLayout
@@ -110,8 +110,8 @@ UNEVEN: list[tuple[Callable[..., object], tuple[object, ...]]] = [
     (Series, (np.zeros((2, 2)), "N")),
     (RigidBody, ("Clamp", np.zeros((5, 3)), np.zeros((4, 4)), FIVE)),
     (MarkerTracks, (FIVE, FIVE, 1.0, ("a", "b", "c"), np.zeros((5, 2, 3)))),
-    (DrawnShapes, (THREE, np.zeros((2, 5, 2)))),
-    (DrawnLaw, (FOUR, FOUR, FOUR, THREE)),
+    (FigureShapes, (THREE, np.zeros((2, 5, 2)))),
+    (FigureLaw, (FOUR, FOUR, FOUR, THREE)),
     (SampleCurve, (FIVE, FOUR, FIVE)),
     (WireLayout, ("packed", THREE, TWO, np.zeros(2, int), TWO, 1e-3, 2e-3)),
     (Prediction, (TWO, TWO, TWO, TWO, TWO, THREE)),

@@ -15,7 +15,7 @@ from labpipe.records.declarations import (
     Quantity,
     StiffnessName,
     Zero,
-    list_defaults,
+    get_defaults,
     list_references,
 )
 from labpipe.units import get_conversion_factor, parse_quantity
@@ -49,7 +49,7 @@ class Ratio:
 def test_what_a_kind_of_result_is_called_and_rests_on() -> None:
     assert list_references(Ratio, "stiffness") == ("of",)
     assert list_references(Ratio, "channel") == ("channel",)
-    assert list_defaults(Ratio) == {"of": "stiffness", "name": "ratio"}
+    assert get_defaults(Ratio) == {"of": "stiffness", "name": "ratio"}
     assert Output("{of}_{name}", "1").format_name(Ratio, {"name": "x"}) == "stiffness_x"
     assert Output("{name}", "1", first=2).format_name(Ratio, {"name": 3}) == "3.2"
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labpipe.records.wire import AUTO, WireLayout, WireSpec
+from labpipe.records.wire import AUTO_LAYOUT, WireLayout, WireSpec
 from tests.builders.measured_bending import some_bending
 from tests.builders.wire_tables import wire_table
 
@@ -17,7 +17,7 @@ def test_a_silent_sheet_means_annealed_copper_in_a_soft_tube() -> None:
     assert (SPEC.insulation_modulus, SPEC.poisson, SPEC.length) == (1e9, 0.34, 0.085)
     assert (SPEC.friction_strand, SPEC.friction_insulation, SPEC.radial_force) == (0.21, 0.1, 0.15)
     assert (SPEC.tension, SPEC.orientation, SPEC.largest_curvature) == (0.0, 0.0, None)
-    assert SPEC.layout == AUTO
+    assert SPEC.layout == AUTO_LAYOUT
 
 
 @pytest.mark.parametrize(
@@ -53,4 +53,4 @@ def test_noise_of_a_cloud_holds_what_the_shape_may_be() -> None:
         both = replace(
             cloud, curvature_error=drawn, curvature_systematic=np.full((6, 3), systematic)
         )
-        assert both.noise == pytest.approx(np.full((6, 3), noise))
+        assert both.total_error == pytest.approx(np.full((6, 3), noise))

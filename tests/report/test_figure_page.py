@@ -13,7 +13,7 @@ from hypothesis.extra import numpy as hnp
 
 from labpipe.records.arrays import Floats
 from labpipe.report.figures import make_wire_shapes_page
-from labpipe.report.plot_records import find_extremes, simplify_line, thin_flags
+from labpipe.report.plot_records import find_extremes, find_shape_samples, thin_flags
 from tests.store.builders_result import build_result
 
 
@@ -49,7 +49,7 @@ def test_worst_flag_of_a_stretch_wins() -> None:
 def test_a_corner_stays_a_corner_and_a_step_a_step() -> None:
     x = np.linspace(0.0, 50.0, 2001)
     force = np.minimum(5.0 * x, 30.0 + 2.0 * x) - np.where(x > 30.0, 4.0, 0.0)
-    rows = simplify_line(x, force, max_points=60)
+    rows = find_shape_samples(x, force, max_points=60)
     assert len(rows) < 10
     assert 10.0 in x[rows]
     assert {30.0, 30.025} <= set(x[rows].round(3).tolist())
@@ -60,13 +60,13 @@ def test_a_corner_stays_a_corner_and_a_step_a_step() -> None:
 def test_gaps_standstill_and_noise_in_bends() -> None:
     force = np.arange(100.0)
     force[40:45] = np.nan
-    assert simplify_line(np.arange(100.0), force, max_points=10).tolist() == [0, 39, 40, 45, 99]
+    assert list(find_shape_samples(np.arange(100.0), force, max_points=10)) == [0, 39, 40, 45, 99]
     up = np.concatenate([np.zeros(50), np.linspace(0.0, 1.0, 50), np.zeros(50)])
-    assert {50, 99, 100} <= set(simplify_line(np.zeros(150), up, max_points=20).tolist())
-    assert simplify_line(np.zeros(3), np.full(3, np.nan), max_points=5).tolist() == [0]
-    assert simplify_line(np.zeros(0), np.zeros(0), max_points=5).tolist() == []
+    assert {50, 99, 100} <= set(find_shape_samples(np.zeros(150), up, max_points=20).tolist())
+    assert find_shape_samples(np.zeros(3), np.full(3, np.nan), max_points=5).tolist() == [0]
+    assert find_shape_samples(np.zeros(0), np.zeros(0), max_points=5).tolist() == []
     noise = np.random.default_rng(1).normal(size=3000)
-    rows = simplify_line(np.arange(3000.0), noise, max_points=50)
+    rows = find_shape_samples(np.arange(3000.0), noise, max_points=50)
     assert len(rows) == 50
     assert {int(noise.argmax()), int(noise.argmin()), 0, 2999} <= set(rows.tolist())
 

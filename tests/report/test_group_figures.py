@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labpipe.records.curve import DrawnLaw, DrawnShapes, FittedLine
+from labpipe.records.curve import FigureLaw, FigureShapes, FittedLine
 from labpipe.records.group import Group, Outlier
 from labpipe.report.group_plots import list_group_figures, make_file_plots
 from labpipe.report.page_tables import make_stems
@@ -52,9 +52,9 @@ def test_rows_are_samples_spool_means_and_the_mean() -> None:
 
 X = np.linspace(0.0, 0.08, 5)
 STEPS = np.array([0.00004, 0.01, 0.02])
-SHAPES = DrawnShapes(STEPS, np.stack([np.column_stack([X, d * (X / 0.08) ** 2]) for d in STEPS]))
+SHAPES = FigureShapes(STEPS, np.stack([np.column_stack([X, d * (X / 0.08) ** 2]) for d in STEPS]))
 KAPPA = np.array([0.0, 1.0, 10.0])
-LAW = DrawnLaw(KAPPA, 3e-4 * KAPPA, 2.9e-4 * KAPPA, 3.1e-4 * KAPPA)
+LAW = FigureLaw(KAPPA, 3e-4 * KAPPA, 2.9e-4 * KAPPA, 3.1e-4 * KAPPA)
 
 
 def bent(count: int = 6) -> Group:

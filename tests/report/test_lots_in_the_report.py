@@ -14,7 +14,7 @@ from labpipe.records.group import Campaign, Group
 from labpipe.records.result import Result
 from labpipe.report.group_plots import make_file_plots
 from labpipe.report.lab_report import render_page
-from labpipe.report.page_tables import make_figure_group, make_lot_table, make_verdict_table
+from labpipe.report.page_tables import make_figure_view, make_lot_table, make_verdict_table
 from labpipe.report.report_workbook import save_workbook
 from labpipe.report.wording import is_main
 from labpipe.statistics.lots import FORCE_LIMIT, PEAK_OVER_LIMIT, judge_lot
@@ -47,7 +47,7 @@ def lot() -> Group:
 
 def test_the_first_screen_has_the_answer_of_the_lot(lot: Group) -> None:
     campaign = Campaign("S", (lot,))
-    table = make_lot_table([make_figure_group(lot)])
+    table = make_lot_table([make_figure_view(lot)])
     assert table is not None
     cells = list(map(cell_text, table.rows[0]))
     assert cells[:2] == ["crimps", "PASS"]
@@ -59,7 +59,7 @@ def test_the_first_screen_has_the_answer_of_the_lot(lot: Group) -> None:
     assert verdicts is not None
     assert list(map(cell_text, verdicts.rows[0][1:3])) == ["pass", "pass"]
     assert verdicts.rows[4][-1] == "not stated"
-    assert make_lot_table([make_figure_group(replace(lot, lot=None))]) is None
+    assert make_lot_table([make_figure_view(replace(lot, lot=None))]) is None
 
 
 def test_the_workbook_has_lots_and_verdicts(lot: Group, tmp_path: Path) -> None:

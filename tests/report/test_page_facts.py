@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from labpipe.records.arrays import Floats
-from labpipe.records.curve import DrawnLaw, DrawnShapes
+from labpipe.records.curve import FigureLaw, FigureShapes
 from labpipe.records.group import Campaign, Group, Sample
 from labpipe.records.result import Instrument
 from labpipe.report.group_plots import make_group_plots
@@ -202,8 +202,8 @@ def test_shapes_have_one_scale_and_laws_their_intervals() -> None:
     tips = np.array([0.0, 0.01, 0.02])
     along = np.linspace(0.0, 0.1, 6)
     places = np.stack([np.stack([along, tip * along / 0.1], axis=1) for tip in tips])
-    law = DrawnLaw(np.array([0.0, 10.0]), *(np.array([0.0, m]) for m in (0.02, 0.018, 0.022)))
-    shapes = DrawnShapes(tips, places)
+    law = FigureLaw(np.array([0.0, 10.0]), *(np.array([0.0, m]) for m in (0.02, 0.018, 0.022)))
+    shapes = FigureShapes(tips, places)
     samples = [replace(sample, shapes=shapes, law=law) for sample in six_samples()[:2]]
     drawn = panels(build_group("A", samples))
     plot, moment = drawn["shapes"], drawn["moment"]

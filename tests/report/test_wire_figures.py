@@ -28,8 +28,8 @@ from labpipe.report.wire_report import (
     make_section_plot,
     make_sections_page,
     make_stiffness_page,
+    make_strand_lines,
     make_summary_record,
-    plot_strands,
     save_wire_workbook,
 )
 from tests.approved import Approve
@@ -54,7 +54,7 @@ def outlines(line: Line) -> list[Floats]:
 
 def test_compressed_strands_fill_their_circle_with_their_areas() -> None:
     table, areas = compressed_wire(), []
-    for strand in (strand for line in plot_strands(table.layout) for strand in outlines(line)):
+    for strand in (strand for line in make_strand_lines(table.layout) for strand in outlines(line)):
         x, y = strand.T
         areas.append(abs(x @ np.roll(y, 1) - y @ np.roll(x, 1)) / 2.0)
     assert areas == pytest.approx([0.35e-6 / 7] * 7, rel=2e-3)
@@ -65,7 +65,7 @@ def test_compressed_strands_fill_their_circle_with_their_areas() -> None:
 def test_strands_wall_bore_and_bar_to_scale() -> None:
     table = wire_table("A3")
     layout = table.layout
-    circles = [circle for line in plot_strands(layout) for circle in outlines(line)]
+    circles = [circle for line in make_strand_lines(layout) for circle in outlines(line)]
     assert [np.ptp(circle[:, 0]) for circle in circles] == pytest.approx([0.24e-3] * 19, rel=1e-3)
     centres = [circle[:-1].mean(axis=0) for circle in circles]
     np.testing.assert_allclose(centres, np.column_stack([layout.x, layout.y]), atol=1e-9)

@@ -180,7 +180,7 @@ INNER_ONLY = Contacts((0.7,) * 4, (0.0,) * 4)
 
 """Each layer rubs on what it is pressed against by its own pull and that of the layers outside."""
 
-SHARED = Contacts((0.7,) * 4, (0.35, 0.35, 0.35, 0.0), lay_lengths=True)
+SHARED = Contacts((0.7,) * 4, (0.35, 0.35, 0.35, 0.0), has_lay_lengths=True)
 
 """Sliding against the layer outside is shared between the two; pressure by lay lengths."""
 

@@ -21,10 +21,10 @@ from labpipe.mechanics.wire.bending_law import (
     compute_axial_strain,
     compute_friction_angle,
     compute_moment_curve,
+    compute_orientation_range,
     compute_sines,
     compute_slip_stiffness,
     compute_stick_stiffness,
-    find_orientation_range,
     find_slip_onsets,
     fit_play_law,
     make_contacts,
@@ -93,7 +93,7 @@ def test_pressure_from_outer_rings_is_never_negative() -> None:
 def test_lay_lengths_weigh_the_pressure() -> None:
     section = cardinal()
     plain = Contacts((0.7,) * 4, (0.35,) * 4)
-    weighed = Contacts((0.7,) * 4, (0.35,) * 4, lay_lengths=True)
+    weighed = Contacts((0.7,) * 4, (0.35,) * 4, has_lay_lengths=True)
     sine = compute_sines(section, 0.0)
     of = [
         make_ring_model(section, each, sine, tension=40e3).rings[2].pressure_factors[3]
@@ -140,7 +140,7 @@ def test_the_range_over_orientations_leaves_out_no_turn(name: str, is_shaken: bo
         section = replace(section, kind="packed", x=x, y=y)
     contacts, kappa = contacts_of(section), np.array([-5.0, 0.05, 5.0, 40.0])
     curve = compute_moment_curve(section, contacts, kappa)
-    low, high = find_orientation_range(section, contacts, curve, n_orientations=turns)
+    low, high = compute_orientation_range(section, contacts, curve, n_orientations=turns)
     angles = 2.0 * np.pi * np.arange(turns) / turns
     moments = [compute_moment_curve(section, contacts, kappa, orientation=a).moment for a in angles]
     assert low == pytest.approx(np.min(moments, axis=0), rel=1e-9)

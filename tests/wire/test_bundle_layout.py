@@ -190,9 +190,9 @@ def test_packing_fractions_and_bores() -> None:
     mixed = np.array([1.1e-3] * 10 + [1.25e-3] * 9)
     assert compute_packing_fraction(mixed, compute_bore(mixed)) == pytest.approx(0.7)
     assert compute_bore(seven, 7.0 / 9.0) == pytest.approx(3e-3)
-    assert choose_bore(seven, (2.9e-3, 3.2e-3, 3.6e-3), smallest=3e-3) == 3.2e-3
-    assert choose_bore(seven, (3.6e-3, 9e-3), smallest=3e-3) == 3.6e-3
-    assert choose_bore(seven, (3e-3,), smallest=3e-3) == 3e-3
+    assert choose_bore(seven, (2.9e-3, 3.2e-3, 3.6e-3), min_bore=3e-3) == 3.2e-3
+    assert choose_bore(seven, (3.6e-3, 9e-3), min_bore=3e-3) == 3.6e-3
+    assert choose_bore(seven, (3e-3,), min_bore=3e-3) == 3e-3
     assert fits_bore(3e-3 * (1.0 + 1e-12), 3e-3)
     assert not fits_bore(3.001e-3, 3e-3)
 

@@ -154,9 +154,9 @@ def test_integrals_of_polynomials_are_exact_and_a_smooth_function_is_interpolate
     s = stations.position
     for power in range(8):
         integral = s ** (power + 1) / (power + 1)
-        np.testing.assert_allclose(stations.from_clamp @ s**power, integral, atol=1e-14)
+        np.testing.assert_allclose(stations.clamp_integral @ s**power, integral, atol=1e-14)
         rest = 1 / (power + 1) - integral
-        np.testing.assert_allclose(stations.to_tip @ s**power, rest, atol=1e-14)
+        np.testing.assert_allclose(stations.tip_integral @ s**power, rest, atol=1e-14)
         assert stations.weights @ s**power == pytest.approx(1 / (power + 1))
     wanted, known = np.linspace(0.0, 1.0, 33), np.sin(3 * make_stations(24).position)
     np.testing.assert_allclose(make_interpolation_matrix(24, wanted) @ known, np.sin(3 * wanted))

@@ -180,7 +180,7 @@ CASES: dict[str, list[Callable[[], object]]] = {
     "bundles": [
         lambda: placed((0.0, 0.0), (2e-3, 0.0), (1e-3, 0.0), wires=3),
         lambda: find_sites(0),
-        lambda: choose_bore(np.full(7, 1e-3), (2.5e-3, 2.9e-3), smallest=3e-3),
+        lambda: choose_bore(np.full(7, 1e-3), (2.5e-3, 2.9e-3), min_bore=3e-3),
         lambda: compute_packing_fraction(np.full(7, 1e-3), 0.0),
         lambda: compute_bore(np.full(7, 1e-3), 0),
         lambda: find_densest_heap([np.array([[0.0, 0.0], [np.nan, 1.0]])], np.ones(2)),

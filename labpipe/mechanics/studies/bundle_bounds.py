@@ -329,7 +329,7 @@ def _choose_conduit(model: BundleModel, bores: Sequence[float]) -> BundleModel:
     if not bores:
         return model
     diameters = model.layout.diameter
-    bore = choose_bore(diameters, bores, smallest=model.smallest_bore)
+    bore = choose_bore(diameters, bores, min_bore=model.smallest_bore)
     bundle = replace(model.bundle, conduit_bore=bore)
     return replace(model, bundle=bundle, packing_fraction=compute_packing_fraction(diameters, bore))
 

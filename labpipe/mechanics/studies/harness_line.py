@@ -515,8 +515,8 @@ def make_section_function(spec: WireSpec, values: Mapping[str, float]) -> Sectio
         matrix = compute_stretch_torsion(wire.section)
         section = Section(
             law,
-            torsional_stiffness=matrix.torsional,
-            axial_stiffness=matrix.axial,
+            torsional_stiffness=matrix.torsional_stiffness,
+            axial_stiffness=matrix.axial_stiffness,
             coupling=matrix.coupling,
             mass_per_length=wire.mass_per_length,
             diameter=spec.wire_diameter,

@@ -1,39 +1,40 @@
 """Compute the moment-curvature law of a stranded wire with friction.
 
-The model follows chapter 3 of [1]_; numbers in parentheses are its equations. A ring is a layer of
-strands around the core.
+The model follows chapter 3 of [1]_; numbers in parentheses are equations of [1]_. A ring is a
+layer of strands around the core. theta is the angle of a strand from the neutral axis, alpha the
+lay angle.
 
-Bending adds an axial force to that which a strand has from the tension of the wire, F0. While the
-strand sticks, this force is T = E A kappa r sin(theta) cos^2(alpha) (3.7). When it slips, the force
-is (3.14), with k = mu_inner |sin alpha| and c = (mu_outer + mu_inner) H,
+A strand has the axial force F0 from the tension of the wire, and bending adds a force. While the
+strand sticks, the added force is T = E A kappa r sin(theta) cos^2(alpha) (3.7). While it slips, the
+added force is (3.14), with k = mu_inner |sin alpha| and c = (mu_outer + mu_inner) H,
 
     S = (c + k F0) theta_e expm1(k theta_e) / (k theta_e),   theta_e = arcsin(sin theta).
 
-S is the integral of dF = c d(theta) + k F d(theta) from the neutral axis, where F = F0. The force
-has the smaller of the two absolute values and the sign of T (3.16). In [1]_, theta itself is used,
-so that strands with the same sine have different friction. The smaller signed force is also used
-in [1]_. On the side in compression, this is never the force of friction.
+S is the integral of dF = c d(theta) + k F d(theta) from the neutral axis, where F = F0. The added
+force has the smaller of the two absolute values and the sign of T (3.16). There are two differences
+from [1]_. There, theta is used instead of theta_e, and strands with the same sine have different
+friction. There, the smaller signed force is used, which in compression is never that of friction.
 
 The pressure on a strand of ring q, per radian of its lay, is never negative (3.11):
 
     H = F_rad N_Q / N_q + sum over outer rings k of (F0 + F)_k |sin alpha_k| N_k / N_q
 
-F_k is the force of the outer ring at the same angle theta, and Q is the outermost ring. The factors
-N_k / N_q of [1]_ hold for rings of equal lay length. With `Contacts.lay_lengths` they are
-multiplied by the ratio of the lay lengths, r_q tan alpha_k / (r_k tan alpha_q), as equilibrium
-requires.
+F_k is the added force of ring k at the same angle theta, N_k is the number of strands of ring k,
+and Q is the outermost ring. The factors N_k / N_q of [1]_ hold for rings of equal lay length. With
+`Contacts.has_lay_lengths` they are multiplied by the ratio of the lay lengths of the rings,
+r_q tan alpha_k / (r_k tan alpha_q), as equilibrium requires.
 
 The moment is that of (3.17), with the factor cos(alpha) that only the appendix of [1]_ has:
 
     M = sum F r sin(theta) cos(alpha) + sum h m(kappa) + M_ins(kappa).
 
 h is the helix factor and m the moment of a strand about its own axis (`wire.materials`). The moment
-of the insulation, M_ins, is EI_ins kappa unless its material has a stress-strain curve. The axial
-stiffness of the strands stays elastic, as in [1]_.
+of the insulation, M_ins, is EI_ins kappa unless its material has a stress-strain curve. The strands
+are elastic under axial forces, as in [1]_.
 
-On paths that unload, friction and insulation follow Masing's rule. The isotropic part of the moment
-of the strands about their own axes has a limit that grows as they yield, so that the wire springs
-back less. First loading is the same for every isotropic share.
+On paths that unload, friction and insulation follow Masing's rule. The isotropic share of the
+moment of the strands about their own axes has a limit that grows as the strands yield. The wire
+then springs back less. First loading is the same for every isotropic share.
 
 References
 ----------
@@ -59,11 +60,7 @@ from labpipe.mechanics.law.plays import (
     require_not_negative,
     require_positive,
 )
-from labpipe.mechanics.law.sliders import (
-    GrowingSlider,
-    make_growing_slider,
-    make_mixed_law,
-)
+from labpipe.mechanics.law.sliders import GrowingSlider, make_growing_slider, make_mixed_law
 from labpipe.mechanics.wire.cross_section import (
     CrossSection,
     Layer,
@@ -76,23 +73,23 @@ from labpipe.records.arrays import ArrayRecord, Flags, Floats, Vector
 
 @dataclass(frozen=True, slots=True)
 class Contacts:
-    """Friction and pressure between the rings.
+    """Friction coefficients of the rings, and radial force of the insulation.
 
     Parameters
     ----------
-    inner_friction : friction coefficient of each ring against the next inner layer, from the
-        innermost ring
-    outer_friction : friction coefficient of each ring against the next outer ring, or against the
-        insulation for the outermost ring
+    inner_friction : mu_inner, friction coefficient of each ring against the next inner layer, from
+        the innermost ring
+    outer_friction : mu_outer, friction coefficient of each ring against the next outer ring; for
+        the outermost ring, against the insulation
     radial_force : F_rad of the insulation, N per radian of lay and strand of the outermost ring
-    lay_lengths : whether the pressure on inner rings depends on the lay length of each ring;
-        otherwise the lay lengths are taken as equal
+    has_lay_lengths : whether the pressure on inner rings depends on the lay length of each ring;
+        otherwise all rings are taken to have the same lay length
     """
 
     inner_friction: tuple[float, ...]
     outer_friction: tuple[float, ...]
     radial_force: float = 0.0
-    lay_lengths: bool = False
+    has_lay_lengths: bool = False
 
     def __post_init__(self) -> None:
         coefficients = self.inner_friction, self.outer_friction
@@ -126,28 +123,30 @@ def make_contacts(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ring:
-    """Axial forces of a ring while its strands stick, and when they slip, at each angle.
+    """Properties of a ring that determine its axial forces, at each angle.
 
     A ring presses on inner rings. Its forces are therefore evaluated at the angles of its own
-    strands and of all inner strands: `end` angles, of which those from `start` are its own.
+    strands and of all inner strands. These are `end_index` angles; those from `start_index` on
+    belong to the ring.
 
     Parameters
     ----------
-    start, end : range of the ring's strands, counted over all rings from the innermost
-    stick_force : shape (end,), |T| / kappa, N m
-    slip_per_pressure : shape (end,), |S| / H without tension, not negative
-    slip_from_tension : shape (end,), |S| without pressure, N
+    start_index, end_index : range of the strands of the ring, counted over all rings from the
+        innermost
+    stick_stiffness : shape (end_index,), |T| / kappa, N m
+    slip_per_pressure : shape (end_index,), |S| / H without tension, not negative
+    tension_slip_force : shape (end_index,), |S| without pressure, N
     tension : F0, tension of a strand, N
     insulation_pressure : part of H that the insulation exerts, N
-    pressure_factors : H on this ring per axial force in each ring, from the innermost; 0 for the
-        ring itself and inner rings
+    pressure_factors : H on this ring per axial force of a strand of each ring, from the innermost
+        ring; 0 for the ring itself and for inner rings
     """
 
-    start: int
-    end: int
-    stick_force: Floats
+    start_index: int
+    end_index: int
+    stick_stiffness: Floats
     slip_per_pressure: Floats
-    slip_from_tension: Floats
+    tension_slip_force: Floats
     tension: float
     insulation_pressure: float
     pressure_factors: tuple[float, ...]
@@ -155,12 +154,12 @@ class Ring:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RingModel:
-    """The rings of a wire; the core has no axial force from bending and is left out.
+    """Rings of a wire; the core has no axial force from bending and is left out.
 
     Parameters
     ----------
     rings : rings from the innermost
-    sign : shape (strands,), 1 on the side in tension, -1 in compression, 0 on the neutral axis
+    sign : shape (strands,), sign of the axial force from bending; 0 on the neutral axis
     lever_arm : shape (strands,), m, r sin(theta) cos(alpha), lever arm of the axial force
     """
 
@@ -170,13 +169,13 @@ class RingModel:
 
 
 class AxialForces(NamedTuple):
-    """Axial forces from bending, without the tension of the wire.
+    """Axial forces of strands from bending, without the tension of the wire.
 
     Parameters
     ----------
     force : shape (curvatures, strands), N, positive in tension
     slope : shape (curvatures, strands), N m, derivative of the force with respect to curvature
-    is_sticking : shape (curvatures, strands), whether the strand sticks
+    is_sticking : shape (curvatures, strands), whether each strand sticks
     """
 
     force: Floats
@@ -194,15 +193,15 @@ def compute_axial_strain(section: CrossSection, tension: float) -> float:
 
     Returns
     -------
-    tension / (sum of E A cos^3(alpha) + E A of the insulation).
+    tension / (sum of E A cos^3(alpha) over the strands + E A of the insulation).
 
     Raises
     ------
     ValueError
-        If the tension is negative: compressed strands separate.
+        If the tension is negative. The model does not hold for compressed strands, which separate.
     """
     require_not_negative("tension", tension)
-    return tension / compute_stretch_torsion(section).axial
+    return tension / compute_stretch_torsion(section).axial_stiffness
 
 
 def compute_sines(section: CrossSection, orientation: float | Floats) -> Floats:
@@ -211,28 +210,28 @@ def compute_sines(section: CrossSection, orientation: float | Floats) -> Floats:
     Parameters
     ----------
     section : cross-section of the wire
-    orientation : rad, rotation of the section against the neutral axis; one value, or a column of
-        shape (n, 1)
+    orientation : rad, rotation of the section relative to the neutral axis; one value, or a column
+        of shape (n, 1)
 
     Returns
     -------
     Shape (strands,), or (n, strands) for a column of orientations.
     """
-    min_sine = 1e-12  # rounding can give a strand on the neutral axis a smaller sine than this
-    first = int(section.has_core)
-    sine = np.sin(section.angle[section.layer >= first] + orientation)
+    min_sine = 1e-12  # smaller sines are rounding errors of strands on the neutral axis
+    is_ring = section.layer >= int(section.has_core)
+    sine = np.sin(section.angle[is_ring] + orientation)
     return np.where(np.abs(sine) < min_sine, 0.0, sine)
 
 
 def make_ring_model(
     section: CrossSection, contacts: Contacts, sine: Floats, *, tension: float = 0.0
 ) -> RingModel:
-    """Compute the forces of all rings that do not depend on the curvature.
+    """Compute the properties of all rings that do not depend on the curvature.
 
     Parameters
     ----------
     section : cross-section of the wire
-    contacts : friction and pressure of each ring of the section
+    contacts : friction coefficients of the rings of the section, and radial force
     sine : shape (strands,), sines of the angles of the strands, from `compute_sines`
     tension : N, tension of the wire
 
@@ -250,32 +249,32 @@ def make_ring_model(
     """
     first = int(section.has_core)
     layers = section.layers[first:]
-    count, expected = len(contacts.inner_friction), f"{len(layers)}, the number of rings"
-    require("number of coefficients", count, expected, holds=count == len(layers))
+    n_coefficients, expected = len(contacts.inner_friction), f"{len(layers)}, the number of rings"
+    require("number of coefficients", n_coefficients, expected, holds=n_coefficients == len(layers))
     is_ring = section.layer >= first
     radius, index = section.radius[is_ring], section.layer[is_ring] - first
-    mean_radii = [float(np.sqrt(np.mean(radius[index == q] ** 2))) for q in range(len(layers))]
+    rms_radii = [float(np.sqrt(np.mean(radius[index == q] ** 2))) for q in range(len(layers))]
     lay_angles = np.array([layer.lay_angle for layer in layers])
     counts = np.array([layer.count for layer in layers])
-    radial_forces = np.abs(np.sin(lay_angles)) * counts  # per axial force of a strand
-    if contacts.lay_lengths:
-        radial_forces *= np.tan(np.abs(lay_angles)) / np.array(mean_radii)
+    radial_forces = np.abs(np.sin(lay_angles)) * counts  # of each ring, per axial force of a strand
+    if contacts.has_lay_lengths:
+        radial_forces *= np.tan(np.abs(lay_angles)) / np.array(rms_radii)
     strain, rings = compute_axial_strain(section, tension), []
     for q, layer in enumerate(layers):
         end, inner_friction = int(counts[: q + 1].sum()), contacts.inner_friction[q]
         rigidity = layer.material.modulus * layer.area * np.cos(layer.lay_angle) ** 2
-        radii = np.where(index == q, radius, mean_radii[q])[:end]
+        radii = np.where(index == q, radius, rms_radii[q])[:end]
         k = inner_friction * abs(np.sin(layer.lay_angle))
         friction_angle = np.abs(compute_friction_angle(k, np.arcsin(sine[:end])))
-        lay = np.tan(abs(layer.lay_angle)) / mean_radii[q] if contacts.lay_lengths else 1.0
+        turns = np.tan(abs(layer.lay_angle)) / rms_radii[q] if contacts.has_lay_lengths else 1.0
         is_outer = np.arange(len(layers)) > q
-        pressure_factors = np.where(is_outer, radial_forces, 0.0) / (layer.count * lay)
+        pressure_factors = np.where(is_outer, radial_forces, 0.0) / (layer.count * turns)
         ring = Ring(
-            start=end - layer.count,
-            end=end,
-            stick_force=rigidity * radii * np.abs(sine[:end]),
+            start_index=end - layer.count,
+            end_index=end,
+            stick_stiffness=rigidity * radii * np.abs(sine[:end]),
             slip_per_pressure=(inner_friction + contacts.outer_friction[q]) * friction_angle,
-            slip_from_tension=k * rigidity * strain * friction_angle,
+            tension_slip_force=k * rigidity * strain * friction_angle,
             tension=rigidity * strain,
             insulation_pressure=contacts.radial_force * layers[-1].count / layer.count,
             pressure_factors=tuple(pressure_factors.tolist()),
@@ -286,7 +285,7 @@ def make_ring_model(
 
 
 def compute_friction_angle(k: float, angle: Floats) -> Floats:
-    """Compute expm1(k angle) / k, the angle weighted by the friction of the strand's tension, rad.
+    """Compute expm1(k angle) / k, the factor on c + k F0 in the slip force S, rad.
 
     Parameters
     ----------
@@ -302,55 +301,53 @@ def compute_axial_forces(model: RingModel, curvature: Floats) -> AxialForces:
     Parameters
     ----------
     model : rings of the wire
-    curvature : 1/m, without NaN, not negative: shape (n, 1), or (n, strands) if the strands have
-        different curvatures. To bend in the opposite direction, rotate the section by half a turn
-
-    Returns
-    -------
-    Forces, their derivatives, and which strands stick.
+    curvature : 1/m, without NaN, not negative; shape (n, 1), or (n, strands) if the strands have
+        different curvatures. Bending in the opposite direction requires a section that is rotated
+        by half a turn
     """
     shape = (len(curvature), len(model.sign))
     force, slope, is_sticking = np.empty(shape), np.empty(shape), np.empty(shape, dtype=np.bool_)
     outer_forces: list[Floats] = []
     outer_slopes: list[Floats] = []
     for q in reversed(range(len(model.rings))):
-        ring, sign = model.rings[q], model.sign[: model.rings[q].end]
+        ring, sign = model.rings[q], model.sign[: model.rings[q].end_index]
         pressure = compute_ring_pressure(model, q, outer_forces)
         slopes = zip(ring.pressure_factors[q + 1 :], outer_slopes, strict=True)
-        rises = [factor * slope[:, : ring.end] for factor, slope in slopes]
-        pressure_slope = np.where(pressure > 0.0, np.sum(rises, axis=0), 0.0)  # 0: no contact
-        stick_force = curvature[:, : ring.end] * ring.stick_force
-        slip_force = pressure * ring.slip_per_pressure + ring.slip_from_tension
+        slope_terms = [factor * slope[:, : ring.end_index] for factor, slope in slopes]
+        # Without contact the pressure is constant at 0.
+        pressure_slope = np.where(pressure > 0.0, np.sum(slope_terms, axis=0), 0.0)
+        stick_force = curvature[:, : ring.end_index] * ring.stick_stiffness
+        slip_force = pressure * ring.slip_per_pressure + ring.tension_slip_force
         slip_slope = pressure_slope * ring.slip_per_pressure
-        sticks = stick_force < slip_force
-        ring_force = np.where(sticks, stick_force, slip_force) * sign
-        ring_slope = np.where(sticks, ring.stick_force, slip_slope) * sign
-        columns = slice(ring.start, ring.end)
+        ring_sticks = stick_force < slip_force
+        ring_force = np.where(ring_sticks, stick_force, slip_force) * sign
+        ring_slope = np.where(ring_sticks, ring.stick_stiffness, slip_slope) * sign
+        columns = slice(ring.start_index, ring.end_index)
         force[:, columns], slope[:, columns] = ring_force[:, columns], ring_slope[:, columns]
-        is_sticking[:, columns] = sticks[:, columns]
+        is_sticking[:, columns] = ring_sticks[:, columns]
         outer_forces.insert(0, ring_force)
         outer_slopes.insert(0, ring_slope)
     return AxialForces(force, slope, is_sticking)
 
 
 def compute_ring_pressure(model: RingModel, q: int, outer_forces: list[Floats]) -> Floats:
-    """Compute the pressure H on a ring at each of its angles, N per radian of lay, not negative.
+    """Compute the pressure H on each strand of a ring, N per radian of lay, at each angle.
 
     Parameters
     ----------
     model : rings of the wire
     q : index of the ring
-    outer_forces : N, axial forces from bending of each ring outside, from the next ring outwards,
-        shape (n, end of that ring) each
+    outer_forces : N, axial forces from bending of each outer ring, from the next ring outwards,
+        shape (n, `end_index` of the outer ring) each
 
     Returns
     -------
-    Shape (n, end of the ring), or (1, 1) for the outermost ring.
+    Shape (n, `end_index` of the ring), or (1, 1) for the outermost ring; not negative.
     """
     ring = model.rings[q]
     pressure = np.full((1, 1), ring.insulation_pressure)
     for k, force in enumerate(outer_forces, start=q + 1):
-        axial_force = model.rings[k].tension + force[:, : ring.end]
+        axial_force = model.rings[k].tension + force[:, : ring.end_index]
         pressure = pressure + ring.pressure_factors[k] * axial_force
     return np.asarray(np.maximum(pressure, 0.0))
 
@@ -363,14 +360,14 @@ def find_slip_onsets(
     Parameters
     ----------
     section : cross-section of the wire
-    contacts : friction and pressure of each ring
+    contacts : friction coefficients of the rings, and radial force
     tension : N, tension of the wire
-    orientation : rad, rotation of the section against the neutral axis
+    orientation : rad, rotation of the section relative to the neutral axis
 
     Returns
     -------
     Shape (strands,), in the order of the section without the core; infinite for a strand that never
-    slips. A strand on the neutral axis has the limit of strands next to the axis.
+    slips. The value of a strand on the neutral axis is the limit for strands next to the axis.
 
     Notes
     -----
@@ -379,7 +376,7 @@ def find_slip_onsets(
     from the axis slip first.
     """
     min_sine = 1e-9  # sine that replaces 0 for a strand on the neutral axis
-    n_refinements = 8  # each one reduces the bracket to a 128th, so that rounding errors remain
+    n_refinements = 8  # each divides the bracket by 128; the last is as wide as rounding errors
     sine = compute_sines(section, orientation)
     nonzero_sine = np.where(sine == 0.0, min_sine, sine)
     model = make_ring_model(section, contacts, nonzero_sine, tension=tension)
@@ -399,7 +396,7 @@ def find_slip_onsets(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MomentCurve(ArrayRecord):
-    """A wire's moment against curvature, and its components; arrays of shape (n,).
+    """Moment of a wire and its components at curvatures of first loading; arrays of shape (n,).
 
     The moment is stick + slip + bending + plastic + insulation.
 
@@ -409,7 +406,7 @@ class MomentCurve(ArrayRecord):
     stick : N m, moment of the axial forces of strands that stick
     slip : N m, moment of the axial forces of strands that slip
     bending : N m, moment of elastic strands about their own axes
-    plastic : N m, loss of that moment by yielding, of the opposite sign
+    plastic : N m, change of that moment because strands yield, of the opposite sign
     insulation : N m, moment of the insulation
     tangent_stiffness : N m^2, derivative of the moment with respect to curvature
     stick_stiffness : N m^2, derivative of the moment at zero curvature, where nothing slips or
@@ -450,14 +447,14 @@ def compute_stick_stiffness(section: CrossSection, *, orientation: float = 0.0) 
     Parameters
     ----------
     section : cross-section of the wire
-    orientation : rad, as for `compute_moment_curve`
+    orientation : rad, rotation of the section relative to the neutral axis
 
     Notes
     -----
     This is the derivative of the moment at zero curvature: slip stiffness + sum E A r^2
-    sin^2(theta) cos^3(alpha). With at least three evenly spaced strands in every ring it does not
-    depend on the orientation. With two strands it varies by a fifth, and in a packing by a few per
-    cent.
+    sin^2(theta) cos^3(alpha). With at least three evenly spaced strands in every ring the stiffness
+    does not depend on the orientation. With two strands in a ring it varies by a fifth, and in a
+    packing by a few per cent.
     """
     is_ring = section.layer >= int(section.has_core)
     height = section.radius[is_ring] * compute_sines(section, orientation)
@@ -497,11 +494,11 @@ def compute_moment_curve(
     Parameters
     ----------
     section : cross-section of the wire
-    contacts : friction and pressure of each ring
+    contacts : friction coefficients of the rings, and radial force
     curvature : shape (n,), 1/m, any order and sign; each is reached monotonically from zero
     tension : N, tension of the wire before bending
-    orientation : rad, rotation of the section against the neutral axis; at 0 a strand of the first
-        ring lies on that axis
+    orientation : rad, rotation of the section relative to the neutral axis; at 0 a strand of the
+        first ring is on that axis
 
     Returns
     -------
@@ -547,16 +544,16 @@ def _sum_ring_moments(
     N m^2; shape (n,) each, NaN where the curvature is NaN.
     """
     stick, slip, slope = np.full((3, len(curvature)), np.nan)
-    for selected, rotation, sign in ((curvature >= 0.0, 0.0, 1.0), (curvature < 0.0, np.pi, -1.0)):
-        if selected.any():
+    for has_sign, rotation, sign in ((curvature >= 0.0, 0.0, 1.0), (curvature < 0.0, np.pi, -1.0)):
+        if has_sign.any():
             sine = compute_sines(section, orientation + rotation)
             model = make_ring_model(section, contacts, sine, tension=tension)
-            axial = compute_axial_forces(model, np.abs(curvature[selected, None]))
+            axial = compute_axial_forces(model, np.abs(curvature[has_sign, None]))
             stick_force = np.where(axial.is_sticking, axial.force, 0.0)
             slip_force = np.where(axial.is_sticking, 0.0, axial.force)
-            stick[selected] = sign * stick_force @ model.lever_arm
-            slip[selected] = sign * slip_force @ model.lever_arm
-            slope[selected] = axial.slope @ model.lever_arm
+            stick[has_sign] = sign * stick_force @ model.lever_arm
+            slip[has_sign] = sign * slip_force @ model.lever_arm
+            slope[has_sign] = axial.slope @ model.lever_arm
     return stick, slip, slope
 
 
@@ -579,7 +576,7 @@ def sum_strand_moments(layers: Sequence[Layer], curvature: Floats) -> StrandMome
     return StrandMoment(moment, tangent_stiffness)
 
 
-def find_orientation_range(
+def compute_orientation_range(
     section: CrossSection,
     contacts: Contacts,
     curve: MomentCurve,
@@ -587,14 +584,14 @@ def find_orientation_range(
     tension: float = 0.0,
     n_orientations: int = 24,
 ) -> tuple[Floats, Floats]:
-    """Find the range of the moment over a full turn of the section.
+    """Compute the range of the moment over a full turn of the section.
 
     Parameters
     ----------
     section, contacts, tension : cross-section, contacts and tension of the wire, as for
         `compute_moment_curve`
-    curve : moment curve at any orientation
-    n_orientations : number of orientations, evenly spaced over the full turn from 0
+    curve : moment curve of the wire, at any orientation
+    n_orientations : number of evenly spaced orientations over the full turn
 
     Returns
     -------
@@ -622,38 +619,38 @@ def fit_play_law(
     tension: float = 0.0,
     orientation: float = 0.0,
 ) -> PlayLaw:
-    """Fit plays whose polygon of first loading meets the wire's law at every corner.
+    """Fit plays to the law of a wire; first loading is exact at every corner of the plays.
 
     Parameters
     ----------
     section, contacts, tension, orientation : cross-section, contacts, tension and orientation of
         the wire, as for `compute_moment_curve`
-    largest_curvature : 1/m, end of the range of the law; `wire.cantilever` raises beyond it
+    largest_curvature : 1/m, end of the range of the law; `wire.cantilever` raises an error beyond
     isotropic_share : fraction of the hardening of the strands that is isotropic, from 0 (Masing's
-        rule) to 1; it acts on paths that unload
-    n_plays : number of corners, evenly spaced in the logarithm of the curvature over four decades;
-        each slip onset of a strand adds one
+        rule) to 1; it has an effect only on paths that unload
+    n_plays : number of plays, with corners evenly spaced in the logarithm of the curvature over
+        four decades; each slip onset of a strand adds one
 
     Returns
     -------
-    The law. Its loops follow Masing's rule. The rule is exact for Coulomb sliders and hardening
-    strands if friction is equal in both directions of slip, which holds closely for a small
-    mu sin(alpha).
+    The law. For an isotropic share of 0, its loops follow Masing's rule. The rule is exact for
+    Coulomb sliders and strands with kinematic hardening if friction is equal in both directions of
+    slip. For a small mu sin(alpha), friction is nearly equal.
 
     Raises
     ------
     ValueError
         If the moment decreases or the tangent stiffness increases with curvature, which plays
-        cannot represent; the message states the curvature. If the isotropic share is not between 0
-        and 1. If `compute_moment_curve` raises it.
+        cannot represent (the message states the curvature), the isotropic share is not between 0
+        and 1, or for the reasons of `compute_moment_curve`.
 
     Notes
     -----
     For the wires of [1]_, the polygon with 60 plays differs from the law by at most 0.3 %.
 
-    Moments in loops exceed the range of first loading. For an isotropic share above 0, the strands'
-    moment is continued to eight times the range, or to the end of their material's curve, and
-    linearly from there.
+    Moments of strands in loops exceed the range of first loading. For an isotropic share above 0,
+    the moment of the strands is therefore computed up to eight times the range, or up to the end of
+    the curve of their material, and is linear beyond.
     """
     n_decades = 4.0  # range of the corners below the largest curvature
     min_spacing = 1e-6  # relative spacing of corners; closer corners are merged
@@ -671,17 +668,17 @@ def fit_play_law(
 
 
 LOOP_RANGE = 8.0
-"""Range of the strands' moments in loops, relative to the largest curvature of the law."""
+"""Largest curvature at which strand moments are computed for loops, relative to that of the law."""
 
 
 def harden_plays(
     plays: PlayLaw, layers: Sequence[Layer], isotropic_share: float, *, factor: float = 1.0
 ) -> PlayLaw:
-    """Make a law with partly isotropic hardening of the strands from a law with Masing loops.
+    """Make a law with partly isotropic hardening of the strands from a law of plays.
 
     Parameters
     ----------
-    plays : law of the wire with the same first loading
+    plays : law of the wire with the same first loading, and loops that follow Masing's rule
     layers : layers of strands
     isotropic_share : fraction of the hardening that is isotropic, from 0 to 1; with 0 the law is
         returned unchanged
@@ -690,7 +687,7 @@ def harden_plays(
     Raises
     ------
     ValueError
-        If the isotropic share is out of its range.
+        If the isotropic share is outside its range.
     """
     if isotropic_share == 0.0:
         return plays
@@ -702,26 +699,25 @@ def harden_plays(
 def make_strand_slider(
     layers: Sequence[Layer], corners: Floats, *, factor: float = 1.0, isotropic_share: float = 1.0
 ) -> GrowingSlider:
-    """Make the growing slider of the bending of strands about their own axes.
+    """Make the growing slider that represents the moment of strands about their own axes.
 
     Parameters
     ----------
     layers : layers of strands
-    corners : shape (n,), 1/m, positive and increasing, over the range of a law. Further corners
-        reach to eight times the range, or to the first end of a material's curve
+    corners : shape (n,), 1/m, positive and increasing, over the range of a law. Further corners are
+        added up to eight times the range, or up to the curvature at which the curve of a material
+        ends
     factor : factor on the moments of the strands
     isotropic_share : fraction of the hardening that is isotropic, above 0 and at most 1
 
     Raises
     ------
     ValueError
-        If the isotropic share is out of its range.
+        If the isotropic share is outside its range.
     """
-    largest_curvature = min(
-        2.0 * layer.material.largest_strain / layer.diameter for layer in layers
-    )
-    last = min(LOOP_RANGE * corners[-1], (1.0 - 1e-9) * largest_curvature)
-    if last > corners[-1]:
-        corners = np.append(corners, np.geomspace(corners[-1], last, 41)[1:])
+    largest_curvature = min(2.0 * x.material.largest_strain / x.diameter for x in layers)
+    last_corner = min(LOOP_RANGE * corners[-1], (1.0 - 1e-9) * largest_curvature)
+    if last_corner > corners[-1]:
+        corners = np.append(corners, np.geomspace(corners[-1], last_corner, 41)[1:])
     moment = factor * sum_strand_moments(layers, corners).moment
     return make_growing_slider(corners, moment, isotropic_share)

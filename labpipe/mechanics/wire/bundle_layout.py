@@ -1,19 +1,19 @@
-"""Arrange the wires of a bundle in its cross-section, and choose the conduit around them.
+"""Arrange the wires of a bundle in its cross-section, and choose a conduit for the bundle.
 
-Up to 37 equal wires form a hexagon if their number allows it: one around a central wire (1, 7, 19
-or 37 wires), or one with long and short sides around a core of three (3, 12 or 27 wires), as in
+Up to 37 equal wires form a hexagon if their number allows it. The hexagon has a central wire (1, 7,
+19 or 37 wires), or long and short sides around a core of three wires (3, 12 or 27 wires), as in
 figure 4.2 of [1]_. For any other number, the arrangement with the smallest circumscribed circle is
-chosen. The candidates are pieces of a triangular lattice and, for up to 100 wires, heaps: wires
-that are drawn together from several starting positions. Unequal wires are always drawn together,
-from the sites of as many equal wires.
+chosen. The candidates are pieces of a triangular lattice and, for up to 100 wires, heaps. A heap is
+made of wires that are drawn together from starting positions. Unequal wires always form a heap;
+their starting positions are those of the same number of equal wires.
 
 In a heap the sum of diameter^2 x squared distance from the centre is a minimum and no wires
 overlap. This pull to the centre replaces the bore of [1]_, which would leave loose wires in gaps.
 The wires are first relaxed with a soft contact energy, equations (3.1) to (3.4) of [1]_. The
-contacts then harden until the overlaps are gone (method of multipliers [2]_ [3]_), and Newton's
-method solves for the equilibrium. The relaxation evaluates only pairs of near wires, so the cost of
-a step grows linearly with their number. Newton's method solves a full matrix. The heap is the same
-on every processor, to 1e-12 of a diameter.
+contacts then harden until the overlaps are zero (method of multipliers [2]_ [3]_), and Newton's
+method solves for the equilibrium. The relaxation evaluates only pairs of near wires: the cost of a
+step is proportional to the number of wires. Newton's method solves a full matrix. The heap is the
+same on every processor, to 1e-12 of a diameter.
 
 References
 ----------
@@ -39,65 +39,66 @@ from scipy.spatial import cKDTree
 
 from labpipe.mechanics.law.plays import require, require_finite, require_positive
 from labpipe.records.arrays import Floats, Ints
-from labpipe.records.harness_bundle import STATED, Bundle, BundleLayout
+from labpipe.records.harness_bundle import STATED_POSITIONS, Bundle, BundleLayout
 
 _MAX_SEARCHED_WIRES = 100
 """Largest number of wires for which all starting positions are tried.
 
-More equal wires form a lattice, and more unequal wires are drawn together from fewer starting
-positions.
+A larger number of equal wires form a lattice. A larger number of unequal wires are drawn together
+from fewer starting positions.
 """
 _SEED = 0
-"""Seed of random starts and assignments, so that the same wires have the same layout."""
+"""Seed of random starts and assignments; the same wires therefore have the same layout."""
 
 
 def arrange_wires(
-    bundle: Bundle, diameters: Sequence[float], stiffness: Sequence[float]
+    bundle: Bundle, diameters: Sequence[float], stiffnesses: Sequence[float]
 ) -> BundleLayout:
     """Arrange the wires of a bundle in its cross-section.
 
     Parameters
     ----------
-    bundle : composition and arrangement; positions that it states override the arrangement
+    bundle : composition and arrangement; stated positions override the arrangement
     diameters : m, diameter over the insulation of each wire type
-    stiffness : N, axial stiffness of each wire type; the stiffest lies on top in an asymmetric
-        bundle
+    stiffnesses : N, axial stiffness of each wire type; in an asymmetric bundle, the stiffest type
+        is on top
 
     Returns
     -------
-    Layout with the wires in the order of `bundle.wires`; the origin is the centroid of their areas.
+    Layout with the wires in the order of `bundle.wires`. The origin is the centroid of the areas of
+    the wires.
 
     Raises
     ------
     ValueError
-        If the number of stated positions is not the number of wires, or wires at stated positions
-        overlap by more than 1 % of the smaller diameter. If wires of unequal diameters without
+        If the number of stated positions is not the number of wires, wires at stated positions
+        overlap by more than 1 % of the smaller diameter, or wires of unequal diameters without
         stated positions do not come together (`find_densest_heap`).
 
     Notes
     -----
-    The types are assigned to the sites of equal wires, see `find_sites`. Wires of unequal
-    diameters are then drawn together until they touch, see `find_densest_heap`.
+    Wire types are assigned to the sites of equal wires (`find_sites`). Wires of unequal diameters
+    are then drawn together until they touch (`find_densest_heap`).
     """
     wire_types = np.repeat(np.arange(len(bundle.wires)), [wire.number for wire in bundle.wires])
     type_diameters = np.asarray(diameters, dtype=np.float64)
     wire_diameters = type_diameters[wire_types]
     if bundle.positions:
-        arrangement, centres = STATED, _read_stated_centres(bundle, wire_diameters)
+        arrangement, centres = STATED_POSITIONS, _read_stated_centres(bundle, wire_diameters)
     else:
         arrangement = bundle.arrangement
-        centres = _find_centres(bundle, type_diameters, stiffness)
+        centres = _compute_centres(bundle, type_diameters, stiffnesses)
     x, y = (centres - np.average(centres, axis=0, weights=wire_diameters**2)).T
     radius = float(np.max(np.hypot(x, y) + wire_diameters / 2.0))
     return BundleLayout(arrangement, x, y, wire_types, wire_diameters, radius)
 
 
 def _read_stated_centres(bundle: Bundle, diameters: Floats) -> Floats:
-    """Read the stated centres of the wires, m; refuse a wrong number of centres and overlaps."""
+    """Return the stated centres of the wires, m, after checks of their number and of overlaps."""
     max_relative_overlap = 0.01  # relative to the smaller diameter, as in the test sheet
     centres = np.asarray(bundle.positions, dtype=np.float64)
-    count, expected = len(centres), f"{len(diameters)}, one for each wire"
-    require("number of positions", count, expected, holds=count == len(diameters))
+    n_centres, expected = len(centres), f"{len(diameters)}, one for each wire"
+    require("number of positions", n_centres, expected, holds=n_centres == len(diameters))
     first, second = np.triu_indices(len(diameters), 1)
     distance = np.hypot(*(centres[first] - centres[second]).T)
     overlap = 0.5 * (diameters[first] + diameters[second]) - distance
@@ -112,13 +113,13 @@ def _read_stated_centres(bundle: Bundle, diameters: Floats) -> Floats:
     return centres
 
 
-def _find_centres(bundle: Bundle, diameters: Floats, stiffness: Sequence[float]) -> Floats:
-    """Find the centres of the wires, type by type, m."""
-    diameter_tolerance = 1e-9  # relative difference of diameters that count as equal
+def _compute_centres(bundle: Bundle, diameters: Floats, stiffnesses: Sequence[float]) -> Floats:
+    """Compute the centres of the wires, m, in the order of their types."""
+    diameter_tolerance = 1e-9  # largest relative difference of diameters that count as equal
     sites = find_sites(bundle.number)
     counts = [wire.number for wire in bundle.wires]
-    assignments = _assign_types(bundle.arrangement, sites, counts, stiffness)
-    # The sites of each assignment are sorted by the type of their wire.
+    assignments = _assign_types(bundle.arrangement, sites, counts, stiffnesses)
+    # The sites of each assignment are sorted by wire type.
     sorted_sites = [sites[np.argsort(wire_types, kind="stable")] for wire_types in assignments]
     if np.ptp(diameters) <= diameter_tolerance * diameters.max():
         return np.asarray(diameters.max() * sorted_sites[0])
@@ -129,27 +130,27 @@ def _find_centres(bundle: Bundle, diameters: Floats, stiffness: Sequence[float])
 
 
 def _assign_types(
-    arrangement: str, sites: Floats, counts: Sequence[int], stiffness: Sequence[float]
+    arrangement: str, sites: Floats, counts: Sequence[int], stiffnesses: Sequence[float]
 ) -> list[Ints]:
-    """Assign types to the sites.
+    """Assign wire types to the sites.
 
     Returns
     -------
-    Type of the wire on each site, for one assignment of an asymmetric or symmetric bundle, or for
-    several assignments of a packed bundle.
+    Type of the wire on each site: one assignment for an asymmetric or symmetric bundle, several
+    random assignments for a packed bundle.
     """
-    n_shuffles = 8  # random assignments of up to 100 wires; half as many of more wires
+    n_shuffles = 8  # random assignments of up to 100 wires; half the number for more wires
     if arrangement == "asymmetric":
-        return [stack_types(sites, counts, stiffness)]
+        return [stack_types(sites, counts, stiffnesses)]
     if arrangement == "symmetric":
         return [spread_types(sites, counts)]
     rng = np.random.default_rng(_SEED)
-    shuffles = n_shuffles if len(sites) <= _MAX_SEARCHED_WIRES else n_shuffles // 2
-    return [_shuffle_types(counts, rng) for _ in range(shuffles)]
+    n_shuffles = n_shuffles if len(sites) <= _MAX_SEARCHED_WIRES else n_shuffles // 2
+    return [_shuffle_types(counts, rng) for _ in range(n_shuffles)]
 
 
 def _choose_start_pitches(wire_diameters: Floats, n_assignments: int) -> list[float]:
-    """Choose the distances of neighbouring sites from which wires are drawn together, m."""
+    """Choose distances of neighbouring sites in the starting positions of a heap, m."""
     pitch_factors = (0.6, 0.8, 1.0)  # relative to the pitch of equal wires
     equal_pitch = float(np.sqrt(np.mean(wire_diameters**2)))  # equal wires of the same total area
     if n_assignments > 1:
@@ -160,24 +161,27 @@ def _choose_start_pitches(wire_diameters: Floats, n_assignments: int) -> list[fl
 
 
 _MERIT_DIGITS = 9
-"""Decimal places to which figures of merit are rounded, so that no choice depends on rounding
-errors."""
+"""Decimal places to which figures of merit are rounded before they are compared.
+
+Choices then do not depend on rounding errors.
+"""
 
 
 def _shuffle_types(counts: Sequence[int], rng: np.random.Generator) -> Ints:
-    """Assign types to the sites at random."""
+    """Assign wire types to the sites at random."""
     return rng.permutation(np.repeat(np.arange(len(counts)), counts)).astype(np.int64)
 
 
-def stack_types(sites: Floats, counts: Sequence[int], stiffness: Sequence[float]) -> Ints:
-    """Assign types to the sites in layers, the stiffest on top.
+def stack_types(sites: Floats, counts: Sequence[int], stiffnesses: Sequence[float]) -> Ints:
+    """Assign wire types to the sites in layers, with the stiffest type on top.
 
     Parameters
     ----------
-    sites : shape (wires, 2), wire diameters, positions of the sites; bending is along y, upwards
+    sites : shape (wires, 2), wire diameters, positions of the sites; y is upwards, and the bundle
+        bends along y
     counts : number of wires of each type
-    stiffness : axial stiffness of each type, in any unit; of equally stiff types the first lies
-        higher
+    stiffnesses : axial stiffness of each type, in any unit; of equally stiff types, the first is
+        above the others
 
     Returns
     -------
@@ -186,15 +190,15 @@ def stack_types(sites: Floats, counts: Sequence[int], stiffness: Sequence[float]
     sites nearest to x = 0. If a row allows more than 5000 choices, the first 5000 are compared.
     """
     wire_types = np.full(len(sites), -1, dtype=np.int64)
-    for index in sorted(range(len(counts)), key=lambda index: -stiffness[index]):
+    for index in sorted(range(len(counts)), key=lambda index: -stiffnesses[index]):
         free_sites = np.flatnonzero(wire_types < 0)
         wire_types[_choose_topmost(sites, free_sites, counts[index])] = index
     return wire_types
 
 
 def _choose_topmost(sites: Floats, free_sites: Ints, count: int) -> Ints:
-    """Choose the highest free sites; sites in the lowest of their rows are balanced about x = 0."""
-    row_height = 1e-6  # wire diameters; the heights of sites in one row differ by less
+    """Choose the `count` highest free sites; those in the lowest row are balanced about x = 0."""
+    row_height = 1e-6  # largest difference of the heights of sites in one row, wire diameters
     max_choices = 5000
     if not count:
         return free_sites[:0]
@@ -213,7 +217,7 @@ def _choose_topmost(sites: Floats, free_sites: Ints, count: int) -> Ints:
 
 
 def spread_types(sites: Floats, counts: Sequence[int]) -> Ints:
-    """Assign types to the sites so that each is spread evenly over the bundle.
+    """Assign wire types to the sites so that each type is spread evenly over the bundle.
 
     Parameters
     ----------
@@ -222,18 +226,19 @@ def spread_types(sites: Floats, counts: Sequence[int]) -> Ints:
 
     Returns
     -------
-    Shape (wires,), type of the wire on each site. The assignment is the best one that is reached
-    from several random assignments by exchanging two wires at a time.
+    Shape (wires,), type of the wire on each site. It is the best assignment that is reached from
+    several random assignments by exchanging two wires at a time.
 
     Notes
     -----
-    The exchanges reduce the unevenness: the sum, over types and features, of (sum of the feature
-    over the wires of the type)^2 / number of these wires. The features are x, y, x^2 - y^2, 2 x y
-    and x^2 + y^2 of a site, centred over all sites and normalised. Of equally even assignments, the
-    one with the fewest neighbours of one type is preferred. If each type has the centroid and the
-    second moments of the whole bundle, the bundle is as stiff in every direction as one of equal
-    wires with the mean axial stiffness. If the sites have no preferred direction, the bundle then
-    has none either.
+    The exchanges reduce the unevenness. This is the sum, over types and features, of (sum of the
+    feature over the wires of the type)^2 / number of these wires. The features are x, y, x^2 - y^2,
+    2 x y and x^2 + y^2 of a site, centred over all sites and normalised. Of equally even
+    assignments, the one with the fewest pairs of neighbours of the same type is preferred.
+
+    If each type has the centroid and the second moments of the whole bundle, the bundle is as stiff
+    in every direction as a bundle of equal wires with the mean axial stiffness. If, in addition,
+    the second moments of the sites are isotropic, the stiffness is isotropic.
     """
     n_starts = 12
     features, neighbours = _compute_features(sites), _find_neighbours(sites)
@@ -247,12 +252,13 @@ def _compute_features(sites: Floats) -> Floats:
     """Compute x, y, x^2 - y^2, 2 x y and x^2 + y^2, centred and normalised, shape (sites, 5)."""
     x, y = (sites - sites.mean(axis=0)).T
     features = np.column_stack([x, y, x**2 - y**2, 2.0 * x * y, x**2 + y**2])
-    size = max(float(np.mean(x**2 + y**2)), np.finfo(float).tiny)
-    return np.asarray((features - features.mean(axis=0)) / np.array([size**0.5] * 2 + [size] * 3))
+    mean_square = max(float(np.mean(x**2 + y**2)), np.finfo(float).tiny)
+    scales = np.array([mean_square**0.5] * 2 + [mean_square] * 3)
+    return np.asarray((features - features.mean(axis=0)) / scales)
 
 
 def _find_neighbours(sites: Floats) -> Floats:
-    """Find the pairs of sites that nearly touch: shape (sites, sites), 1 for such a pair, or 0."""
+    """Return a matrix with 1 for each pair of neighbouring sites and 0 for all other pairs."""
     max_ratio = 1.2  # largest distance of neighbours relative to the smallest distance
     distance = np.hypot(*(sites[:, None] - sites).transpose(2, 0, 1))
     np.fill_diagonal(distance, np.inf)
@@ -260,63 +266,68 @@ def _find_neighbours(sites: Floats) -> Floats:
 
 
 def _rate_unevenness(wire_types: Ints, features: Floats, neighbours: Floats) -> tuple[float, int]:
-    """Compute the unevenness of an assignment, and its number of neighbours of the same type."""
-    member = (wire_types[:, None] == np.arange(wire_types.max() + 1)).astype(np.float64)
-    count = np.maximum(member.sum(axis=0), 1.0)
-    unevenness = float(np.sum((member.T @ features) ** 2 / count[:, None]))
-    n_equal_pairs = round(0.5 * float((member * (neighbours @ member)).sum()))
+    """Compute the unevenness of an assignment, and its number of equal neighbour pairs.
+
+    An equal pair consists of two neighbours of the same type.
+    """
+    membership = (wire_types[:, None] == np.arange(wire_types.max() + 1)).astype(np.float64)
+    n_wires = np.maximum(membership.sum(axis=0), 1.0)
+    unevenness = float(np.sum((membership.T @ features) ** 2 / n_wires[:, None]))
+    n_equal_pairs = round(0.5 * float((membership * (neighbours @ membership)).sum()))
     return round(unevenness, _MERIT_DIGITS), n_equal_pairs
 
 
 def _exchange_wires(wire_types: Ints, features: Floats, neighbours: Floats) -> Ints:
-    """Exchange the best pair of wires until no exchange is an improvement."""
-    unevenness = _rate_unevenness(wire_types, features, neighbours)
+    """Exchange the best pair of wires until no exchange improves the assignment."""
+    merit = _rate_unevenness(wire_types, features, neighbours)
     while True:
         first, second = _find_exchange(wire_types, features, neighbours)
         exchanged_types = wire_types.copy()
         exchanged_types[[first, second]] = wire_types[[second, first]]
-        new_unevenness = _rate_unevenness(exchanged_types, features, neighbours)
-        if new_unevenness >= unevenness:
+        new_merit = _rate_unevenness(exchanged_types, features, neighbours)
+        if new_merit >= merit:
             return wire_types
-        wire_types, unevenness = exchanged_types, new_unevenness
+        wire_types, merit = exchanged_types, new_merit
 
 
 def _find_exchange(wire_types: Ints, features: Floats, neighbours: Floats) -> tuple[int, int]:
-    """Find the two wires whose exchange is best: least unevenness, then fewest equal neighbours.
+    """Find the two wires whose exchange gives the least unevenness, then the fewest equal pairs.
 
     S_k is the sum of the features t over the n_k wires of type k. If wire i of type a and wire j of
     type b are exchanged, S_a increases by d = t_j - t_i, and S_b decreases by d. The unevenness
     changes by (1/n_a + 1/n_b) d^2 + 2 d (S_a/n_a - S_b/n_b).
     """
-    member = (wire_types[:, None] == np.arange(wire_types.max() + 1)).astype(np.float64)
-    count = np.maximum(member.sum(axis=0), 1.0)
-    mean_products = features @ ((member.T @ features) / count[:, None]).T
+    membership = (wire_types[:, None] == np.arange(wire_types.max() + 1)).astype(np.float64)
+    n_wires = np.maximum(membership.sum(axis=0), 1.0)
+    mean_products = features @ ((membership.T @ features) / n_wires[:, None]).T
     cross_products = mean_products[:, wire_types]  # t_i . S_b / n_b
     own_products = np.diag(cross_products)
-    size = np.sum(features**2, axis=1)
-    squared_difference = size[:, None] + size - 2.0 * features @ features.T
-    inverse = 1.0 / count[wire_types]
-    change = (inverse[:, None] + inverse) * squared_difference
+    squared_norm = np.sum(features**2, axis=1)
+    squared_difference = squared_norm[:, None] + squared_norm - 2.0 * features @ features.T
+    inverse_count = 1.0 / n_wires[wire_types]
+    change = (inverse_count[:, None] + inverse_count) * squared_difference
     change += 2.0 * (cross_products + cross_products.T - own_products[:, None] - own_products)
-    n_of_type = (neighbours @ member)[:, wire_types]  # neighbours of i that have the type of j
-    gains = n_of_type - np.diag(n_of_type)[:, None]  # further neighbours of the same type for i
-    equal_neighbours = gains + gains.T - 2.0 * neighbours
+    n_of_type = (neighbours @ membership)[:, wire_types]  # neighbours of i that have the type of j
+    gained_pairs = n_of_type - np.diag(n_of_type)[:, None]  # further equal pairs of wire i
+    pair_change = gained_pairs + gained_pairs.T - 2.0 * neighbours
     change = np.where(wire_types[:, None] == wire_types, np.inf, np.round(change, _MERIT_DIGITS))
     change[np.tri(len(wire_types), dtype=bool)] = np.inf  # each pair is compared once
     pairs = np.argwhere(change == change.min())
-    pair = pairs[np.argmin(equal_neighbours[pairs[:, 0], pairs[:, 1]])]
+    pair = pairs[np.argmin(pair_change[pairs[:, 0], pairs[:, 1]])]
     return int(pair[0]), int(pair[1])
 
 
 _HEAP_CENTRES = np.array([[0.0, 0.0], [0.5, np.sqrt(3.0) / 6.0], [0.5, 0.0]])
-"""Centres of heaps in a lattice, wire diameters: a wire, a gap between three wires, and the contact
-of two wires."""
-_WIDTH_TOLERANCE = 1e-9
-"""Difference below which widths of heaps count as equal, wire diameters."""
+"""Centres of heaps in a triangular lattice, wire diameters.
+
+They are the centre of a wire, a gap between three wires, and the contact of two wires.
+"""
+_RADIUS_TOLERANCE = 1e-9
+"""Difference below which radii of heaps count as equal, wire diameters."""
 
 
 def find_sites(number: int) -> Floats:
-    """Find positions of equal wires that touch.
+    """Find positions of equal touching wires.
 
     Parameters
     ----------
@@ -324,14 +335,14 @@ def find_sites(number: int) -> Floats:
 
     Returns
     -------
-    Shape (number, 2), wire diameters, from the middle outwards, with their centroid at the origin.
-    Positions at the same distance are ordered by their angle from the x axis. Rows of a hexagon lie
-    along x.
+    Shape (number, 2), wire diameters. The centroid of the positions is the origin. The positions
+    are sorted by their distance from the origin, then by their angle from the x axis. Rows of a
+    hexagon are along x.
 
     Raises
     ------
     ValueError
-        If there is no wire.
+        If `number` is less than 1.
     """
     max_hexagon_wires = 37  # a larger hexagon is wider than a round piece of the lattice
     require("number", number, "a whole number >= 1", holds=number >= 1)
@@ -346,7 +357,7 @@ def find_sites(number: int) -> Floats:
 
 
 def _find_hexagon_centre(number: int) -> Floats | None:
-    """Find the centre of the hexagon of this number of wires; None if there is no hexagon."""
+    """Return the centre of the hexagon of this number of wires; None if there is no hexagon."""
     rings = (math.isqrt(12 * number - 3) - 3) // 6
     if number == 1 + 3 * rings * (rings + 1):
         return np.asarray(_HEAP_CENTRES[0])
@@ -357,21 +368,21 @@ def _make_lattice_heap(number: int, core: Floats, *, is_hexagonal: bool = False)
     """Make a heap of the points of a triangular lattice that are nearest to `core`.
 
     The points are relative to `core`. For a hexagon, the distance is the largest of the three
-    distances along the normals of its sides, so that the rings of the hexagon are complete.
+    distances along the normals of the sides; the rings of the hexagon are then complete.
     """
     half_size = 2 + math.isqrt(2 * number)  # the lattice has more points than are selected
-    along, up = np.mgrid[-half_size : half_size + 1, -half_size : half_size + 1].reshape(2, -1)
-    points = np.column_stack([along + 0.5 * up, np.sqrt(0.75) * up]) - core
+    column, row = np.mgrid[-half_size : half_size + 1, -half_size : half_size + 1].reshape(2, -1)
+    points = np.column_stack([column + 0.5 * row, np.sqrt(0.75) * row]) - core
     distance = np.hypot(*points.T)
     if is_hexagonal:
-        sides = np.deg2rad([30.0, 90.0, 150.0])
-        distance = np.abs(points @ np.array([np.cos(sides), np.sin(sides)])).max(axis=1)
+        normals = np.deg2rad([30.0, 90.0, 150.0])
+        distance = np.abs(points @ np.array([np.cos(normals), np.sin(normals)])).max(axis=1)
     return np.asarray(points[np.argsort(np.round(distance, 9), kind="stable")[:number]])
 
 
 def _search_densest_heap(number: int) -> Floats:
-    """Search the narrowest of several pieces of a lattice and, up to 100 wires, of a heap."""
-    n_random_starts = 8  # starts in addition to pieces of a triangular lattice
+    """Return the narrowest of several pieces of a lattice and, for up to 100 wires, of a heap."""
+    n_random_starts = 8  # starts of the heap in addition to pieces of a triangular lattice
     n_edge_steps = 8  # steps along an edge of the triangle of `_HEAP_CENTRES`
     start_radius = 0.55  # radius of random starts, per square root of the number of wires
     rng = np.random.default_rng(_SEED)
@@ -379,7 +390,7 @@ def _search_densest_heap(number: int) -> Floats:
     # By symmetry, centres outside the triangle of `_HEAP_CENTRES` give the same heaps.
     steps = np.linspace(0.0, 1.0, n_edge_steps + 1)
     coordinates = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
-    is_inside = coordinates.sum(axis=1) <= 1.0 + _WIDTH_TOLERANCE
+    is_inside = coordinates.sum(axis=1) <= 1.0 + _RADIUS_TOLERANCE
     edges = _HEAP_CENTRES[1:] - _HEAP_CENTRES[0]
     centres = coordinates[is_inside] @ edges
     heaps = [_make_lattice_heap(number, centre) for centre in (*_HEAP_CENTRES, *centres)]
@@ -391,7 +402,7 @@ def _search_densest_heap(number: int) -> Floats:
         starts += list(np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=-1))
         heaps = [*heaps, find_densest_heap(starts, diameters)]
     radii = np.array([find_holding_circle(heap, diameters)[1] for heap in heaps])
-    return heaps[int(np.argmax(radii < radii.min() + _WIDTH_TOLERANCE))]
+    return heaps[int(np.argmax(radii < radii.min() + _RADIUS_TOLERANCE))]
 
 
 _CONTACT_STIFFNESSES = (10.0, 100.0)
@@ -407,13 +418,13 @@ class WireContacts:
 
     Parameters
     ----------
-    first, second : indices of the two wires
-    touching_distance : distance of the centres at which the wires touch
+    first_wires, second_wires : indices of the two wires of each pair
+    touching_distance : distance of the centres at which the two wires touch
     force : contact force at zero overlap
     """
 
-    first: Ints
-    second: Ints
+    first_wires: Ints
+    second_wires: Ints
     touching_distance: Floats
     force: Floats
 
@@ -421,9 +432,9 @@ class WireContacts:
 def find_densest_heap(starts: Sequence[Floats], diameters: Floats) -> Floats:
     """Draw wires together from several starting positions into a heap without overlaps.
 
-    The contacts of the first soft heap within 1 % of the narrowest one are hardened. A heap of
-    three or more wires that fills at most 55 % of its circle is perturbed and drawn together again,
-    up to six times.
+    Each starting position gives a soft heap. The contacts of the first soft heap whose radius is
+    within 1 % of the smallest radius are hardened. A heap of three or more wires that fills at most
+    55 % of its circle is perturbed and drawn together again, up to six times.
 
     Parameters
     ----------
@@ -432,16 +443,16 @@ def find_densest_heap(starts: Sequence[Floats], diameters: Floats) -> Floats:
 
     Returns
     -------
-    Shape (wires, 2), m, centres of the wires; the origin is the centroid of their areas.
+    Shape (wires, 2), m, centres of the wires. The origin is the centroid of the areas of the wires.
 
     Raises
     ------
     ValueError
-        If a position is not finite, a diameter is not positive, or the wires did not come
-        together: they fill less than half of the smallest circle around them.
+        If a position is not finite, a diameter is not positive, or the wires fill less than half of
+        the smallest circle around them.
     """
-    # Unequal wires can come to rest in a row or around a corner. Perturbations are in mean
-    # diameters.
+    # Unequal wires can come to rest in a row or around a corner. These are the standard deviations
+    # of the perturbations, mean diameters.
     perturbations = (0.1, 0.3, 1.0, 1.0, 1.0, 1.0)
     max_perturbed_fraction = 0.55  # a heap that fills a larger fraction is accepted
     require_finite("starts", np.asarray(starts))
@@ -454,34 +465,34 @@ def find_densest_heap(starts: Sequence[Floats], diameters: Floats) -> Floats:
     for seed, perturbation in enumerate(perturbations if len(diameters) > 2 else ()):
         if _compute_filled_fraction(heap, scaled_diameters) > max_perturbed_fraction:
             break
-        moves = perturbation * np.random.default_rng(seed).normal(size=heap.shape)
-        heap = _pick_heap([heap, heap + moves], scaled_diameters)
+        offsets = perturbation * np.random.default_rng(seed).normal(size=heap.shape)
+        heap = _pick_heap([heap, heap + offsets], scaled_diameters)
     require_dense(heap, scaled_diameters)
     return np.asarray(scale * (heap - np.average(heap, axis=0, weights=scaled_diameters**2)))
 
 
 def _pick_heap(starts: Sequence[Floats], diameters: Floats) -> Floats:
-    """Relax wires from each start, and harden the first heap within 1 % of the narrowest heap."""
-    width_tolerance = 1e-2  # relative difference of the widths of soft heaps
+    """Relax wires from each start, and harden the first heap of nearly the smallest radius."""
+    radius_tolerance = 1e-2  # relative to the smallest radius of the soft heaps
     heaps = [_relax_soft(start, diameters) for start in starts]
-    expanded_heaps = [heap * _find_clearance_factor(heap, diameters) for heap, _ in heaps]
+    expanded_heaps = [heap * _compute_clearance_factor(heap, diameters) for heap, _ in heaps]
     radii = np.array([find_holding_circle(heap, diameters)[1] for heap in expanded_heaps])
-    heap, contacts = heaps[int(np.argmax(radii <= (1.0 + width_tolerance) * radii.min()))]
+    heap, contacts = heaps[int(np.argmax(radii <= (1.0 + radius_tolerance) * radii.min()))]
     heap = _harden(heap, diameters, contacts)
-    return np.asarray(heap * _find_clearance_factor(heap, diameters))
+    return np.asarray(heap * _compute_clearance_factor(heap, diameters))
 
 
 def _compute_filled_fraction(centres: Floats, diameters: Floats) -> float:
-    """Compute the filled fraction of the smallest circle around all wires; 0 if one is not finite.
+    """Compute the fraction of the smallest circle around all wires that the wires fill.
 
-    Areas are those over the insulation.
+    The fraction is 0 if a centre is not finite.
     """
     radius = find_holding_circle(centres, diameters)[1] if np.all(np.isfinite(centres)) else np.nan
     return compute_packing_fraction(diameters, 2.0 * radius) if np.isfinite(radius) else 0.0
 
 
 def require_dense(centres: Floats, diameters: Floats) -> None:
-    """Refuse a heap whose wires did not come together.
+    """Raise ValueError if the wires of a heap did not come together.
 
     Parameters
     ----------
@@ -494,7 +505,7 @@ def require_dense(centres: Floats, diameters: Floats) -> None:
         If the wires fill less than half of the smallest circle around them. The message states the
         filled fraction.
     """
-    min_filled_fraction = 0.5  # that of two equal wires; every heap of more wires is denser
+    min_filled_fraction = 0.5  # fraction of two equal wires; any heap of more wires is denser
     filled_fraction = _compute_filled_fraction(centres, diameters)
     if not filled_fraction > min_filled_fraction * (1.0 - 1e-6):  # tolerance for rounding
         message = (
@@ -507,33 +518,34 @@ def require_dense(centres: Floats, diameters: Floats) -> None:
 def _list_contacts(
     centres: Floats, diameters: Floats, previous: WireContacts | None = None
 ) -> WireContacts:
-    """List pairs of wires that touch, or could touch before the next list is made.
+    """List pairs of wires that touch or could touch before the next list is made.
 
-    Pairs that were in the previous list keep their forces.
+    Pairs that are in the previous list keep their forces. The force of other pairs is 0.
     """
-    neighbour_factor = 1.5  # largest distance of listed pairs, in touching distances
+    neighbour_factor = 1.5  # largest distance of a listed pair, relative to its touching distance
     max_distance = neighbour_factor * float(diameters.max())
     pairs = cKDTree(centres).query_pairs(max_distance, output_type="ndarray").astype(np.int64)
     first, second = pairs[np.lexsort(pairs.T[::-1])].T
-    touching = 0.5 * (diameters[first] + diameters[second])
-    is_near = np.hypot(*(centres[first] - centres[second]).T) < neighbour_factor * touching
-    first, second, touching = first[is_near], second[is_near], touching[is_near]
+    touching_distance = 0.5 * (diameters[first] + diameters[second])
+    is_near = np.hypot(*(centres[first] - centres[second]).T) < neighbour_factor * touching_distance
+    first, second = first[is_near], second[is_near]
     force = np.zeros(len(first))
     if previous is not None:
-        number = len(diameters)
-        old_keys, new_keys = number * previous.first + previous.second, number * first + second
-        _, old, new = np.intersect1d(old_keys, new_keys, assume_unique=True, return_indices=True)
-        force[new] = previous.force[old]
-    return WireContacts(first, second, touching, force)
+        old_keys = len(diameters) * previous.first_wires + previous.second_wires
+        keys = len(diameters) * first + second
+        _, old_rows, rows = np.intersect1d(old_keys, keys, assume_unique=True, return_indices=True)
+        force[rows] = previous.force[old_rows]
+    return WireContacts(first, second, touching_distance[is_near], force)
 
 
 def _relax_soft(start: Floats, diameters: Floats) -> tuple[Floats, WireContacts]:
-    """Draw wires with soft contacts together, and return their centres and contacts."""
-    force_tolerance = 1e-3  # relative to the pull at a mean diameter
+    """Draw wires with soft contacts together, and return the centres and contacts of the wires."""
+    force_tolerance = 1e-3  # relative to the pull at a distance of one mean diameter
     max_start_spread = 1.5  # relative to the spread of wires without gaps
     displacement = 1e-3  # displacement of each wire if some wires coincide, mean diameters
     centres = start
-    if len(np.unique(centres, axis=0)) < len(centres):  # coincident wires need different directions
+    if len(np.unique(centres, axis=0)) < len(centres):
+        # Coincident wires are displaced in different directions.
         angle = np.arange(len(centres), dtype=np.float64)
         centres = centres + displacement * np.column_stack([np.cos(angle), np.sin(angle)])
     spread = np.sqrt(np.sum(centres**2) / len(centres))
@@ -551,14 +563,15 @@ def _relax(
     """Move wires until the force on each wire is small, and return their centres and contacts.
 
     The method is the fast inertial relaxation engine (FIRE; Bitzek et al., 2006,
-    doi:10.1103/PhysRevLett.97.170201): forces accelerate the wires, and the wires are stopped when
-    they move uphill. Rounding decides which of many heaps results. Only sums, products and roots
-    are used, so that every processor takes the same path.
+    doi:10.1103/PhysRevLett.97.170201). Forces accelerate the wires, and the wires are stopped when
+    they move against the forces. Rounding errors decide which of many heaps results. Only sums,
+    products and roots are used; every processor therefore gives the same heap.
     """
-    max_travel = 0.17 * float(diameters.min())  # further along x or y, unlisted wires may touch
+    # After a larger displacement along x or y, wires that are not listed may touch.
+    max_displacement = 0.17 * float(diameters.min())
     max_steps = 20000
     start_mixing = 0.1  # fraction of the velocity that is turned towards the force
-    n_downhill_steps = 5  # steps before the time step grows
+    n_downhill_steps = 5  # number of downhill steps before the time step grows
     centres = listed_centres = start
     max_time_step = 1.0 / np.sqrt(6.0 * stiffness)
     time_step, mixing, velocity, downhill_steps = max_time_step, start_mixing, 0.0 * start, 0
@@ -577,22 +590,23 @@ def _relax(
         speed_per_force = np.sqrt(np.sum(velocity * velocity) / np.sum(force * force))
         velocity = (1.0 - mixing) * velocity + mixing * speed_per_force * force
         centres = centres + time_step * velocity
-        if np.max(np.abs(centres - listed_centres)) > max_travel:
+        if np.max(np.abs(centres - listed_centres)) > max_displacement:
             listed_centres, contacts = centres, _list_contacts(centres, diameters, contacts)
     return centres, _list_contacts(centres, diameters, contacts)
 
 
 def _harden(start: Floats, diameters: Floats, contacts: WireContacts) -> Floats:
-    """Harden the contacts, and return the nearest heap in which neighbours do not overlap."""
-    force_tolerance = 1e-5  # relative to the pull at a mean diameter
+    """Harden the contacts, and return the centres of the nearest heap without overlaps."""
+    force_tolerance = 1e-5  # relative to the pull at a distance of one mean diameter
     stiffness_growth = 10.0
     max_stiffness = 1e3
     min_rounds, max_rounds = 4, 8
-    wire_rounds = 1500  # number of rounds times number of wires, if the limits of rounds permit
+    wire_rounds = 1500  # number of rounds times number of wires, between these limits
     overlap_tolerance = 1e-6  # mean diameters
     centres, stiffness = start, _CONTACT_STIFFNESSES[-1]
     for _ in range(max(min_rounds, min(max_rounds, wire_rounds // len(diameters)))):
-        force = np.maximum(contacts.force + stiffness * _find_overlaps(centres, contacts)[0], 0.0)
+        overlap, _ = _compute_overlaps(centres, contacts)
+        force = np.maximum(contacts.force + stiffness * overlap, 0.0)
         max_change = np.max(np.abs(force - contacts.force), initial=0.0)
         contacts = replace(contacts, force=force)
         if max_change < stiffness * overlap_tolerance:
@@ -600,7 +614,8 @@ def _harden(start: Floats, diameters: Floats, contacts: WireContacts) -> Floats:
         stiffness = min(stiffness_growth * stiffness, max_stiffness)
         centres, contacts = _relax(centres, diameters, contacts, stiffness, force_tolerance)
     centres = _solve_equilibrium(centres, diameters, contacts)
-    # The energy does not depend on a rotation of the heap: rotate it back to the start.
+    # The energy does not depend on the rotation of the heap. The rotation nearest to the start is
+    # chosen.
     weight, (x, y), (start_x, start_y) = diameters**2, centres.T, start.T
     angle = np.arctan2(weight @ (x * start_y - y * start_x), weight @ (x * start_x + y * start_y))
     rotation = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
@@ -610,43 +625,44 @@ def _harden(start: Floats, diameters: Floats, contacts: WireContacts) -> Floats:
 def _solve_equilibrium(start: Floats, diameters: Floats, contacts: WireContacts) -> Floats:
     """Solve for the equilibrium of hard wires by Newton's method on forces and positions.
 
-    Wires that push each other touch, and the pull to the centre balances the contact forces.
-    Redundant contacts of equal wires and the rotation of the whole heap make the system singular.
-    Therefore the smallest step that solves it is taken. The start is returned if a step is longer
-    than 0.01 mean diameters or than half the previous step, or if 20 steps do not suffice.
+    Wires with a contact force touch, and the pull to the centre balances the contact forces.
+    Redundant contacts of equal wires and the rotation of the whole heap make the system of
+    equations singular. The smallest step that solves the system is therefore taken. The start is
+    returned if a step is longer than 0.01 mean diameters or than half the previous step, or if 20
+    steps are not sufficient.
     """
     tolerance = 1e-13  # mean diameters
     max_step = 1e-2  # mean diameters
     rank_tolerance = 1e-11  # relative to the largest singular value
     max_iterations = 20
     centres, force, pull = start, contacts.force, np.repeat(diameters**2 / len(diameters), 2)
-    step, number = np.inf, len(diameters)
+    step, n_wires = np.inf, len(diameters)
     for _ in range(max_iterations):
-        overlap, direction = _find_overlaps(centres, contacts)
+        overlap, direction = _compute_overlaps(centres, contacts)
         is_active = (force > 0.0) | (overlap > tolerance)
-        first, second = contacts.first[is_active], contacts.second[is_active]
+        first, second = contacts.first_wires[is_active], contacts.second_wires[is_active]
         u, f = direction[is_active], force[is_active]
-        overlap_gradient, row = np.zeros((len(f), number, 2)), np.arange(len(f))
+        overlap_gradient, row = np.zeros((len(f), n_wires, 2)), np.arange(len(f))
         overlap_gradient[row, first], overlap_gradient[row, second] = -u, u
-        push = overlap_gradient.reshape(len(f), -1)
-        normal = np.eye(2) - u[:, :, None] * u[:, None, :]
+        jacobian = overlap_gradient.reshape(len(f), -1)
+        tangent_projection = np.eye(2) - u[:, :, None] * u[:, None, :]
         distance = (contacts.touching_distance - overlap)[is_active]
-        rotation_stiffness = -(f / distance)[:, None, None] * normal
-        blocks = np.zeros((number, number, 2, 2))
+        rotation_stiffness = -(f / distance)[:, None, None] * tangent_projection
+        blocks = np.zeros((n_wires, n_wires, 2, 2))
         np.add.at(blocks, (first, first), rotation_stiffness)
         np.add.at(blocks, (second, second), rotation_stiffness)
         np.add.at(blocks, (first, second), -rotation_stiffness)
         np.add.at(blocks, (second, first), -rotation_stiffness)
-        stiffness = blocks.transpose(0, 2, 1, 3).reshape(2 * number, -1) + np.diag(pull)
-        system = np.block([[stiffness, push.T], [push, np.zeros((len(f), len(f)))]])
-        residual = np.concatenate([pull * centres.ravel() + push.T @ f, overlap[is_active]])
+        stiffness = blocks.transpose(0, 2, 1, 3).reshape(2 * n_wires, -1) + np.diag(pull)
+        system = np.block([[stiffness, jacobian.T], [jacobian, np.zeros((len(f), len(f)))]])
+        residual = np.concatenate([pull * centres.ravel() + jacobian.T @ f, overlap[is_active]])
         solution = lstsq(system, -residual, cond=rank_tolerance, lapack_driver="gelsy")[0]
-        previous_step, step = step, float(np.max(np.abs(solution[: 2 * number])))
+        previous_step, step = step, float(np.max(np.abs(solution[: 2 * n_wires])))
         if step > max(0.5 * previous_step, tolerance) or step > max_step:
             return start
-        centres = centres + solution[: 2 * number].reshape(-1, 2)
+        centres = centres + solution[: 2 * n_wires].reshape(-1, 2)
         force = force.copy()
-        force[is_active] = np.maximum(f + solution[2 * number :], 0.0)
+        force[is_active] = np.maximum(f + solution[2 * n_wires :], 0.0)
         if step < tolerance:
             return np.asarray(centres)
     return start
@@ -655,7 +671,7 @@ def _solve_equilibrium(start: Floats, diameters: Floats, contacts: WireContacts)
 def compute_heap_gradient(
     centres: Floats, diameters: Floats, contacts: WireContacts, stiffness: float
 ) -> Floats:
-    """Compute the energy gradient of wires that repel each other and are pulled to the origin.
+    """Compute the energy gradient of wires in contact that are pulled to the origin.
 
     Parameters
     ----------
@@ -666,31 +682,35 @@ def compute_heap_gradient(
 
     Returns
     -------
-    Shape (n, 2), gradient with respect to the centres of the energy (sum of diameter^2 x squared
-    distance from the origin) / 2 n + sum over pairs of max(f + k overlap, 0)^2 / 2 k.
+    Shape (n, 2), gradient of the energy with respect to the centres. The energy is (sum over wires
+    of diameter^2 x squared distance from the origin) / (2 n) + sum over pairs of
+    max(f + k overlap, 0)^2 / (2 k).
     """
-    overlap, direction = _find_overlaps(centres, contacts)
+    overlap, direction = _compute_overlaps(centres, contacts)
     force = np.maximum(contacts.force + stiffness * overlap, 0.0)
     gradient: Floats = diameters[:, None] ** 2 / len(centres) * centres
     for axis in range(2):
-        push = force * direction[:, axis]
-        gradient[:, axis] += np.bincount(contacts.second, push, len(centres))
-        gradient[:, axis] -= np.bincount(contacts.first, push, len(centres))
+        component = force * direction[:, axis]
+        gradient[:, axis] += np.bincount(contacts.second_wires, component, len(centres))
+        gradient[:, axis] -= np.bincount(contacts.first_wires, component, len(centres))
     return gradient
 
 
-def _find_overlaps(centres: Floats, contacts: WireContacts) -> tuple[Floats, Floats]:
-    """Find the overlap of each pair, negative for a gap, and the unit vectors second to first."""
-    offsets = centres[contacts.first] - centres[contacts.second]
+def _compute_overlaps(centres: Floats, contacts: WireContacts) -> tuple[Floats, Floats]:
+    """Return the overlap of each pair and the unit vector from the second wire to the first.
+
+    The overlap is negative for a gap.
+    """
+    offsets = centres[contacts.first_wires] - centres[contacts.second_wires]
     distance = np.sqrt(offsets[:, 0] ** 2 + offsets[:, 1] ** 2)
     overlap = contacts.touching_distance - distance
     return overlap, offsets / np.where(distance == 0.0, 1.0, distance)[:, None]
 
 
-def _find_clearance_factor(centres: Floats, diameters: Floats) -> float:
-    """Find the factor on all distances that removes overlaps, at least 1."""
+def _compute_clearance_factor(centres: Floats, diameters: Floats) -> float:
+    """Return the smallest factor >= 1 on all distances with which no wires overlap."""
     contacts = _list_contacts(centres, diameters)
-    distance = contacts.touching_distance - _find_overlaps(centres, contacts)[0]
+    distance = contacts.touching_distance - _compute_overlaps(centres, contacts)[0]
     return float(np.max(contacts.touching_distance / distance, initial=1.0))
 
 
@@ -708,22 +728,23 @@ def find_holding_circle(centres: Floats, diameters: Floats) -> tuple[Floats, flo
 
     Notes
     -----
-    The radius is minimised by sequential least squares, with one convex constraint per wire.
+    The radius is minimised by sequential least-squares programming, with one convex constraint for
+    each wire.
     """
     scale = float(diameters.max()) / 2.0
     points, wire_radii = centres / scale, diameters / 2.0 / scale
 
-    def compute_extents(middle: Floats) -> Floats:
-        return np.asarray(np.hypot(*(points - middle).T) + wire_radii)
+    def compute_extents(circle_centre: Floats) -> Floats:
+        return np.asarray(np.hypot(*(points - circle_centre).T) + wire_radii)
 
     def compute_radius(circle: Floats) -> tuple[float, Floats]:
         return float(circle[2]), np.array([0.0, 0.0, 1.0])
 
     clearance: Any = {"type": "ineq", "fun": lambda circle: circle[2] - compute_extents(circle[:2])}
-    middle = points.mean(axis=0)
+    start_centre = points.mean(axis=0)
     solution = minimize(
         compute_radius,
-        np.append(middle, compute_extents(middle).max()),
+        np.append(start_centre, compute_extents(start_centre).max()),
         jac=True,
         method="SLSQP",
         constraints=clearance,
@@ -733,7 +754,7 @@ def find_holding_circle(centres: Floats, diameters: Floats) -> tuple[Floats, flo
 
 
 WANTED_FRACTION = 0.7
-"""Packing fraction for which conduits are chosen in [1]_."""
+"""Packing fraction with which conduits are chosen in [1]_."""
 
 
 def compute_packing_fraction(diameters: Floats, bore: float) -> float:
@@ -754,12 +775,12 @@ def compute_packing_fraction(diameters: Floats, bore: float) -> float:
 
 
 def compute_bore(diameters: Floats, fraction: float = WANTED_FRACTION) -> float:
-    """Compute the bore of a conduit with a wanted packing fraction, m.
+    """Compute the bore of a conduit in which wires have a given packing fraction, m.
 
     Parameters
     ----------
     diameters : shape (wires,), m, diameters over the insulation
-    fraction : wanted packing fraction
+    fraction : packing fraction
 
     Raises
     ------
@@ -771,45 +792,47 @@ def compute_bore(diameters: Floats, fraction: float = WANTED_FRACTION) -> float:
 
 
 def choose_bore(
-    diameters: Floats, bores: Sequence[float], *, smallest: float, fraction: float = WANTED_FRACTION
+    diameters: Floats, bores: Sequence[float], *, min_bore: float, fraction: float = WANTED_FRACTION
 ) -> float:
-    """Choose the conduit whose packing fraction is nearest to the wanted one.
+    """Choose the conduit whose packing fraction is nearest to a given one.
 
     Parameters
     ----------
     diameters : shape (wires,), m, diameters over the insulation
     bores : m, inner diameters of the available conduits
-    smallest : m, diameter of the circle that holds the wires; narrower conduits are left out
-    fraction : wanted packing fraction
+    min_bore : m, diameter of the circle that holds the wires; narrower conduits are left out
+    fraction : packing fraction
 
     Returns
     -------
-    One of `bores`, m. If two are equally near, the wider one is returned.
+    One of `bores`, m. If the fractions of two are equally near, the wider one is returned.
 
     Raises
     ------
     ValueError
         If the wires fit none of the conduits.
     """
-    fitting = [bore for bore in bores if fits_bore(smallest, bore)]
-    if not fitting:
-        offered = ", ".join(f"{1e3 * bore:.4g}" for bore in bores)
+    wide_bores = [bore for bore in bores if fits_bore(min_bore, bore)]
+    if not wide_bores:
+        bore_text = ", ".join(f"{1e3 * bore:.4g}" for bore in bores) or "none"
         message = (
-            f"the narrowest arrangement found needs a bore of {1e3 * smallest:.4g} mm, "
-            f"and the conduits have {offered or 'none'} mm"
+            f"the narrowest arrangement found needs a bore of {1e3 * min_bore:.4g} mm, "
+            f"and the conduits have {bore_text} mm"
         )
         raise ValueError(message)
-    return min(
-        fitting, key=lambda bore: (abs(compute_packing_fraction(diameters, bore) - fraction), -bore)
-    )
+
+    def rate_bore(bore: float) -> tuple[float, float]:
+        return abs(compute_packing_fraction(diameters, bore) - fraction), -bore
+
+    return min(wide_bores, key=rate_bore)
 
 
-def fits_bore(smallest: float, bore: float) -> bool:
-    """Return whether a circle of wires fits a bore, with a relative tolerance of one millionth.
+def fits_bore(min_bore: float, bore: float) -> bool:
+    """Return whether wires fit a bore, with a relative tolerance of one millionth.
 
     Parameters
     ----------
-    smallest : m, diameter of the circle that holds the wires
+    min_bore : m, diameter of the circle that holds the wires
     bore : m, inner diameter of the conduit
     """
-    return smallest <= bore * (1.0 + 1e-6)
+    return min_bore <= bore * (1.0 + 1e-6)

@@ -256,9 +256,8 @@ def _find_law_notes(model: BundleModel) -> Iterator[QualityNote]:
         condition = " if wires stick" if slip > stick * (1.0 + _AXIS_TOLERANCE) else ""
         if condition and curvature[-1] > slip:
             condition += f", and beyond {slip:.4g} 1/m if they slip"
-        yield QualityNote.of(
-            "mechanics.wire.bundle_insulation_doubtful", "bundle", stick=stick, condition=condition
-        )
+        facts = {"stick": stick, "condition": condition}
+        yield QualityNote.of("mechanics.wire.bundle_insulation_doubtful", "bundle", **facts)
 
 
 def _format_stiffness(value: float) -> str:

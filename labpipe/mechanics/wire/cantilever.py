@@ -1,20 +1,21 @@
 """Solve large deflections of a clamped wire, for many loads at once or along a path.
 
-The frame is that of the clamp: x along the undeformed axis from the clamped end, y in the plane of
-bending towards the pull. theta is the angle of the tangent from x. With the force (Px, Py) at the
-tip and the weight w per length of the wire along -y,
+Coordinates are relative to the clamp. x is along the undeformed axis from the clamped end. y is
+normal to x, towards the pull. theta is the angle of the tangent from x. With the force (Px, Py) at
+the tip, the length L and the weight w per length of the wire along -y, the moment M and the angle
+theta at the distance s from the clamp are
 
     M(s) = integral from s to L of ((Py - w (L - s)) cos theta - Px sin theta),
     theta(s) = integral from 0 to s of kappa(M).
 
 The unknowns are the moments at Chebyshev-Lobatto stations and one load, which a condition at the
-tip determines. Newton's method solves many equilibria at once, without a series expansion and
-without a uniform stiffness of the wire. `wire.first_loading` solves loading curves in this way.
+tip determines. Newton's method solves many equilibria at once, without a series expansion. The
+stiffness of the wire need not be uniform. `wire.first_loading` solves loading curves in this way.
 
 A path with any history is followed in steps. A step is halved if Newton's method fails. The clamp
-moves down; in the frame of the clamp, the anchor of the string moves up. The string is taut or
-slack, and the counterweight always hangs at the tip. A wire with weight is mounted level and bends
-under its weight before the test. Its path starts from this equilibrium and its history.
+moves down: relative to the clamp, the anchor of the string moves up. The string is taut or slack,
+and the counterweight always hangs at the tip. A wire with weight is mounted level and bends under
+its weight before the test. The path starts from this equilibrium and the history of the wire there.
 """
 
 from __future__ import annotations
@@ -39,7 +40,11 @@ from labpipe.mechanics.law.plays import (
 )
 from labpipe.records.arrays import ArrayRecord, Floats, Ints
 
-DEFAULT_STATIONS = 64  # with more than about 100 stations, BLAS starts threads, which is slower
+DEFAULT_STATIONS = 64
+"""Default number of stations along a wire on a path.
+
+With more than about 100 stations, BLAS starts threads, which is slower.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,55 +53,57 @@ class Stations:
 
     Parameters
     ----------
-    position : shape (n,), m, distance from the clamp, increasing, ends included
-    from_clamp : shape (n, n), m, maps values at the stations to integrals from the clamp to each
-        station
-    to_tip : shape (n, n), m, maps values at the stations to integrals from each station to the tip
+    position : shape (n,), m, distance of each station from the clamp, from 0 to the length
+    clamp_integral : shape (n, n), m, matrix that maps values at the stations to integrals from the
+        clamp to each station
+    tip_integral : shape (n, n), m, matrix that maps values at the stations to integrals from each
+        station to the tip
     """
 
     position: Floats
-    from_clamp: Floats
-    to_tip: Floats
+    clamp_integral: Floats
+    tip_integral: Floats
 
     @property
     def weights(self) -> Floats:
         """Quadrature weights over the whole wire, shape (n,)."""
-        return np.asarray(self.from_clamp[-1])
+        return np.asarray(self.clamp_integral[-1])
 
     def bend(self, curvature: Floats) -> tuple[Floats, Floats, Floats]:
-        """Bend a wire to a curvature; return angle, x and y at all stations, shape (n,) each."""
-        angle = self.from_clamp @ curvature
-        return angle, self.from_clamp @ np.cos(angle), self.from_clamp @ np.sin(angle)
+        """Return angle, rad, and x and y, m, of a wire with curvatures, 1/m; shape (n,) each."""
+        angle = self.clamp_integral @ curvature
+        return angle, self.clamp_integral @ np.cos(angle), self.clamp_integral @ np.sin(angle)
 
 
 @lru_cache(maxsize=16)
 def make_stations(count: int, length: float = 1.0) -> Stations:
-    """Make Chebyshev-Lobatto stations, which are exact for polynomials up to degree count - 1.
+    """Make Chebyshev-Lobatto stations; integrals are exact for polynomials of degree count - 1.
 
     Parameters
     ----------
-    count : number of stations
+    count : number of stations, at least 4
     length : m, length of the wire
 
     Raises
     ------
     ValueError
-        If there are fewer than four stations.
+        If `count` is less than 4.
     """
     if length != 1.0:
         unit = make_stations(count)
-        return Stations(length * unit.position, length * unit.from_clamp, length * unit.to_tip)
+        matrices = (length * unit.clamp_integral, length * unit.tip_integral)
+        return Stations(length * unit.position, *matrices)
     require("count", count, ">= 4", holds=count >= 4)
     nodes = -np.cos(np.pi * np.arange(count) / (count - 1))
     basis = chebyshev.chebvander(nodes, count - 1)
     integrals = np.column_stack(
         [chebyshev.chebval(nodes, chebyshev.chebint(unit, lbnd=-1)) for unit in np.eye(count)]
     )
-    from_clamp: Floats = 0.5 * np.linalg.solve(basis.T, integrals.T).T.astype(np.float64)
-    to_tip: Floats = from_clamp[-1] - from_clamp
-    for matrix in (nodes, from_clamp, to_tip):
+    clamp_integral: Floats = 0.5 * np.linalg.solve(basis.T, integrals.T).T.astype(np.float64)
+    tip_integral: Floats = clamp_integral[-1] - clamp_integral
+    for matrix in (nodes, clamp_integral, tip_integral):
         matrix.flags.writeable = False
-    return Stations(0.5 * (nodes + 1.0), from_clamp, to_tip)
+    return Stations(0.5 * (nodes + 1.0), clamp_integral, tip_integral)
 
 
 def make_interpolation_matrix(count: int, positions: Floats) -> Floats:
@@ -104,7 +111,7 @@ def make_interpolation_matrix(count: int, positions: Floats) -> Floats:
 
     Parameters
     ----------
-    count : number of stations
+    count : number of stations, at least 4
     positions : shape (m,), distances from the clamp relative to the length, from 0 to 1
 
     Returns
@@ -114,7 +121,7 @@ def make_interpolation_matrix(count: int, positions: Floats) -> Floats:
     Raises
     ------
     ValueError
-        If a position is not between 0 and 1, or there are fewer than four stations.
+        If a position is not between 0 and 1, or `count` is less than 4.
     """
     holds = not np.any((positions < 0.0) | (positions > 1.0))
     require("positions", positions.tolist(), "between 0 and 1", holds=holds)
@@ -125,9 +132,9 @@ def make_interpolation_matrix(count: int, positions: Floats) -> Floats:
 
 
 @lru_cache(maxsize=16)
-def make_transfer_matrix(count: int, to_count: int) -> Floats:
-    """Make the matrix that maps values at `count` stations to values at `to_count` stations."""
-    return make_interpolation_matrix(count, make_stations(to_count).position)
+def make_transfer_matrix(count: int, target_count: int) -> Floats:
+    """Make the matrix that maps values at `count` stations to values at `target_count` stations."""
+    return make_interpolation_matrix(count, make_stations(target_count).position)
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,8 +146,8 @@ class StringRig:
     string_length : m, from the load cell to the tip
     weight : N, weight of the counterweight
     anchor_x : m, position of the load cell along the undeformed axis, above the initial tip
-    anchor_height : m, height of the load cell over the undeformed axis at zero travel; less than
-        `string_length` if the string is slack there
+    anchor_height : m, height of the load cell above the undeformed axis at zero travel; less than
+        `string_length` if the string is then slack
     """
 
     string_length: float
@@ -149,7 +156,7 @@ class StringRig:
     anchor_height: float
 
     def compute_taut_travel(self, x: float, y: float) -> float:
-        """Compute the travel, m, at which the string becomes taut for a tip at (x, y)."""
+        """Compute the travel of the clamp, m, at which the string is just taut; tip at (x, y)."""
         rise = np.sqrt(self.string_length**2 - (self.anchor_x - x) ** 2)
         return float(y + rise - self.anchor_height)
 
@@ -159,32 +166,35 @@ class TipForce(NamedTuple):
 
     Parameters
     ----------
-    force : shape (n, 2), N, force of string or load, and of the counterweight
-    by_load : shape (n, 2), derivative of the force with respect to the load
-    by_x : shape (n, 2), N/m, derivative of the force with respect to x of the tip
-    gap : shape (n,), residual of the condition
-    gap_by_tip : shape (n, 2), derivative of the gap with respect to the position of the tip
-    gap_by_load : derivative of the gap with respect to the load
+    force : shape (n, 2), N, sum of the force of the string, or of the end load, and the weight of
+        the counterweight
+    force_by_load : shape (n, 2), derivative of the force with respect to the load
+    force_by_x : shape (n, 2), N/m, derivative of the force with respect to x of the tip
+    residual : shape (n,), residual of the condition: m, or N under a dead force
+    residual_by_tip : shape (n, 2), derivative of the residual with respect to the position of the
+        tip
+    residual_by_load : derivative of the residual with respect to the load
     """
 
     force: Floats
-    by_load: Floats
-    by_x: Floats
-    gap: Floats
-    gap_by_tip: Floats
-    gap_by_load: float = 0.0
+    force_by_load: Floats
+    force_by_x: Floats
+    residual: Floats
+    residual_by_tip: Floats
+    residual_by_load: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TipCondition:
-    """Condition at the tips of n equilibria: deflection, travel or dead force.
+    """Condition at the tips of n equilibria: one of deflection, travel and dead force.
 
     Parameters
     ----------
     rig : taut string and counterweight; None for a force normal to the undeformed axis
-    deflection : shape (n,), m, deflections of the tips
-    travel : m, travel of the clamp with a taut string
-    dead_force : shape (2,), N, force of constant direction; the load is then zero
+    deflection : shape (n,), m, deflections of the tips; None for another condition
+    travel : m, travel of the clamp with a taut string; NaN for another condition
+    dead_force : shape (2,), N, force of constant direction, with a load of zero; None for another
+        condition
     """
 
     rig: StringRig | None = None
@@ -202,41 +212,44 @@ class TipCondition:
         rows : shape (n,), indices of the equilibria
         """
         x, y = tip.T
-        zeros, ones = np.zeros_like(tip), np.ones_like(x)
+        zero, ones = np.zeros_like(tip), np.ones_like(x)
         if self.dead_force is not None:
-            return TipForce(zeros + self.dead_force, zeros, zeros, load, zeros, gap_by_load=1.0)
-        string_x, string_y, by_x, weight, height = 0.0 * ones, ones, zeros, 0.0, 0.0 * ones
+            return TipForce(zero + self.dead_force, zero, zero, load, zero, residual_by_load=1.0)
+        direction_x, direction_y, force_by_x = np.zeros_like(x), ones, zero
+        weight, taut_travel = 0.0, y
         if self.rig is not None:
             weight, length = self.rig.weight, self.rig.string_length
-            string_x = (self.rig.anchor_x - x) / length
-            string_y = np.sqrt(1.0 - string_x**2)
-            by_x = (load / length)[:, None] * np.stack([-ones, string_x / string_y], axis=1)
-            height = length * string_y - self.rig.anchor_height
-        direction = np.stack([string_x, string_y], axis=1)
+            direction_x = (self.rig.anchor_x - x) / length
+            direction_y = np.sqrt(1.0 - direction_x**2)
+            slope = np.stack([-ones, direction_x / direction_y], axis=1)
+            force_by_x = (load / length)[:, None] * slope
+            taut_travel = y + (length * direction_y - self.rig.anchor_height)
+        direction = np.stack([direction_x, direction_y], axis=1)
         force = load[:, None] * direction - np.array([0.0, weight])
         if self.deflection is not None:
-            gap, gap_by_x = y - self.deflection[rows], 0.0 * ones
+            residual, residual_by_x = y - self.deflection[rows], np.zeros_like(x)
         else:
-            gap, gap_by_x = y + height - self.travel, string_x / string_y
-        return TipForce(force, direction, by_x, gap, np.stack([gap_by_x, ones], axis=1))
+            residual, residual_by_x = taut_travel - self.travel, direction_x / direction_y
+        residual_by_tip = np.stack([residual_by_x, ones], axis=1)
+        return TipForce(force, direction, force_by_x, residual, residual_by_tip)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BentWire:
-    """A wire bent by n sets of moments; arrays of shape (n, stations).
+    """Wire that is bent by n sets of moments; arrays of shape (n, stations).
 
     Parameters
     ----------
     stations : stations along the wire
-    moment : N m
+    moment : N m, moments at the stations
     load : shape (n,), N, tension of the string, or end load
-    curvature : 1/m
+    curvature : 1/m, curvatures at the stations
     compliance : 1/(N m^2), derivative of the curvature with respect to the moment
     cos, sin : cosine and sine of the angle of the tangent
     lever_arms : shape (n, stations, 2), m, lever arms of forces along x and y at the tip
     tip : shape (n, 2), m, positions of the tip
-    weight_beyond : shape (stations,), N, weight of the wire beyond each station
-    tip_force : force at the tip, and residual of the condition there
+    outer_weight : shape (stations,), N, weight of the wire from each station to the tip
+    tip_force : force at the tip, and residual of the condition at the tip
     """
 
     stations: Stations
@@ -248,60 +261,62 @@ class BentWire:
     sin: Floats
     lever_arms: Floats
     tip: Floats
-    weight_beyond: Floats
+    outer_weight: Floats
     tip_force: TipForce
 
     @property
     def compression(self) -> Floats:
         """Compressive axial force at the stations, N."""
         force_x, force_y = self.tip_force.force.T[..., None]
-        return np.asarray((self.weight_beyond - force_y) * self.sin - force_x * self.cos)
+        return np.asarray((self.outer_weight - force_y) * self.sin - force_x * self.cos)
 
     def compute_residual(self) -> Floats:
-        """Compute the residuals of moments, N m, and of the condition, shape (n, stations + 1)."""
+        """Compute residuals of moments, N m, and of the tip condition, shape (n, stations + 1)."""
         bending = (self.lever_arms @ self.tip_force.force[:, :, None])[:, :, 0]
-        bending -= (self.weight_beyond * self.cos) @ self.stations.to_tip.T
-        return np.column_stack([self.moment - bending, self.tip_force.gap])
+        bending -= (self.outer_weight * self.cos) @ self.stations.tip_integral.T
+        return np.column_stack([self.moment - bending, self.tip_force.residual])
 
     def compute_jacobian(self) -> Floats:
         """Compute the derivatives of the residual with respect to moments and load.
 
         The shape is (n, stations + 1, stations + 1).
         """
-        stations, end, n = self.stations, self.tip_force, len(self.weight_beyond)
-        angle_by_moment = stations.from_clamp * self.compliance[:, None, :]
+        stations, tip, n = self.stations, self.tip_force, len(self.outer_weight)
+        angle_by_moment = stations.clamp_integral * self.compliance[:, None, :]
         tip_by_angle = np.stack([-stations.weights * self.sin, stations.weights * self.cos], axis=1)
         tip_by_moment = tip_by_angle @ angle_by_moment
         jacobian = np.empty((len(self.tip), n + 1, n + 1))
-        jacobian[:, :n, :n] = -((stations.to_tip * self.compression[:, None, :]) @ angle_by_moment)
-        if np.any(end.by_x):
-            jacobian[:, :n, :n] -= (self.lever_arms @ end.by_x[:, :, None]) * tip_by_moment[:, :1]
+        bending_by_angle = stations.tip_integral * self.compression[:, None, :]
+        jacobian[:, :n, :n] = -(bending_by_angle @ angle_by_moment)
+        if np.any(tip.force_by_x):
+            bending_by_x = self.lever_arms @ tip.force_by_x[:, :, None]
+            jacobian[:, :n, :n] -= bending_by_x * tip_by_moment[:, :1]
         jacobian[:, range(n), range(n)] += 1.0
-        jacobian[:, :n, n] = -(self.lever_arms @ end.by_load[:, :, None])[:, :, 0]
-        jacobian[:, n, :n] = (end.gap_by_tip[:, None, :] @ tip_by_moment)[:, 0]
-        jacobian[:, n, n] = end.gap_by_load
+        jacobian[:, :n, n] = -(self.lever_arms @ tip.force_by_load[:, :, None])[:, :, 0]
+        jacobian[:, n, :n] = (tip.residual_by_tip[:, None, :] @ tip_by_moment)[:, 0]
+        jacobian[:, n, n] = tip.residual_by_load
         return jacobian
 
     def compute_sensitivities(self, curvature_changes: Floats) -> Floats:
         """Compute the derivatives of moments and load, shape (1 + parameters, n, stations + 1).
 
-        The first row is with respect to the gap of the condition, the others with respect to the
-        parameters of the law.
+        The first derivative is with respect to the residual of the tip condition. The others are
+        with respect to the parameters of the law.
 
         Parameters
         ----------
         curvature_changes : shape (parameters, n, stations), derivatives of the curvature with
             respect to the parameters at constant moment
         """
-        stations, end, n = self.stations, self.tip_force, len(self.weight_beyond)
-        angle = curvature_changes @ stations.from_clamp.T
+        stations, tip, n = self.stations, self.tip_force, len(self.outer_weight)
+        angle = curvature_changes @ stations.clamp_integral.T
         tip_x, tip_y = ((angle * side) @ stations.weights for side in (-self.sin, self.cos))
-        bending = (angle * self.compression) @ stations.to_tip.T
-        bending += (self.lever_arms @ end.by_x[:, :, None])[:, :, 0] * tip_x[:, :, None]
+        bending = (angle * self.compression) @ stations.tip_integral.T
+        bending += (self.lever_arms @ tip.force_by_x[:, :, None])[:, :, 0] * tip_x[:, :, None]
         residual = np.zeros((1 + len(curvature_changes), len(self.tip), n + 1))
         residual[0, :, n] = -1.0
         residual[1:, :, :n] = -bending
-        residual[1:, :, n] = end.gap_by_tip[:, 0] * tip_x + end.gap_by_tip[:, 1] * tip_y
+        residual[1:, :, n] = tip.residual_by_tip[:, 0] * tip_x + tip.residual_by_tip[:, 1] * tip_y
         solution = -np.linalg.solve(self.compute_jacobian(), np.moveaxis(residual, 0, 2))
         return np.asarray(np.moveaxis(solution, 2, 0), dtype=np.float64)
 
@@ -315,71 +330,73 @@ It returns the curvature, and its derivative with respect to the moment, in thes
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cantilever:
-    """A clamped wire of which n equilibria are sought.
+    """A clamped wire of which n equilibria are computed.
 
     Parameters
     ----------
     law : bending law of the wire
     stations : stations along the wire
-    self_weight : N/m, weight per length
+    self_weight : N/m, weight per length of the wire
     condition : condition at the tip
-    coarse : the same wire with fewer stations, on which Newton's steps are computed; None if they
-        are computed on all stations
+    coarse_wire : the same wire with fewer stations, on which Newton's steps are computed; None if
+        steps are computed on all stations
     """
 
     law: BendingLaw
     stations: Stations
     self_weight: float
     condition: TipCondition
-    coarse: Cantilever | None = None
+    coarse_wire: Cantilever | None = None
 
     @property
-    def weight_beyond(self) -> Floats:
-        """Weight of the wire beyond each station, N."""
+    def outer_weight(self) -> Floats:
+        """Weight of the wire from each station to the tip, N, shape (stations,)."""
         position = self.stations.position
         return np.asarray(self.self_weight * (position[-1] - position))
 
     def bend(self, moment: Floats, load: Floats, rows: Ints | None = None) -> BentWire:
-        """Bend the wire by moments, and evaluate the condition.
+        """Bend the wire by moments, and evaluate the tip condition.
 
         Parameters
         ----------
         moment : shape (n, stations), N m, moments of all equilibria
         load : shape (n,), N, loads of all equilibria
-        rows : indices of the equilibria for which to bend the wire; None for all
+        rows : indices of the equilibria to evaluate; None for all
         """
         rows = np.arange(len(load)) if rows is None else rows
         stations = self.stations
         curvature, compliance = self.law(moment, rows)
-        angle = curvature @ stations.from_clamp.T
+        angle = curvature @ stations.clamp_integral.T
         cos, sin = np.cos(angle), np.sin(angle)
-        lever_arms = np.stack([-(sin @ stations.to_tip.T), cos @ stations.to_tip.T], axis=-1)
+        tip_integral = stations.tip_integral.T
+        lever_arms = np.stack([-(sin @ tip_integral), cos @ tip_integral], axis=-1)
         tip = np.stack([cos @ stations.weights, sin @ stations.weights], axis=-1)
         tip_force = self.condition.compute_force(tip, load[rows], rows)
         bent = moment[rows], load[rows], curvature, compliance
-        return BentWire(stations, *bent, cos, sin, lever_arms, tip, self.weight_beyond, tip_force)
+        return BentWire(stations, *bent, cos, sin, lever_arms, tip, self.outer_weight, tip_force)
 
     def solve(
-        self, moment: Floats, load: Floats, *, tolerance: float, floor: float = 0.0
+        self, moment: Floats, load: Floats, *, tolerance: float, moment_floor: float = 0.0
     ) -> tuple[Floats, Floats] | None:
-        """Find the equilibria near a first guess by Newton's method; each converges separately.
+        """Find the equilibria near a first guess by Newton's method.
 
         Parameters
         ----------
         moment : shape (n, stations), N m, first guess
         load : shape (n,), N, first guess
-        tolerance : last change of the moments, relative to the largest moment; convergence is
-            quadratic. A hundredth of it is required with steps from coarse stations, because their
-            convergence is linear
-        floor : N m, added to the largest moment
+        tolerance : largest last change of the moments, relative to the largest moment of each
+            equilibrium. Convergence is quadratic. With steps from a coarse wire, convergence is
+            linear, and a hundredth of the tolerance is required
+        moment_floor : N m, added to the largest moment
 
         Returns
         -------
-        Moments and loads in equilibrium; None if an iteration does not converge, or is not finite.
+        Moments and loads in equilibrium; None if an equilibrium does not converge, or is not
+        finite.
         """
-        max_iterations = 15  # when it needs more, Newton's method cycles at corners of a law
-        max_rotation = 0.7  # rad, rotation of any station in one step
-        tolerance *= 1.0 if self.coarse is None else 0.01
+        max_iterations = 15  # Newton's method that needs more iterations cycles at corners of a law
+        max_rotation = 0.7  # largest rotation of any station in one step, rad
+        tolerance *= 1.0 if self.coarse_wire is None else 0.01
         moment, load = np.array(moment), np.array(load)
         unconverged, length = np.arange(len(load)), self.stations.position[-1]
         for _ in range(max_iterations):
@@ -392,8 +409,8 @@ class Cantilever:
             step *= np.minimum(1.0, max_rotation / np.maximum(rotation, max_rotation))[:, None]
             moment[unconverged] += step[:, :-1]
             load[unconverged] += step[:, -1]
-            largest = np.max(np.abs(moment[unconverged]), axis=1) + floor
-            unconverged = unconverged[np.max(np.abs(step[:, :-1]), axis=1) > tolerance * largest]
+            scale = np.max(np.abs(moment[unconverged]), axis=1) + moment_floor
+            unconverged = unconverged[np.max(np.abs(step[:, :-1]), axis=1) > tolerance * scale]
             if not unconverged.size:
                 return moment, load
         return None
@@ -401,52 +418,52 @@ class Cantilever:
     def _compute_step(
         self, bent: BentWire, residual: Floats, moment: Floats, load: Floats, rows: Ints
     ) -> Floats:
-        """Compute Newton's step of moments and load, from the coarse wire if there is one.
+        """Compute Newton's step of moments and load, on the coarse wire if there is one.
 
-        The derivative of a residual is the identity minus an integral operator, which smooths. Only
-        the smooth part of a step is therefore computed on the coarse stations (two-grid iteration,
+        The derivative of the residual is the identity minus a smoothing integral operator. Only the
+        smooth part of a step is therefore computed on the coarse stations (two-grid iteration,
         Atkinson, The Numerical Solution of Integral Equations of the Second Kind, 1997, section
         6.2).
         """
-        if self.coarse is None:
-            return np.asarray(
-                -np.linalg.solve(bent.compute_jacobian(), residual[..., None])[..., 0]
-            )
-        counts = len(self.stations.position), len(self.coarse.stations.position)
+        if self.coarse_wire is None:
+            jacobian = bent.compute_jacobian()
+            return np.asarray(-np.linalg.solve(jacobian, residual[:, :, None])[:, :, 0])
+        counts = len(self.stations.position), len(self.coarse_wire.stations.position)
         restrict, extend = make_transfer_matrix(*counts), make_transfer_matrix(*counts[::-1])
         coarse_residual = np.column_stack([residual[:, :-1] @ restrict.T, residual[:, -1]])
-        coarse = self.coarse.bend(moment @ restrict.T, load, rows)
-        step = -np.linalg.solve(coarse.compute_jacobian(), coarse_residual[:, :, None])[:, :, 0]
+        coarse_bent = self.coarse_wire.bend(moment @ restrict.T, load, rows)
+        jacobian = coarse_bent.compute_jacobian()
+        step = -np.linalg.solve(jacobian, coarse_residual[:, :, None])[:, :, 0]
         smooth_step = (step + coarse_residual)[:, :-1] @ extend.T
         return np.column_stack([smooth_step - residual[:, :-1], step[:, -1]])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WireState(ArrayRecord):
-    """Moments and history of a wire at its stations.
+    """State of a wire on a path: moments, curvatures and history at the stations, force at the tip.
 
     Parameters
     ----------
     moment : shape (stations,), N m
     curvature : shape (stations,), 1/m
-    plays : shape (stations, plays), N m, history of the law
-    force : shape (2,), N, force at the tip
+    history : shape (stations, values), history of the law, as in `Response`
+    force : shape (2,), N, total force at the tip
     load : N, tension of the string, or end load; 0 under a dead force
     travel : position on the path: travel of the clamp, m, tip deflection, m, or fraction of a
         change of force
     self_weight : N/m, weight per length of the wire, along -y
-    previous : moments and load, shape (stations + 1,), and travel before the last step; None at the
-        start of a path
+    previous_point : moments and load, shape (stations + 1,), and travel before the last step; None
+        at the start of a path
     """
 
     moment: Annotated[Floats, "stations"]
     curvature: Annotated[Floats, "stations"]
-    plays: Annotated[Floats, "stations", "plays"]
+    history: Annotated[Floats, "stations", "values"]
     force: Annotated[Floats, 2]
     load: float = 0.0
     travel: float = 0.0
     self_weight: float = 0.0
-    previous: tuple[Floats, float] | None = None
+    previous_point: tuple[Floats, float] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -457,8 +474,8 @@ class CantileverShape:
     ----------
     arc_length : m, distance from the clamp along the wire
     angle : rad, angle of the tangent from the undeformed axis
-    x, y : m, positions
-    state : moments and history, from which the next step starts
+    x, y : m, positions of the stations
+    state : state from which the next part of a path starts
     """
 
     arc_length: Floats
@@ -469,12 +486,12 @@ class CantileverShape:
 
     @property
     def curvature(self) -> Floats:
-        """Curvatures, 1/m."""
+        """Curvatures at the stations, 1/m."""
         return self.state.curvature
 
     @property
     def moment(self) -> Floats:
-        """Moments, N m."""
+        """Moments at the stations, N m."""
         return self.state.moment
 
     @property
@@ -484,24 +501,24 @@ class CantileverShape:
 
     @property
     def tension(self) -> float:
-        """Tension of the string, N, which is 0 if it is slack; without a string, the end load."""
+        """Tension of the string, N, 0 for a slack string; without a string, the end load."""
         return self.state.load
 
 
 StepFunction: TypeAlias = Callable[[WireState, float], WireState | None]
-"""Function of a state and of the next travel that returns the next state, or None."""
+"""Function of a state and the next travel; it returns the next state, or None without solution."""
 
 
 def make_straight(
     law: PlayLaw, n_stations: int = DEFAULT_STATIONS, *, self_weight: float = 0.0
 ) -> WireState:
-    """Make the state of a straight wire that was never bent.
+    """Make the state of a straight wire that has never been bent.
 
     Parameters
     ----------
     law : law of the wire
     n_stations : number of stations along the wire
-    self_weight : N/m, weight per length of the wire; it acts from the first step on
+    self_weight : N/m, weight per length of the wire; it acts from the first step of the path
 
     Raises
     ------
@@ -528,31 +545,31 @@ def bend_under_force(
     Raises
     ------
     ValueError
-        If `length` is not positive, `force` is not finite, no equilibrium is found on the way, or
+        If `length` is not positive, `force` is not finite, no equilibrium is found on the path, or
         the wire is bent beyond the range of its law (the message states the curvature).
     """
-    start, target = state.force, np.asarray(force, dtype=np.float64)
-    state = replace(state, travel=0.0, previous=None)
+    start_force, end_force = state.force, np.asarray(force, dtype=np.float64)
+    state = replace(state, travel=0.0, previous_point=None)
     require_positive("length", length)
-    require_finite("force", target)
+    require_finite("force", end_force)
 
     def step(current: WireState, fraction: float) -> WireState | None:
-        condition = TipCondition(dead_force=start + fraction * (target - start))
+        condition = TipCondition(dead_force=start_force + fraction * (end_force - start_force))
         return _solve_next(law, current, length, condition, travel=fraction)
 
-    context = f"force={target.tolist()}"
+    context = f"force={end_force.tolist()}"
     return _finish_path(law, _follow_path(step, state, 1.0, context), length, context)
 
 
 def bend_to_deflection(
     law: PlayLaw, state: WireState, length: float, deflection: float
 ) -> CantileverShape:
-    """Bend a wire by an end force normal to the undeformed axis to a tip deflection.
+    """Bend a wire to a tip deflection by an end force normal to the undeformed axis.
 
     Parameters
     ----------
     law : law of the wire
-    state : state of the wire from which to start; `state.travel` is its deflection
+    state : state of the wire from which to start; `state.travel` is the deflection of its tip
     length : m, length of the wire
     deflection : m, deflection of the tip
 
@@ -563,7 +580,7 @@ def bend_to_deflection(
     Raises
     ------
     ValueError
-        If `length` is not positive, `deflection` is not finite, no equilibrium is found on the way
+        If `length` is not positive, `deflection` is not finite, no equilibrium is found on the path
         (such as for a deflection that exceeds the length), or the wire is bent beyond the range of
         its law (the message states the curvature).
     """
@@ -580,7 +597,7 @@ def deflect(
     deflection: float,
     rig: StringRig | None = None,
 ) -> WireState:
-    """Bend a wire to a deflection without checking the range of its law.
+    """Bend a wire to a tip deflection without a check of the range of its law.
 
     Parameters
     ----------
@@ -591,7 +608,7 @@ def deflect(
     Raises
     ------
     ValueError
-        If no equilibrium is found on the way.
+        If no equilibrium is found on the path.
     """
 
     def step(current: WireState, travel: float) -> WireState | None:
@@ -604,7 +621,7 @@ def deflect(
 def bend_to_travel(
     law: PlayLaw, state: WireState, length: float, rig: StringRig, travel: float
 ) -> CantileverShape:
-    """Bend a wire on the string by moving its clamp to `travel`.
+    """Bend a wire on a string by moving its clamp to `travel`.
 
     Parameters
     ----------
@@ -621,10 +638,10 @@ def bend_to_travel(
     Raises
     ------
     ValueError
-        If `length` is not positive, `travel` is not finite, no equilibrium is found on the way, or
+        If `length` is not positive, `travel` is not finite, no equilibrium is found on the path, or
         the wire is bent beyond the range of its law (the message states the curvature).
     """
-    slack_tolerance = 1e-12  # m; a string that is straight without tension counts as slack
+    slack_tolerance = 1e-12  # m; a straight string without tension counts as slack
 
     def solve_taut(current: WireState, travel: float) -> WireState | None:
         condition = TipCondition(rig, travel=travel)
@@ -644,9 +661,9 @@ def bend_to_travel(
 
     def step(current: WireState, travel: float) -> WireState | None:
         is_taut = current.load > 0.0
-        first, second = (solve_taut, solve_slack) if is_taut else (solve_slack, solve_taut)
-        solution = first(current, travel)
-        return second(current, travel) if solution is None else solution
+        solvers = (solve_taut, solve_slack) if is_taut else (solve_slack, solve_taut)
+        solution = solvers[0](current, travel)
+        return solvers[1](current, travel) if solution is None else solution
 
     require_positive("length", length)
     require_finite("travel", travel)
@@ -655,7 +672,7 @@ def bend_to_travel(
 
 
 def _finish_path(law: PlayLaw, state: WireState, length: float, context: str) -> CantileverShape:
-    """Compute the shape of a state; refuse one that is bent beyond the range of its law."""
+    """Compute the shape of a state; raise ValueError if it is beyond the range of the law."""
     require_within(law, state.moment, context)
     return compute_shape(state, length)
 
@@ -669,33 +686,36 @@ def compute_shape(state: WireState, length: float) -> CantileverShape:
 def _solve_next(
     law: PlayLaw, state: WireState, length: float, condition: TipCondition, *, travel: float
 ) -> WireState | None:
-    """Find the next equilibrium; None if Newton's method fails or ends far away, as in a curl."""
-    max_rotation = 1.0  # rad, rotation of any station in one step
+    """Find the next equilibrium; None if Newton's method fails or rotates a station too far."""
+    max_rotation = 1.0  # rad; a larger rotation of a station in one step may lead to a curled wire
     tolerance = 1e-7  # relative last change of the moments; convergence is quadratic
     max_extrapolation = 4.0  # relative to the last step
-    floor = 1e-9 * law.stiffness / length  # fraction of the moment that bends the wire by a radian
+    moment_floor = 1e-9 * law.stiffness / length  # EI / L bends the wire by a radian
     stations = make_stations(len(state.moment), length)
     responses: list[Response] = []
 
     def respond(moment: Floats, _: Ints) -> CurvatureAndCompliance:
-        responses.append(law.respond(moment[0], state.plays))
+        responses.append(law.respond(moment[0], state.history))
         return responses[-1].curvature[None], responses[-1].compliance[None]
 
     wire = Cantilever(respond, stations, state.self_weight, condition)
-    last = np.append(state.moment, state.load), state.travel
-    (unknowns, start), (previous, previous_start) = last, state.previous or (last[0], -np.inf)
-    extrapolation = (travel - start) / ((start - previous_start) or np.inf)
+    unknowns = np.append(state.moment, state.load)
+    last_point = unknowns, state.travel
+    previous_unknowns, previous_travel = state.previous_point or (unknowns, -np.inf)
+    extrapolation = (travel - state.travel) / ((state.travel - previous_travel) or np.inf)
     if 0.0 < extrapolation <= max_extrapolation:  # the path has not been reversed
-        unknowns = unknowns + extrapolation * (unknowns - previous)
-    solution = wire.solve(unknowns[None, :-1], unknowns[-1:], tolerance=tolerance, floor=floor)
+        unknowns = unknowns + extrapolation * (unknowns - previous_unknowns)
+    guess = unknowns[None, :-1], unknowns[-1:]
+    solution = wire.solve(*guess, tolerance=tolerance, moment_floor=moment_floor)
     if solution is None:
         return None
     bent = wire.bend(*solution)
-    rotation = stations.from_clamp @ (bent.curvature[0] - state.curvature)
+    rotation = stations.clamp_integral @ (bent.curvature[0] - state.curvature)
     if np.max(np.abs(rotation)) > max_rotation:
         return None
-    result = bent.moment[0], bent.curvature[0], responses[-1].history, bent.tip_force.force[0]
-    return WireState(*result, bent.load.item(), travel, state.self_weight, last)
+    moment, curvature, history = bent.moment[0], bent.curvature[0], responses[-1].history
+    force, load, self_weight = bent.tip_force.force[0], bent.load.item(), state.self_weight
+    return WireState(moment, curvature, history, force, load, travel, self_weight, last_point)
 
 
 def _follow_path(step: StepFunction, state: WireState, target: float, context: str) -> WireState:
@@ -708,15 +728,15 @@ def _follow_path(step: StepFunction, state: WireState, target: float, context: s
     """
     min_step = 2.0**-12
     start, distance = state.travel, target - state.travel
-    step_size, position = 1.0, 0.0  # relative to the distance
-    while position < 1.0:
-        next_position = min(1.0, position + step_size)
-        travel = target if next_position == 1.0 else start + next_position * distance
+    step_size, fraction = 1.0, 0.0  # relative to the distance
+    while fraction < 1.0:
+        next_fraction = min(1.0, fraction + step_size)
+        travel = target if next_fraction == 1.0 else start + next_fraction * distance
         next_state = step(state, travel)
         if next_state is not None:
-            state, position, step_size = next_state, next_position, min(1.0, 2.0 * step_size)
+            state, fraction, step_size = next_state, next_fraction, min(1.0, 2.0 * step_size)
         elif step_size <= min_step:
-            message = f"{context}: no equilibrium beyond {start + position * distance:.6g}"
+            message = f"{context}: no equilibrium beyond {start + fraction * distance:.6g}"
             raise ValueError(message)
         else:
             step_size *= 0.5

@@ -1,28 +1,29 @@
-"""Place the strands of a wire in its cross-section; compute its stiffness in stretch and torsion.
+"""Place the strands of a wire in its cross-section, and compute its axial and torsional stiffness.
 
-A layout (hexagon, concentric rings, compressed sectors, packing) places the strands. It is refused
-if the strands do not fit. Layers are defined by their numbers of strands, not by gaps in the
-radius. The first strand of the first ring lies at angle 0, on the neutral axis of [1]_;
-`wire.bending_law` rotates the section for other orientations. Lengths are in m, angles in rad.
+A layout (hexagon, concentric rings, compressed sectors, packing) determines the positions of the
+strands. An error is raised if the strands do not fit. Layers are defined by their numbers of
+strands, not by their radii. The first strand of the first ring is at angle 0, on the neutral axis
+of [1]_. `wire.bending_law` rotates the section for other orientations. Lengths are in m, angles in
+rad.
 
 A packing minimises the overlap energy, equations (3.1) to (3.4) of [1]_: the sum of squared
 overlaps of strands with each other (each pair counts twice) and with the bore. The result depends
-on the start. Seven strands nearly always form the hexagon, 19 or 37 strands never do, and in a
-loose bore many packings have no overlap. The best of several seeded starts is therefore kept, and
+on the start. Seven strands nearly always form a hexagon, 19 or 37 strands never do. In a loose bore
+many packings have no overlap. The best result of several starts is therefore used, and
 `make_cross_section` prefers the hexagon.
 
 Stretch and torsion are coupled. A strand at radius r with the lay angle a is strained along its
-axis by eps cos^2 a if the wire is stretched by eps. It is strained by r tau sin a cos a if the wire
-is twisted by tau (rad/m, positive in the sense of a positive lay). The axial force N and the torque
-T of the wire are
+axis by eps cos^2 a if the wire has the axial strain eps. It is strained by r tau sin a cos a if the
+wire has the twist tau (rad/m, positive in the sense of a positive lay). The axial force N and the
+torque T of the wire are
 
     [N; T] = [EA, C; C, GJ] [eps; tau],
     EA = sum E A cos^3 a + E_ins A_ins,      C = sum E A r sin a cos^2 a,
     GJ = sum E A r^2 sin^2 a cos a + own + G_ins pi/2 (R_o^4 - R_i^4),
 
 where own is the torsional stiffness of the strands about their own axes. Slip does not reduce these
-stiffnesses: strands keep their radius and stretch as a whole [2]_. Strands that settle into each
-other make a real wire softer.
+stiffnesses, because each strand stays at its radius and is strained uniformly [2]_. A real wire, in
+which strands flatten at their contacts, is softer.
 
 References
 ----------
@@ -66,13 +67,14 @@ MAX_RELATIVE_OVERLAP = 1e-3
 
 @dataclass(frozen=True, slots=True)
 class Layer:
-    """Strands of one ring, or the core: a single strand on the axis with the lay angle 0.
+    """Strands of one ring, or the core, which is a single strand on the axis.
 
     Parameters
     ----------
     count : number of strands
-    diameter : m, diameter of a strand; for a compressed strand, of the circle with its area
-    lay_angle : rad, signed; 0 for the core
+    diameter : m, diameter of a strand; for a compressed strand, diameter of the circle with the
+        same area
+    lay_angle : rad, angle between the strands and the axis of the wire, signed; 0 for the core
     material : stress-strain curve of the strands
     poisson : Poisson's ratio of the strands
     """
@@ -102,21 +104,21 @@ class Layer:
 
 
 def _require_poisson(poisson: float) -> None:
-    """Refuse a Poisson's ratio out of its physical range."""
+    """Raise ValueError for a Poisson's ratio outside its physical range."""
     require("poisson", poisson, "> -1 and <= 0.5", holds=-1.0 < poisson <= 0.5)
 
 
 @dataclass(frozen=True, slots=True)
 class Insulation:
-    """The insulation, a tube around the strands.
+    """Insulation of a wire, a tube around the strands.
 
     Parameters
     ----------
-    bore_radius : R, m, inner radius
-    thickness : m, thickness of the wall
-    modulus : Pa, modulus at small strains
-    poisson : Poisson's ratio
-    curve : stress-strain curve, whose initial slope is the modulus; None for a linear material
+    bore_radius : R_i, m, inner radius
+    thickness : t, m, thickness of the wall
+    modulus : E, Pa, modulus of elasticity at small strains
+    poisson : nu, Poisson's ratio
+    curve : stress-strain curve with the modulus as first slope; None for a linear material
     """
 
     bore_radius: float
@@ -132,12 +134,12 @@ class Insulation:
 
     @property
     def outer_radius(self) -> float:
-        """Radius of the wire, m."""
+        """Outer radius R_o, m, which is the radius of the wire."""
         return self.bore_radius + self.thickness
 
     @property
     def bending_stiffness(self) -> float:
-        """E pi / 64 (d_w^4 - (d_w - 2 t)^4), N m^2, at small strains."""
+        """Bending stiffness at small strains, E pi / 4 (R_o^4 - R_i^4), N m^2."""
         return float(self.modulus * np.pi / 4.0 * (self.outer_radius**4 - self.bore_radius**4))
 
     @property
@@ -147,12 +149,12 @@ class Insulation:
 
     @property
     def axial_stiffness(self) -> float:
-        """E times the area of the tube, N."""
+        """Axial stiffness, E times the area, N."""
         return self.modulus * self.area
 
     @property
     def torsional_stiffness(self) -> float:
-        """G pi / 2 (R_o^4 - R_i^4) with G = E / (2 (1 + nu)), N m^2."""
+        """Torsional stiffness, G pi / 2 (R_o^4 - R_i^4) with G = E / (2 (1 + nu)), N m^2."""
         return self.bending_stiffness / (1.0 + self.poisson)
 
 
@@ -171,13 +173,13 @@ def compute_tube_moment(tube: Insulation, curvature: Floats) -> StrandMoment:
     Raises
     ------
     ValueError
-        If the strain at the rim exceeds the range of the stress-strain curve; the message states
-        the curvature.
+        If the strain at the outer radius exceeds the range of the stress-strain curve. The message
+        states the curvature.
 
     Notes
     -----
     The moment is that of a bar of the outer radius minus that of a bar of the inner radius. Without
-    a stress-strain curve the tube is linear at any strain, and the caller checks the range.
+    a stress-strain curve the tube is linear at any strain, and no range is checked.
     """
     if tube.curve is None:
         stiffness = tube.bending_stiffness
@@ -195,8 +197,9 @@ class CrossSection(ArrayRecord):
     ----------
     kind : name of the layout
     layers : layers of strands from the axis outwards
-    x, y : shape (strands,), m, centres of the strands, layer by layer
-    overlap : m, largest overlap of strands with each other or with the bore
+    x, y : shape (strands,), m, centres of the strands, in the order of the layers
+    overlap : m, largest overlap of strands with each other or with the bore; not positive if there
+        is none
     insulation : tube around the strands; None for bare strands
     """
 
@@ -209,7 +212,7 @@ class CrossSection(ArrayRecord):
 
     @property
     def layer(self) -> Ints:
-        """Index into `layers` of each strand, shape (strands,)."""
+        """Index in `layers` of the layer of each strand, shape (strands,)."""
         return np.repeat(np.arange(len(self.layers)), [layer.count for layer in self.layers])
 
     def repeat_per_strand(self, values: Iterable[float]) -> Floats:
@@ -218,7 +221,7 @@ class CrossSection(ArrayRecord):
 
     @property
     def has_core(self) -> bool:
-        """Whether the innermost layer has a single strand; its position is not checked."""
+        """Whether the innermost layer has a single strand, at any position."""
         return self.layers[0].count == 1
 
     @property
@@ -246,9 +249,9 @@ class CrossSection(ArrayRecord):
         A helical strand is longer than the wire by the factor 1 / cos(lay angle). The density of
         PVC for cables is 1300 to 1500 kg/m^3, depending on its fillers.
         """
-        strands = sum(layer.count * layer.area / np.cos(layer.lay_angle) for layer in self.layers)
-        tube = self.insulation.area if self.insulation else 0.0
-        return float(conductor * strands + insulation * tube)
+        strand_area = sum(ring.count * ring.area / np.cos(ring.lay_angle) for ring in self.layers)
+        insulation_area = self.insulation.area if self.insulation else 0.0
+        return float(conductor * strand_area + insulation * insulation_area)
 
 
 def compute_strand_diameter(conductor_area: float, n_strands: int) -> float:
@@ -266,13 +269,13 @@ def compute_strand_diameter(conductor_area: float, n_strands: int) -> float:
 def lay_up(
     n_strands: int, diameter: float, lay_angles: Sequence[float], material: Material
 ) -> tuple[Layer, ...]:
-    """Lay up equal strands in layers of 1, 6, 12, 18 ... strands.
+    """Make layers of 1, 6, 12, 18 ... equal strands.
 
     Parameters
     ----------
     n_strands : number of strands in all layers
     diameter : m, diameter of a strand
-    lay_angles : rad, lay angle of each ring, from the inside
+    lay_angles : rad, lay angle of each ring, from the innermost
     material : stress-strain curve of the strands
 
     Raises
@@ -305,19 +308,18 @@ def place_hexagon(layers: tuple[Layer, ...], insulation: Insulation | None = Non
     require("counts", counts, "1, 6, 12, 18 ... for a hexagon", holds=is_hexagon)
     _require_equal_strands(layers)
     rings = [_place_hexagon_ring(ring) for ring in range(len(layers))]
-    return place_strands(
-        "hexagonal", layers, np.concatenate(rings) * layers[0].diameter, insulation
-    )
+    centres = np.concatenate(rings) * layers[0].diameter
+    return place_strands("hexagonal", layers, centres, insulation)
 
 
 def _require_equal_strands(layers: tuple[Layer, ...]) -> None:
-    """Refuse layers whose strands have different diameters."""
+    """Raise ValueError if the strands of layers have different diameters."""
     diameters = sorted({layer.diameter for layer in layers})
     require("diameters", diameters, "equal in a hexagon or a packing", holds=len(diameters) == 1)
 
 
 def _place_hexagon_ring(ring: int) -> Floats:
-    """Place one ring on the lattice, in strand diameters; its first strand is on the x axis."""
+    """Return the centres of one ring of the lattice, strand diameters, from the x axis."""
     if ring == 0:
         return np.zeros((1, 2))
     corners = ring * np.exp(1j * np.pi / 3.0 * np.arange(7))
@@ -342,7 +344,7 @@ def place_rings(layers: tuple[Layer, ...], insulation: Insulation | None = None)
     Notes
     -----
     With equal strands of diameter d and a core, ring q has the radius q d. Without a core the n
-    strands of the first ring touch each other; its radius is d / (2 sin(pi / n)).
+    strands of the first ring touch each other, and the ring has the radius d / (2 sin(pi / n)).
     """
     n, first_radius = layers[0].count, layers[0].diameter / (2.0 * np.sin(np.pi / layers[0].count))
     radii = [0.0 if n == 1 else float(first_radius)]
@@ -352,16 +354,16 @@ def place_rings(layers: tuple[Layer, ...], insulation: Insulation | None = None)
 
 
 def _spread_rings(
-    layers: tuple[Layer, ...], radii: Sequence[float], turns: Floats | float = 0.0
+    layers: tuple[Layer, ...], radii: Sequence[float], first_turns: Floats | float = 0.0
 ) -> Floats:
-    """Space the strands of each ring evenly from an angle in turns, by default 0.
+    """Return centres of strands that are evenly spaced in each ring, shape (strands, 2).
 
-    Return the centres, shape (strands, 2).
+    `first_turns` is the angle of the first strand of each ring, in turns.
     """
     counts = [layer.count for layer in layers]
-    fractions = np.concatenate([np.arange(count) / count for count in counts])
-    fractions += np.repeat(np.broadcast_to(turns, len(counts)), counts)
-    radius, angle = np.repeat(radii, counts), 2.0 * np.pi * fractions
+    turns = np.concatenate([np.arange(count) / count for count in counts])
+    turns += np.repeat(np.broadcast_to(first_turns, len(counts)), counts)
+    radius, angle = np.repeat(radii, counts), 2.0 * np.pi * turns
     return np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])
 
 
@@ -371,21 +373,21 @@ def place_sectors(
     *,
     radii: Sequence[float] | None = None,
 ) -> CrossSection:
-    """Place strands compressed into sectors without gaps, each with the area of its round strand.
+    """Place strands that are compressed into sectors without gaps.
 
     Parameters
     ----------
-    layers : layers of strands from the axis outwards; their diameter is that of the circle with
-        the area of a strand
-    insulation : tube around the strands; its bore must hold the area of all strands
-    radii : m, radius of the strands' centroids in each layer, which is 0 for a core; None for the
-        centroids of sectors
+    layers : layers of strands from the axis outwards; the diameter of a layer is that of the circle
+        with the area of one strand
+    insulation : tube around the strands; the bore must be as large as the area of all strands
+    radii : m, radius of the centroids of the strands in each layer, which is 0 for a core; None to
+        compute the centroids of sectors
 
     Raises
     ------
     ValueError
-        If the area of the strands exceeds the bore, or the number of `radii` is not that of the
-        layers.
+        If the area of the strands exceeds that of the bore, or the number of `radii` is not that of
+        the layers.
 
     Notes
     -----
@@ -393,7 +395,7 @@ def place_sectors(
     half-angle b between the radii a and c has the radius 2/3 (c^3 - a^3) / (c^2 - a^2) sin(b) / b.
     The bending stiffness of a sector about its own axis is taken as that of the round strand.
     """
-    edges = np.sqrt(np.cumsum([0.0, *(lay.count * lay.area for lay in layers)]) / np.pi)
+    edges = np.sqrt(np.cumsum([0.0, *(layer.count * layer.area for layer in layers)]) / np.pi)
     if insulation is not None:
         bore, min_radius = insulation.bore_radius, float(edges[-1])
         expected = f"at least the {min_radius:.6g} m that the strands need without any gap"
@@ -401,8 +403,8 @@ def place_sectors(
         require("bore_radius", float(f"{bore:.6g}"), expected, holds=holds)
     if radii is None:
         half_angles = np.pi / np.array([layer.count for layer in layers])
-        means = 2.0 / 3.0 * np.diff(edges**3) / np.diff(edges**2)
-        centroids = means * np.sin(half_angles) / half_angles
+        mean_radii = 2.0 / 3.0 * np.diff(edges**3) / np.diff(edges**2)
+        centroids = mean_radii * np.sin(half_angles) / half_angles
         radii = np.where(half_angles < np.pi, centroids, 0.0).tolist()
     expected = f"one for each of {len(layers)} layers"
     require("radii", list(radii), expected, holds=len(radii) == len(layers))
@@ -413,22 +415,22 @@ def place_sectors(
 def place_strands(
     kind: str, layers: tuple[Layer, ...], centres: Floats, insulation: Insulation | None
 ) -> CrossSection:
-    """Place round strands at stated centres; refuse centres at which they do not fit.
+    """Make the cross-section with round strands at given centres.
 
     Parameters
     ----------
     kind : name of the layout
     layers : layers of strands from the axis outwards
-    centres : shape (strands, 2), m, centres of the strands, layer by layer
+    centres : shape (strands, 2), m, centres of the strands, in the order of the layers
     insulation : tube around the strands; None for bare strands
 
     Raises
     ------
     ValueError
-        If strands overlap each other or the bore by more than 1e-3 of the bore's radius; the
-        message states the overlap.
+        If strands overlap each other or the bore by more than `MAX_RELATIVE_OVERLAP`. The message
+        states the overlap.
     """
-    radii = np.repeat([layer.diameter / 2.0 for layer in layers], [lay.count for lay in layers])
+    radii = np.repeat([ring.diameter / 2.0 for ring in layers], [ring.count for ring in layers])
     outer_radius = float((np.hypot(*centres.T) + radii).max())
     bore = insulation.bore_radius if insulation else outer_radius
     overlap, obstacle = max(
@@ -446,7 +448,7 @@ def place_strands(
 
 
 def find_largest_overlap(centres: Floats, radii: Floats) -> float:
-    """Find the largest overlap of circles with each other, m; 0 without overlap.
+    """Compute the largest overlap of circles with each other, m; 0 without overlap.
 
     Parameters
     ----------
@@ -467,7 +469,7 @@ def compute_overlap_energy(
 
     Parameters
     ----------
-    coordinates : shape (2 n,), m, x and y of the first strand, then of the second, and so on
+    coordinates : shape (2 n,), m, x and y of each strand in turn
     strand_radius, bore_radius : m, radii of the strands and of the bore
 
     Returns
@@ -481,21 +483,21 @@ def compute_overlap_energy(
     distance = np.hypot(offsets[..., 0], offsets[..., 1])
     np.fill_diagonal(distance, np.inf)
     overlap = np.maximum(2.0 * strand_radius - distance, 0.0)
-    slope = overlap / np.where(distance == 0.0, 1.0, distance)
-    gradient = -4.0 * np.einsum("ij,ijk->ik", slope, offsets)
+    ratio = overlap / np.where(distance == 0.0, 1.0, distance)
+    gradient = -4.0 * np.einsum("ij,ijk->ik", ratio, offsets)
     axis_distance = np.hypot(*centres.T)
     bore_overlap = np.maximum(axis_distance + strand_radius - bore_radius, 0.0)
-    slope = 2.0 * bore_overlap / np.where(axis_distance == 0.0, 1.0, axis_distance)
-    gradient += slope[:, None] * centres
+    bore_ratio = bore_overlap / np.where(axis_distance == 0.0, 1.0, axis_distance)
+    gradient += 2.0 * bore_ratio[:, None] * centres
     return float(np.sum(overlap**2) + np.sum(bore_overlap**2)), gradient.ravel()
 
 
 def pack_strands(
     layers: tuple[Layer, ...], insulation: Insulation, *, seed: int = 0
 ) -> CrossSection:
-    """Pack equal strands by minimising their overlap energy from several seeded starts.
+    """Pack equal strands by minimising their overlap energy from several random starts.
 
-    The starts are alternately random and on perturbed rings.
+    In alternate starts, the strands are at random positions in the bore and near rings.
 
     Parameters
     ----------
@@ -507,17 +509,17 @@ def pack_strands(
     Returns
     -------
     The packing with the lowest energy, rotated so that the first strand of the first ring is at
-    angle 0. A single strand lies on the axis.
+    angle 0. A single strand is on the axis.
 
     Raises
     ------
     ValueError
-        If the diameters differ, or if the strands of the best packing overlap each other or the
-        bore too much; the message states the overlap.
+        If the diameters differ, or the strands of the best packing overlap each other or the bore
+        by more than `MAX_RELATIVE_OVERLAP`. The message states the overlap.
     """
-    n_starts = 12  # at most; the search ends with the first packing without overlap
-    energy_tolerance = 1e-16  # squared strand radii, which allows overlaps of 1e-8 strand radii
-    offset_deviation = 0.1  # standard deviation of strands from perturbed rings, strand radii
+    max_starts = 12  # the search ends with the first packing without overlap
+    energy_tolerance = 1e-16  # squared strand radii; allows overlaps of 1e-8 strand radii
+    offset_deviation = 0.1  # standard deviation of strands from the rings of a start, strand radii
     _require_equal_strands(layers)
     n_strands, strand_radius = sum(layer.count for layer in layers), layers[0].diameter / 2.0
     # Lengths are in strand radii, because the tolerances of the optimiser are absolute.
@@ -530,11 +532,11 @@ def pack_strands(
         energy, gradient = compute_overlap_energy(all_coordinates, 1.0, bore_radius)
         return energy, gradient[len(core) :]
 
-    for start_number in range(n_starts if n_strands > 1 else 0):
-        if start_number % 2:
+    for start_index in range(max_starts if n_strands > 1 else 0):
+        if start_index % 2:
             turns, offsets = rng.uniform(size=len(layers)), rng.normal(size=best_centres.shape)
-            ring_numbers = np.arange(len(layers)) + int(layers[0].count > 1)
-            rings = _spread_rings(layers, (2.0 * ring_numbers).tolist(), turns)
+            ring_indices = np.arange(len(layers)) + int(layers[0].count > 1)
+            rings = _spread_rings(layers, (2.0 * ring_indices).tolist(), turns)
             start = rings + offset_deviation * offsets
         else:
             radius = (bore_radius - 1.0) * np.sqrt(rng.uniform(size=n_strands))
@@ -584,13 +586,13 @@ def make_cross_section(
     ----------
     layers : layers of strands, from the axis outwards
     insulation : tube around the strands
-    kind : name of the layout; None for the first layout that fits: the hexagon, concentric rings,
-        or a packing of strands of one diameter
+    kind : name of the layout; None for the first of these layouts that fits: the hexagon,
+        concentric rings, and a packing of strands of one diameter
 
     Raises
     ------
     ValueError
-        If the layout does not fit the bore, or if it does not allow the numbers of strands or their
+        If the layout does not fit the bore, or is not possible with the numbers of strands or their
         diameters.
     """
     if kind is not None:
@@ -604,10 +606,10 @@ def make_cross_section(
 
 
 def find_helix_overlap(section: CrossSection) -> float:
-    """Find the largest overlap of helical strands of one layer, relative to their diameter.
+    """Compute the largest overlap of helical strands of one layer, relative to their diameter.
 
-    Strands that touch in the cross-section overlap as helices, because the distance of the
-    neighbour normal to a strand is smaller by the factor cos(lay angle).
+    Strands that touch as circles in the cross-section overlap as helices: normal to a strand, the
+    distance to its neighbour is smaller by about the factor cos(lay angle).
 
     Parameters
     ----------
@@ -615,15 +617,15 @@ def find_helix_overlap(section: CrossSection) -> float:
 
     Returns
     -------
-    The ratio of overlap and diameter; 0 if no strands overlap.
+    Ratio of the overlap to the diameter; 0 if no strands overlap.
 
     Notes
     -----
-    The distance of two helices at the radii a and b, with the angle p between them and the pitch
-    2 pi / k, is the minimum of sqrt(a^2 + b^2 - 2 a b cos(p - k z) + z^2) over z, with
-    k = tan(lay angle) / sqrt(a b).
+    The distance of two helices is the minimum of sqrt(a^2 + b^2 - 2 a b cos(p - k z) + z^2) over z,
+    with k = tan(lay angle) / sqrt(a b). a and b are their radii, p is the angle between them in the
+    cross-section, and their pitch is 2 pi / k.
     """
-    max_neighbour_distance = 1.5  # largest distance of neighbours, strand diameters
+    max_neighbour_distance = 1.5  # strand diameters
     largest_overlap = 0.0
     for index, layer in enumerate(section.layers):
         is_in_layer = section.layer == index
@@ -640,13 +642,11 @@ def _compute_helix_distances(first: Floats, second: Floats, lay_angle: float) ->
     """Compute the smallest distance of the centre lines of each pair of strands, shape (pairs,).
 
     The distance is computed from a point of the first strand to 401 points of the second strand.
-    They lie between its point in the same cross-section and its point at the same angle.
+    These are between the point in the same cross-section and the point at the same angle.
     """
     a, b = np.hypot(*first.T), np.hypot(*second.T)
-    signed_angle = np.arctan2(
-        first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0], (first * second).sum(1)
-    )
-    pair_angle = np.abs(signed_angle)[:, None]
+    cross_product = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
+    pair_angle = np.abs(np.arctan2(cross_product, (first * second).sum(1)))[:, None]
     angle = pair_angle * np.linspace(0.0, 1.0, 401)  # p - k z
     z = (pair_angle - angle) * np.sqrt(a * b)[:, None] / np.tan(abs(lay_angle))
     squared = (a**2 + b**2)[:, None] - 2.0 * (a * b)[:, None] * np.cos(angle) + z**2
@@ -655,23 +655,23 @@ def _compute_helix_distances(first: Floats, second: Floats, lay_angle: float) ->
 
 @dataclass(frozen=True, slots=True)
 class StretchTorsion:
-    """Symmetric stiffness matrix of stretch and torsion.
+    """Stiffnesses of a wire in stretch and torsion, which form a symmetric matrix.
 
     Parameters
     ----------
-    axial : EA, N, axial stiffness at constant twist
-    coupling : C, N m, with the sign of the lay
-    torsional : GJ, N m^2, torsional stiffness at constant length
+    axial_stiffness : EA, N, at constant twist
+    coupling : C, N m, torque per axial strain, with the sign of the lay
+    torsional_stiffness : GJ, N m^2, at constant length
     """
 
-    axial: float
+    axial_stiffness: float
     coupling: float
-    torsional: float
+    torsional_stiffness: float
 
     @property
-    def torsional_free(self) -> float:
-        """Torsional stiffness of a wire free to lengthen, GJ - C^2 / EA, N m^2."""
-        return self.torsional - self.coupling**2 / self.axial
+    def free_torsional_stiffness(self) -> float:
+        """Torsional stiffness of a wire that is free to lengthen, GJ - C^2 / EA, N m^2."""
+        return self.torsional_stiffness - self.coupling**2 / self.axial_stiffness
 
 
 def compute_stretch_torsion(section: CrossSection) -> StretchTorsion:
@@ -679,15 +679,15 @@ def compute_stretch_torsion(section: CrossSection) -> StretchTorsion:
 
     Parameters
     ----------
-    section : cross-section of the wire; each strand counts at its own radius
+    section : cross-section of the wire; each strand is taken at its own radius
 
     Notes
     -----
     The torsional stiffness of the strands about their own axes is own = sum E I cos(a) (cos^2 a /
-    (1 + nu) + sin^2 a), with I = pi d^4 / 64. A rotation of the wire has a component along the
-    strand, which twists it (G J = E I / (1 + nu)), and one across, which bends it (Love's thin rod;
-    the energy argument of the helix factor, equation (3.18) of [1]_). The shear modulus of the
-    insulation is G = E / (2 (1 + nu)).
+    (1 + nu) + sin^2 a), with I = pi d^4 / 64. A twist of the wire has a component along the strand,
+    which twists the strand (G J = E I / (1 + nu)), and a component normal to the strand, which
+    bends it (Love's thin rod). The energy argument is that of the helix factor, equation (3.18) of
+    [1]_. The shear modulus of the insulation is G = E / (2 (1 + nu)).
     """
     axial = coupling = torsional = 0.0
     for index, layer in enumerate(section.layers):
@@ -697,9 +697,9 @@ def compute_stretch_torsion(section: CrossSection) -> StretchTorsion:
         axial += layer.count * rigidity * cosine**3
         coupling += rigidity * float(radius.sum()) * sine * cosine**2
         torsional += rigidity * float(np.sum(radius**2)) * sine**2 * cosine
-        own_factor = cosine**2 / (1.0 + layer.poisson) + sine**2
+        helix_factor = cosine**2 / (1.0 + layer.poisson) + sine**2
         bending_stiffness = layer.material.modulus * np.pi * layer.diameter**4 / 64.0
-        torsional += layer.count * bending_stiffness * cosine * own_factor
+        torsional += layer.count * bending_stiffness * cosine * helix_factor
     tube = section.insulation
     if tube is not None:
         axial += tube.axial_stiffness

@@ -1,7 +1,7 @@
-"""Compute loading curves of a clamped wire, all deflections at once.
+"""Compute loading curves of a clamped wire at all deflections together.
 
-At rest the wire is level, and its tip is held by the string or by an end load. It is loaded from
-there. Newton's method solves for the moments at the stations of all deflections together
+At rest the clamp and the tip are level, and the string or an end load holds the tip. The wire is
+loaded from rest. Newton's method solves for the moments at the stations of all deflections together
 (`wire.cantilever`). Masing's rule gives the curvature where the weight has bent the wire in the
 opposite direction, and where a station unloads from its largest moment.
 """
@@ -53,11 +53,11 @@ PATH_STATIONS = 48
 Loads differ by at most 1e-4 from loads with 160 stations.
 """
 _N_COARSE_STATIONS = 12
-"""Number of stations on which Newton's steps of a wire with more stations are computed."""
+"""Number of stations of a coarse wire, on which Newton's steps of the wire are computed."""
 _MOMENT_TOLERANCE = 1e-5
 """Last change of the moments, relative to the largest moment; convergence is quadratic."""
 _START_TOLERANCE = 1e-3
-"""As `_MOMENT_TOLERANCE`, for the solution on coarse stations, from which fine stations start."""
+"""Last change of the moments of the coarse wire, whose solution is the first guess for the wire."""
 END_OF_FIRST_LOADING = 0.7
 """Approximate deflection, relative to the length, at which stations at the tip begin to unload."""
 
@@ -69,18 +69,18 @@ class LoadingCurve(ArrayRecord):
     Parameters
     ----------
     deflection : m, deflection of the tip from rest, normal to the undeformed axis, increasing
-    moment : shape (n, stations), N m
+    moment : shape (n, stations), N m, moments at the stations
     tension : N, tension of the string, which the load cell reads; without a string, the end load
-    shear_force : N, force normal to the wire at its tip; if it decreases, so do the moments near
-        the tip
+    shear_force : N, force normal to the wire at its tip; where it decreases, the moments near the
+        tip also decrease
     tip_angle : rad, angle of the tangent at the tip from the undeformed axis
     clamp_curvature : 1/m, curvature at the clamp
     stiffness : N/m, derivative of the tension with respect to deflection; at rest, the secant to
-        the first deflection. NaN beyond rest if stations may unload
-    tension_change : shape (parameters, n), N, derivative of the tension above that at rest, at
-        constant deflection, with respect to the parameters of the law. NaN beyond rest if stations
-        may unload
-    full_curve : curve whose first points these are. The solution of a similar law starts from it
+        the first deflection. It is NaN beyond rest if stations may unload
+    tension_sensitivity : shape (parameters, n), N, derivative of the tension above that at rest
+        with respect to each parameter of the law, at constant deflection. It is NaN beyond rest if
+        stations may unload
+    full_curve : longer curve of which this is the first part; the first guess for a similar law
     """
 
     deflection: Vector
@@ -90,32 +90,32 @@ class LoadingCurve(ArrayRecord):
     tip_angle: Vector
     clamp_curvature: Vector
     stiffness: Vector
-    tension_change: Annotated[Floats, "parameters", "n"]
+    tension_sensitivity: Annotated[Floats, "parameters", "n"]
     full_curve: LoadingCurve | None = None
 
     @property
     def force(self) -> Floats:
-        """Tension above that at rest, N, as a zeroed load cell reads it."""
+        """Tension above that at rest, N, as read by a load cell that was zeroed at rest."""
         return np.asarray(self.tension - self.tension[0])
 
     @property
     def clamp_moment(self) -> Floats:
-        """Moments at the clamp, N m."""
+        """Moments at the clamp, N m, shape (n,)."""
         return self.moment[:, 0]
 
     def count_loading_points(self) -> int:
-        """Count the points, rest included, up to which no station unloads.
+        """Count the points, including rest, up to which no station unloads.
 
         At deflections beyond about 0.7 of the length the moments near the tip decrease. In a
         sagging wire they may decrease earlier.
         """
-        relative_rounding = 1e-5  # rounding error relative to the largest moment
+        relative_tolerance = 1e-5  # smaller decreases of a moment are errors of the solution
         step = np.diff(self.moment, axis=0)
         change_from_rest = self.moment[:-1] - self.moment[0]
-        rounding = relative_rounding * np.max(np.abs(self.moment[1:]), axis=1, keepdims=True)
-        unloads = ((step * change_from_rest < 0.0) & (np.abs(step) > rounding)).any(axis=1)
-        unloads[1:] |= np.diff(self.shear_force[1:]) <= 0.0
-        return 1 + (int(np.argmax(unloads)) if unloads.any() else len(unloads))
+        tolerance = relative_tolerance * np.max(np.abs(self.moment[1:]), axis=1, keepdims=True)
+        is_unloading = ((step * change_from_rest < 0.0) & (np.abs(step) > tolerance)).any(axis=1)
+        is_unloading[1:] |= np.diff(self.shear_force[1:]) <= 0.0
+        return 1 + (int(np.argmax(is_unloading)) if is_unloading.any() else len(is_unloading))
 
 
 def load_cantilever(
@@ -127,23 +127,24 @@ def load_cantilever(
     *,
     guess: LoadingCurve | None = None,
 ) -> LoadingCurve:
-    """Load a wire from rest to a deflection.
+    """Compute the loading curve of a wire from rest to a deflection.
 
     Parameters
     ----------
     table : law of first loading, with its derivatives with respect to parameters
     length : m, length of the wire
-    rig : string and counterweight; the string is straight and without tension for a straight wire.
-        None for an end load normal to the undeformed axis that holds the tip level at rest
+    rig : string and counterweight; the string is straight and without tension if the wire is
+        straight. None for an end load normal to the undeformed axis that holds the tip level at
+        rest
     self_weight : N/m, weight per length of the wire; may be 0
     deflection : m, deflection of the tip from rest
-    guess : curve of the same cantilever for the same deflection with a similar law, from which to
-        start
+    guess : curve of the same cantilever for the same deflection with a similar law; None if there
+        is none
 
     Returns
     -------
-    The curve from rest to the deflection. It ends at 0.7 of the length, or earlier if a station
-    begins to unload.
+    The curve from rest to the deflection, but at most to 0.7 of the length. It ends earlier if a
+    station begins to unload.
 
     Raises
     ------
@@ -151,11 +152,11 @@ def load_cantilever(
         If no equilibrium is found.
     """
     n_points = 64
-    spacing_power = 2.75  # points are denser towards rest, where strands begin to slip
-    farthest = min(deflection, END_OF_FIRST_LOADING * length)
-    deflections = farthest * (np.arange(1, n_points + 1) / n_points) ** spacing_power
-    guess = None if guess is None else guess.full_curve
-    curve = find_equilibria(table, length, rig, self_weight, deflections, guess=guess)
+    spacing_power = 2.75  # points are denser near rest, where strands begin to slip
+    end = min(deflection, END_OF_FIRST_LOADING * length)
+    deflections = end * (np.arange(1, n_points + 1) / n_points) ** spacing_power
+    full_guess = None if guess is None else guess.full_curve
+    curve = find_equilibria(table, length, rig, self_weight, deflections, guess=full_guess)
     n = curve.count_loading_points()
     names = [item.name for item in fields(curve) if item.name not in {"moment", "full_curve"}]
     first_points = {name: getattr(curve, name)[..., :n] for name in names}
@@ -179,9 +180,9 @@ def find_equilibria(
     table, length, rig, self_weight : law, length, rig and weight of the wire, as for
         `load_cantilever`
     deflections : shape (n,), m, deflections from rest in the direction of the pull, increasing
-    n_stations : number of stations along the wire, which may then unload from their largest moments
-        at smaller deflections; the curve then has no derivatives. None for first loading
-    guess : curve at these deflections with a similar law, from which to start
+    n_stations : number of stations along a wire whose stations may unload from their largest
+        moments; the curve then has no derivatives. None for first loading
+    guess : curve at these deflections with a similar law; None if there is none
 
     Returns
     -------
@@ -197,48 +198,50 @@ def find_equilibria(
         return table.bend_from_rest(moment[0], moment[rows])
 
     def bend_from_peak(moment: Floats, rows: Ints) -> CurvatureAndCompliance:
-        peaks = np.maximum.accumulate(moment, axis=0)
-        return table.bend_from_peak(moment[0], peaks[rows], moment[rows])
+        peak_moment = np.maximum.accumulate(moment, axis=0)
+        return table.bend_from_peak(moment[0], peak_moment[rows], moment[rows])
 
     stations = make_stations(n_stations or N_LOADING_STATIONS, length)
     condition = TipCondition(rig, np.append(0.0, deflections))
     law = bend_from_rest if n_stations is None else bend_from_peak
     coarse = Cantilever(law, make_stations(_N_COARSE_STATIONS, length), self_weight, condition)
-    wire = replace(coarse, stations=stations, coarse=coarse)
     one_grid_wire = replace(coarse, stations=stations)
+    wire = replace(one_grid_wire, coarse_wire=coarse)
     start = None if guess is None else (guess.moment, guess.tension)
-    start = start or _solve_from_linear(table, coarse, bend_from_rest, tolerance=_START_TOLERANCE)
-    solution = start and _solve_from_guess(wire, *start)
+    if start is None:
+        start = _solve_from_linear(table, coarse, bend_from_rest, tolerance=_START_TOLERANCE)
+    solution = None if start is None else _solve_from_guess(wire, *start)
     solve_one_grid = partial(_solve_from_linear, table, tolerance=_MOMENT_TOLERANCE)
     solution = solution or solve_one_grid(one_grid_wire, bend_from_rest)
     if solution is None:
         level_wire = replace(one_grid_wire, condition=TipCondition(rig, np.zeros(1)))
         has_rest = solve_one_grid(level_wire, bend_from_rest) is not None
-        where = f"up to a deflection of {np.max(deflections):.6g} m" if has_rest else "at rest"
-        message = f"length={length:.6g} m: no equilibrium found {where}"
+        failure = f"up to a deflection of {np.max(deflections):.6g} m" if has_rest else "at rest"
+        message = f"length={length:.6g} m: no equilibrium found {failure}"
         raise ValueError(message)
     return _make_curve(table, wire, *solution, is_first_loading=n_stations is None)
 
 
 _Equilibria: TypeAlias = tuple[Floats, Floats]
-"""Moments at the stations, N m, and loads, N."""
+"""Moments at the stations, shape (n, stations), N m, and loads, shape (n,), N."""
 
 
 def _solve_from_linear(
     table: LoadingTable, wire: Cantilever, first_loading: BendingLaw, *, tolerance: float
 ) -> _Equilibria | None:
-    """Solve for rest, then start from the moments of a linear wire.
+    """Solve for all deflections from a first guess; None if no solution is found.
 
-    If this fails for a wire that may unload, start from its solution for first loading.
+    The guess is the solution at rest plus the moments of a linear wire. If the solution fails, the
+    solution for first loading is the next guess.
     """
     position, deflection = wire.stations.position, wire.condition.deflection
     assert deflection is not None
     length, rig = float(position[-1]), wire.condition.rig
     # The end load of a linear wire with a level tip is 3 w L / 8.
     tip_force, weight = 0.375 * wire.self_weight * length, 0.0 if rig is None else rig.weight
-    moment = (tip_force - 0.5 * wire.weight_beyond) * (length - position)
-    loaded_wire = replace(wire, law=first_loading)
-    level_wire = replace(loaded_wire, condition=TipCondition(rig, np.zeros(1)))
+    moment = (tip_force - 0.5 * wire.outer_weight) * (length - position)
+    loading_wire = replace(wire, law=first_loading)
+    level_wire = replace(loading_wire, condition=TipCondition(rig, np.zeros(1)))
     rest = level_wire.solve(moment[None], np.array([tip_force + weight]), tolerance=tolerance)
     if rest is None:
         return None
@@ -246,13 +249,13 @@ def _solve_from_linear(
     load_guess = rest[1] + clamp_moment / length
     guess = rest[0] + clamp_moment[:, None] * (1.0 - position / length), load_guess
     solution = wire.solve(*guess, tolerance=tolerance)
-    first_solution = solution or loaded_wire.solve(*guess, tolerance=tolerance)
+    first_solution = solution or loading_wire.solve(*guess, tolerance=tolerance)
     return solution or (first_solution and wire.solve(*first_solution, tolerance=tolerance))
 
 
 def _solve_from_guess(wire: Cantilever, moment: Floats, load: Floats) -> _Equilibria | None:
-    """Solve from the solution of a similar law; None if no solution is near, such as for a curl."""
-    max_relative_change = 0.3  # change of a moment relative to the largest moment
+    """Solve for all deflections from the solution of a similar law; None if no solution is near."""
+    max_relative_change = 0.3  # relative to the largest moment; a curled wire changes more
     moment = moment @ make_transfer_matrix(moment.shape[1], len(wire.stations.position)).T
     solution = wire.solve(moment, load, tolerance=_MOMENT_TOLERANCE)
     if solution is None:
@@ -265,18 +268,19 @@ def _solve_from_guess(wire: Cantilever, moment: Floats, load: Floats) -> _Equili
 def _make_curve(
     table: LoadingTable, wire: Cantilever, moment: Floats, load: Floats, *, is_first_loading: bool
 ) -> LoadingCurve:
-    """Make the curve of equilibria; its derivatives are NaN except on first loading."""
+    """Make the loading curve of equilibria; beyond first loading, derivatives are NaN."""
     bent, deflection = wire.bend(moment, load), wire.condition.deflection
     assert deflection is not None
-    change = np.full((1 + len(table.start_sensitivity), len(deflection)), np.nan)
+    # The first derivative of the load is with respect to deflection, the others to parameters.
+    derivatives = np.full((1 + len(table.start_sensitivity), len(deflection)), np.nan)
     if is_first_loading:
         rest = wire.bend(moment[:1], load[:1])
         at_rest = rest.compute_sensitivities(table.compute_sensitivities(moment[:1]))
         sensitivity = table.compute_sensitivities_from_rest(moment[0], moment, at_rest[1:, 0, :-1])
-        change = bent.compute_sensitivities(sensitivity)[:, :, -1]
-        change[1:] -= at_rest[1:, :, -1]
-    change[:, 0] = 0.0
-    change[0, 0] = (load[1] - load[0]) / deflection[1] if len(load) > 1 else np.nan
+        derivatives = bent.compute_sensitivities(sensitivity)[:, :, -1]
+        derivatives[1:] -= at_rest[1:, :, -1]
+    derivatives[:, 0] = 0.0
+    derivatives[0, 0] = (load[1] - load[0]) / deflection[1] if len(load) > 1 else np.nan
     (force_x, force_y), cos, sin = bent.tip_force.force.T, bent.cos[:, -1], bent.sin[:, -1]
     return LoadingCurve(
         deflection=deflection,
@@ -285,15 +289,15 @@ def _make_curve(
         shear_force=force_y * cos - force_x * sin,
         tip_angle=np.arctan2(sin, cos),
         clamp_curvature=bent.curvature[:, 0],
-        stiffness=change[0],
-        tension_change=change[1:],
+        stiffness=derivatives[0],
+        tension_sensitivity=derivatives[1:],
     )
 
 
 def _guess_clamp_moment(table: LoadingTable, length: float, deflections: Floats) -> Floats:
-    """Guess moments at the clamp, N m, from the curvatures of a linear wire.
+    """Guess moments at the clamp, N m, from the curvatures of a linear wire, shape (n,).
 
-    The law is taken as straight between its knots and beyond the last knot.
+    The law is interpolated linearly between knots, and extrapolated linearly.
     """
     ratio = deflections / length
     curvature = 3.0 * ratio / (1.0 - 0.5 * ratio**2) / length
@@ -302,7 +306,7 @@ def _guess_clamp_moment(table: LoadingTable, length: float, deflections: Floats)
 
 
 def interpolate_force(curve: LoadingCurve, deflection: Floats) -> tuple[Floats, Floats]:
-    """Interpolate the force above that at rest, and its derivatives, at given deflections.
+    """Interpolate the force above that at rest, and its sensitivities, at given deflections.
 
     Parameters
     ----------
@@ -311,27 +315,28 @@ def interpolate_force(curve: LoadingCurve, deflection: Floats) -> tuple[Floats, 
 
     Returns
     -------
-    Force, shape (n,), N, to about 4e-4 of the largest, and its derivative with respect to each
-    parameter of the law, shape (parameters, n). NaN where the deflection is NaN.
+    Force, shape (n,), N, with errors of about 4e-4 of the largest force, and its derivative with
+    respect to each parameter of the law, shape (parameters, n), N. Both are NaN where the
+    deflection is NaN.
 
     Raises
     ------
     ValueError
         If a deflection is beyond the end of the curve.
     """
-    size = np.abs(deflection)
-    if np.any(size > curve.deflection[-1]):
+    magnitude, end = np.abs(deflection), curve.deflection[-1]
+    if np.any(magnitude > end):
         message = (
-            f"deflection={np.nanmax(size):.6g} m: the curve ends at {curve.deflection[-1]:.6g} m, "
-            f"where the tip is inclined by {np.degrees(curve.tip_angle[-1]):.3g} deg"
+            f"deflection={np.nanmax(magnitude):.6g} m: the curve ends at {end:.6g} m, where the "
+            f"tip is inclined by {np.degrees(curve.tip_angle[-1]):.3g} deg"
         )
         raise ValueError(message)
-    change = curve.tension_change
-    values = np.vstack([curve.force, change])
-    slopes = np.vstack([curve.stiffness, np.gradient(change, curve.deflection, axis=1)])
-    result = CubicHermiteSpline(curve.deflection, values, slopes, axis=1)(size)
-    result *= np.sign(deflection)
-    return result[0], result[1:]
+    sensitivity = curve.tension_sensitivity
+    values = np.vstack([curve.force, sensitivity])
+    slopes = np.vstack([curve.stiffness, np.gradient(sensitivity, curve.deflection, axis=1)])
+    interpolated = CubicHermiteSpline(curve.deflection, values, slopes, axis=1)(magnitude)
+    interpolated *= np.sign(deflection)
+    return interpolated[0], interpolated[1:]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -343,8 +348,8 @@ class EndLoadPath:
     deflection : m, tip deflection from rest
     load : N, end load, minus the load that holds the tip level at rest
     clamp_moment : N m, moment at the clamp
-    rest : state at rest of a wire with weight; None for a wire without weight
-    notes : notes on neglected effects and on why the path ends early
+    rest : forces and shape at rest of a wire with weight; None for a wire without weight
+    notes : notes on a neglected weight and on a path that ends early
     """
 
     deflection: Floats
@@ -354,9 +359,10 @@ class EndLoadPath:
     notes: tuple[QualityNote, ...] = ()
 
     def find_deflection(self, law: MomentCurve, curvature: float) -> float:
-        """Find the deflection at a curvature of the clamp, m; infinite if it is not reached.
+        """Find the deflection, m, at which the clamp has a curvature, 1/m.
 
-        The clamp moment must increase along the path.
+        The deflection is infinite if the path does not reach the curvature. The clamp moment must
+        increase along the path.
         """
         moment = float(np.interp(curvature, law.curvature, law.moment, right=np.inf))
         if moment >= self.clamp_moment[-1]:
@@ -380,8 +386,8 @@ def compute_end_load_path(
     length : m, length of the wire
     deflections : shape (n,), m, tip deflections in the order in which they are reached
     n_stations : number of stations along the wire
-    self_weight : N/m, weight per length of the wire, which lies level at rest with its tip held by
-        the load
+    self_weight : N/m, weight per length of the wire; at rest, the load holds the tip level with the
+        clamp
 
     Returns
     -------
@@ -391,17 +397,18 @@ def compute_end_load_path(
     Raises
     ------
     ValueError
-        If no equilibrium is found on the way, the weight bends the wire by more than 1 rad at
-        rest, or an argument is out of range.
+        If no equilibrium is found on the path, the weight inclines the wire by more than 1 rad at
+        rest, or an argument is outside its range.
 
     Notes
     -----
-    The first increasing deflections are solved together, further deflections one after another.
+    The deflections up to the first decrease are solved together, the others one after another.
     """
     require_positive("length", length)
     require_finite("deflections", deflections)
     require_not_negative("self_weight", self_weight)
-    # Stations near the tip may unload at these deflections.
+    # Stations near the tip may unload at large deflections. Their largest moments are found on this
+    # grid.
     unloading_grid = length * np.arange(0.5, 1.0, 0.0125)
     table = LoadingTable.of_plays(law)
     is_rising = np.append(np.diff(deflections, prepend=0.0) > 0.0, False)
@@ -411,14 +418,14 @@ def compute_end_load_path(
     curve = find_equilibria(table, length, None, self_weight, grid, n_stations=n_stations)
 
     def make_state(row: int, history: Floats) -> WireState:
-        """Make the state at a point of the curve from the history at the largest moments."""
+        """Make the state at a point of the curve after a history."""
         moment, load = curve.moment[row], float(curve.tension[row])
         response, deflection = law.respond(moment, history), float(curve.deflection[row])
-        bent = moment, response.curvature, response.history, np.array([0.0, load])
-        return WireState(*bent, load, deflection, self_weight)
+        bent, force = (moment, response.curvature, response.history), np.array([0.0, load])
+        return WireState(*bent, force, load, deflection, self_weight)
 
     rest_state = make_state(0, law.make_unbent_history(n_stations))
-    state = make_state(-1, law.respond(curve.moment.max(axis=0), rest_state.plays).history)
+    state = make_state(-1, law.respond(curve.moment.max(axis=0), rest_state.history).history)
     rows = np.append(0, 1 + np.searchsorted(grid, rising_deflections))
     load, clamp_moment = curve.tension[rows], curve.clamp_moment[rows]
     for deflection in deflections[len(rising_deflections) :].tolist():
@@ -431,40 +438,40 @@ def compute_end_load_path(
 
 
 def _describe_rest(state: WireState, length: float) -> WireAtRest:
-    """Describe a wire at rest under its own weight; refuse an inclination of more than 1 rad."""
+    """Describe a wire at rest; raise ValueError if it is inclined by more than 1 rad."""
     max_angle = 1.0  # rad; a steeper wire has several equilibria
     shape = compute_shape(state, length)
     angle = float(np.max(np.abs(shape.angle)))
     if angle > max_angle:
         degrees = np.degrees(angle)
         raise ValueError(format_sentence("mechanics.wire.leans_by_weight", degrees=degrees))
-    clamp = float(state.moment[0]), float(state.curvature[0])
-    return WireAtRest(float(state.force[1]), *clamp, sag=-float(np.min(shape.y)))
+    moment, curvature = float(state.moment[0]), float(state.curvature[0])
+    return WireAtRest(float(state.force[1]), moment, curvature, sag=-float(np.min(shape.y)))
 
 
 END_DEFLECTION = 0.8
-"""Tip deflection at the end of a wire's path, relative to the length."""
+"""Largest tip deflection of the path of a wire, relative to the length."""
 
 
 def bend_cantilever(spec: WireSpec, curve: MomentCurve, self_weight: float) -> EndLoadPath:
-    """Bend the cantilever of a wire to 0.8 of its length, or to the end of its law.
+    """Compute the path of a cantilever to 0.8 of its length, or to the end of its law.
 
     Parameters
     ----------
-    spec : row of the wire in its sheet, which states its free length
+    spec : row of the wire in its sheet, which states the free length of the wire
     curve : law of the wire
     self_weight : N/m, weight per length of the wire
 
     Returns
     -------
-    The path from rest. It has a note if the weight had to be left out, and a note if the law ends
-    before 0.8 of the length. If the law cannot be made concave, the path is a single zero with a
-    note.
+    The path from rest. It has a note if no equilibrium was found with the weight and the weight was
+    left out, and a note if the law ends before 0.8 of the length. If the law cannot be made
+    concave, the path has a single point at zero, and a note.
 
     Raises
     ------
     ValueError
-        If no equilibrium is found without the weight either.
+        If no equilibrium is found without the weight.
     """
     try:
         law = make_concave_law(curve.curvature[1:], curve.moment[1:])
@@ -500,9 +507,9 @@ def bend_cantilever(spec: WireSpec, curve: MomentCurve, self_weight: float) -> E
 
 def _bend_to_end(law: PlayLaw, length: float, self_weight: float) -> EndLoadPath:
     """Compute the path from rest up to 0.8 of the length, or to the end of the law."""
-    n_points = 49  # points, including zero
-    spacing_power = 3  # the first point is at 1e-5 of the last one, before strands slip
-    end_factor = 0.9999  # relative to the last moment of the law, which rounding must not exceed
+    n_points = 49  # including zero
+    spacing_power = 3  # the first point is at 1e-5 of the last point, before strands slip
+    end_factor = 0.9999  # the path ends at this fraction of the largest moment of the law
     endless_law, end = replace(law, largest_moment=np.inf), END_DEFLECTION * length
     for _ in range(2):
         deflection = end * np.linspace(0.0, 1.0, n_points) ** spacing_power
@@ -516,7 +523,7 @@ def _bend_to_end(law: PlayLaw, length: float, self_weight: float) -> EndLoadPath
 
 
 def interpolate_end_load(table: WireTable, deflections: Floats | float) -> Floats:
-    """Interpolate the end loads at tip deflections, N, in the table of a wire.
+    """Interpolate end loads at tip deflections in the table of a wire.
 
     Parameters
     ----------
@@ -525,7 +532,8 @@ def interpolate_end_load(table: WireTable, deflections: Floats | float) -> Float
 
     Returns
     -------
-    Loads of the same shape; NaN beyond the end of the curve, and if the table has no curve.
+    End loads, N, in the shape of the deflections; NaN beyond the end of the curve, and if the table
+    has no curve.
 
     Notes
     -----

@@ -238,9 +238,8 @@ def _compute_table_ratio(material: StressTable, rim_strain: Floats) -> tuple[Flo
     """Compute the elastic ratio of a piecewise linear curve, and d(ratio x strain) / d(strain)."""
     min_strain = 1e-300  # prevents a division by zero
     corner_strain, slope_decrease = material.corners
-    strain = np.where(
-        rim_strain <= material.largest_strain * (1.0 + _STRAIN_TOLERANCE), rim_strain, np.nan
-    )
+    max_strain = material.largest_strain * (1.0 + _STRAIN_TOLERANCE)
+    strain = np.where(rim_strain <= max_strain, rim_strain, np.nan)
     sine = np.minimum(corner_strain / np.maximum(strain, min_strain)[..., None], 1.0)
     angle = np.arcsin(sine)
     cosine = np.sqrt((1.0 - sine) * (1.0 + sine))

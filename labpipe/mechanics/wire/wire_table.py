@@ -20,8 +20,8 @@ from labpipe.mechanics.wire.bending_law import (
     MomentCurve,
     compute_axial_strain,
     compute_moment_curve,
+    compute_orientation_range,
     compute_stick_stiffness,
-    find_orientation_range,
     find_slip_onsets,
     make_contacts,
 )
@@ -43,7 +43,7 @@ from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote
 from labpipe.records.wire import (
-    AUTO,
+    AUTO_LAYOUT,
     COPPER_SCALE,
     INSULATION_MODULUS,
     RADIAL_FRICTION,
@@ -91,7 +91,9 @@ def tabulate_wire(spec: WireSpec) -> WireTable:
     curvature = make_curvature_grid(largest_curvature, onsets[onsets > 0.0])
     curve = _compute_rising_curve(wire, curvature)
     insulation_limit = find_insulation_limit(spec)
-    moment_range = find_orientation_range(wire.section, wire.contacts, curve, tension=spec.tension)
+    moment_range = compute_orientation_range(
+        wire.section, wire.contacts, curve, tension=spec.tension
+    )
     stretch_torsion = compute_stretch_torsion(wire.section)
     cantilever = bend_cantilever(spec, curve, GRAVITY * wire.mass_per_length)
     law_notes = _find_law_notes(spec, onsets, curve, insulation_limit)
@@ -101,9 +103,9 @@ def tabulate_wire(spec: WireSpec) -> WireTable:
         layout=make_layout(wire.section),
         moment=curve.moment,
         secant_stiffness=curve.secant_stiffness,
-        axial_stiffness=stretch_torsion.axial,
-        torsional_stiffness=stretch_torsion.torsional,
-        free_torsional_stiffness=stretch_torsion.torsional_free,
+        axial_stiffness=stretch_torsion.axial_stiffness,
+        torsional_stiffness=stretch_torsion.torsional_stiffness,
+        free_torsional_stiffness=stretch_torsion.free_torsional_stiffness,
         stretch_twist_coupling=stretch_torsion.coupling,
         slip_onsets=onsets,
         lowest_moment=np.minimum(moment_range[0], curve.moment),
@@ -298,10 +300,8 @@ def make_layers(spec: WireSpec) -> tuple[Layer, ...]:
         n_angles = len(spec.lay_angles)
         facts = {"layers": len(counts), "diameters": len(diameters), "angles": n_angles}
         raise ValueError(format_sentence("mechanics.wire.layers_differ", **facts))
-    return tuple(
-        Layer(count, diameter, angle, material, spec.poisson)
-        for count, diameter, angle in zip(counts, diameters, angles, strict=True)
-    )
+    rows = zip(counts, diameters, angles, strict=True)
+    return tuple(Layer(n, diameter, angle, material, spec.poisson) for n, diameter, angle in rows)
 
 
 def make_insulation(spec: WireSpec) -> Insulation:
@@ -323,16 +323,14 @@ def _place_strands(spec: WireSpec) -> tuple[CrossSection, list[QualityNote]]:
     tube, layers = make_insulation(spec), make_layers(spec)
     if spec.layout == "compressed":
         return place_sectors(layers, tube, radii=spec.layer_radii), []
-    if spec.layout != AUTO:
+    if spec.layout != AUTO_LAYOUT:
         return make_cross_section(layers, tube, kind=cast("LayoutKind", spec.layout)), []
     try:
         return place_hexagon(layers, tube), []
     except ValueError as error:
         section = make_cross_section(layers, tube)
-        note = QualityNote.of(
-            "mechanics.wire.layout_fallback", spec.place, kind=section.kind, reason=error
-        )
-    return section, [note]
+        facts = {"kind": section.kind, "reason": error}
+        return section, [QualityNote.of("mechanics.wire.layout_fallback", spec.place, **facts)]
 
 
 def _find_section_notes(

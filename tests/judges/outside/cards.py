@@ -89,7 +89,7 @@ def _strand(of: Values) -> CrossSection:
 
 def axial(of: Values) -> Bounds:
     """EA of a strand that does not turn, N."""
-    found = compute_stretch_torsion(_strand(of)).axial
+    found = compute_stretch_torsion(_strand(of)).axial_stiffness
     return found, found
 
 
@@ -97,7 +97,7 @@ def modulus(of: Values) -> Bounds:
     """EA over the area of the metal, or the area that the source states, Pa."""
     section = _strand(of)
     own = sum(layer.count * layer.area for layer in section.layers)
-    found = compute_stretch_torsion(section).axial / (
+    found = compute_stretch_torsion(section).axial_stiffness / (
         of["area_mm2"] * 1e-6 if "area_mm2" in of else own
     )
     return found, found
@@ -150,7 +150,7 @@ def six_wires(of: Values) -> Bounds:
     wire = _wire(of, of["diameter_mm"] / 2e3, elastic(of["modulus_copper_gpa"] * 1e9))
     angle = np.pi / 3.0 * np.arange(6)
     x, y = of["circle_mm"] * 1e-3 * np.array([np.cos(angle), np.sin(angle)])
-    pull = np.full(6, compute_stretch_torsion(wire).axial)
+    pull = np.full(6, compute_stretch_torsion(wire).axial_stiffness)
     stuck = compute_stick_tensor(x, y, np.full(6, high), pull).principal_stiffness[1]
     inner, outer = (each * 1e-3 for each in of.get("sheath_mm", (0.0, 0.0)))
     sheath = of["modulus_insulation_mpa"] * 1e6 * np.pi / 64.0 * (outer**4 - inner**4)
@@ -179,8 +179,8 @@ def cord_torsion(of: Values) -> Bounds:
     section = _cord(of)
     pair = compute_stretch_torsion(section)
     return (
-        pair.torsional_free / compute_stick_stiffness(section),
-        pair.torsional / compute_slip_stiffness(section),
+        pair.free_torsional_stiffness / compute_stick_stiffness(section),
+        pair.torsional_stiffness / compute_slip_stiffness(section),
     )
 
 

@@ -80,9 +80,9 @@ def test_what_is_identified_is_so_at_99_per_cent() -> None:
     modulus = calibration.get_parameter("insulation_modulus")
     (part,) = copper.intervals
     assert 1.7 < part.upper / part.lower < 1.8
-    assert copper.verdict is Identifiability.WEAKLY
+    assert copper.verdict is Identifiability.WEAKLY_IDENTIFIED
     assert ", and at 99 % between 0.66" in copper.explanation
-    assert modulus.verdict is Identifiability.WELL
+    assert modulus.verdict is Identifiability.IDENTIFIED
     assert "99 %" not in modulus.explanation
 
 
@@ -195,9 +195,9 @@ def test_the_fit_of_usual_tests(usual: Calibration) -> None:
         assert parameter.interval.lower < parameter.value < parameter.interval.upper
         assert abs(np.log(parameter.value / truth)) < 4.0 * parameter.log_error
         assert parameter.profiles[0].deviance.min() == 0.0
-    assert usual.get_parameter("insulation_modulus").verdict is Identifiability.WELL
+    assert usual.get_parameter("insulation_modulus").verdict is Identifiability.IDENTIFIED
     friction = usual.get_parameter("radial_friction").verdict
-    assert friction in {Identifiability.WEAKLY, Identifiability.NOT}
+    assert friction in {Identifiability.WEAKLY_IDENTIFIED, Identifiability.NOT_IDENTIFIED}
     assert all(usual.separability.are_identified.values())
 
 
@@ -236,7 +236,7 @@ def test_a_friction_that_is_not_identified_and_one_that_does_not_act() -> None:
     calibration = calibrated(noisy, Settings({"copper_scale": FIXED}, gain=0.005))
     friction = calibration.get_parameter("radial_friction")
     assert friction.at_bound == ""
-    assert friction.verdict is Identifiability.NOT
+    assert friction.verdict is Identifiability.NOT_IDENTIFIED
     assert friction.is_open_below
     assert "not_identified" in codes(calibration)
     strand = Wire(place_rings((Layer(1, 0.9e-3),), tube(1.6e-3)), Contacts((), ()))

@@ -29,7 +29,7 @@ KNOWN = CalibratedParameter(
     is_open_below=False,
     is_open_above=False,
     at_bound="",
-    verdict=Identifiability.WELL,
+    verdict=Identifiability.IDENTIFIED,
     explanation="",
 )
 
@@ -37,22 +37,22 @@ KNOWN = CalibratedParameter(
 @pytest.mark.parametrize(
     ("span", "more", "expected"),
     [
-        (1.9, {}, Identifiability.WELL),
-        (2.1, {}, Identifiability.WEAKLY),
-        (101.0, {}, Identifiability.NOT),
-        (1.9, {"is_open_below": True}, Identifiability.NOT),
-        (1.9, {"is_open_above": True}, Identifiability.NOT),
+        (1.9, {}, Identifiability.IDENTIFIED),
+        (2.1, {}, Identifiability.WEAKLY_IDENTIFIED),
+        (101.0, {}, Identifiability.NOT_IDENTIFIED),
+        (1.9, {"is_open_below": True}, Identifiability.NOT_IDENTIFIED),
+        (1.9, {"is_open_above": True}, Identifiability.NOT_IDENTIFIED),
         (1.9, {"prior_error": 0.11}, Identifiability.BY_PRIOR),
-        (1.9, {"prior_error": 0.12}, Identifiability.WELL),
+        (1.9, {"prior_error": 0.12}, Identifiability.IDENTIFIED),
         (1.9, {"at_bound": "lower", "is_open_below": True}, Identifiability.AT_BOUND),
         (1.9, {"prior_error": 0.11, "contradicts": True}, Identifiability.AGAINST_PRIOR),
         (1.9, {"contradicts": True, "is_open_above": True}, Identifiability.AGAINST_PRIOR),
         (1.9, {"contradicts": True, "at_bound": "upper"}, Identifiability.AT_BOUND),
-        (1.9, {"others": ((1.95e9, 0.1),)}, Identifiability.WELL),
-        (2.1, {"others": ((2.3e9, 0.1),)}, Identifiability.TWO),
-        (1.9, {"others": ((4e9, 0.1),)}, Identifiability.TWO),
-        (1.9, {"ends": (1e9, 4e9)}, Identifiability.WEAKLY),
-        (101.0, {"others": ((200e9, 0.1),)}, Identifiability.NOT),
+        (1.9, {"others": ((1.95e9, 0.1),)}, Identifiability.IDENTIFIED),
+        (2.1, {"others": ((2.3e9, 0.1),)}, Identifiability.TWO_SOLUTIONS),
+        (1.9, {"others": ((4e9, 0.1),)}, Identifiability.TWO_SOLUTIONS),
+        (1.9, {"ends": (1e9, 4e9)}, Identifiability.WEAKLY_IDENTIFIED),
+        (101.0, {"others": ((200e9, 0.1),)}, Identifiability.NOT_IDENTIFIED),
     ],
 )
 def test_verdicts(span: float, more: dict[str, Any], expected: Identifiability) -> None:
@@ -62,8 +62,7 @@ def test_verdicts(span: float, more: dict[str, Any], expected: Identifiability) 
     if error or contradicts:
         factor = float(np.exp(1.959964 * (error or np.inf)))
         given["conflict"] = replace(CONFLICT, factor=factor, contradicts=contradicts)
-    intervals = (Interval(1e9, span * 1e9),)
-    parameter = replace(KNOWN, intervals=intervals, log_error=0.1, **given)
+    parameter = replace(KNOWN, intervals=(Interval(1e9, span * 1e9),), log_error=0.1, **given)
     assert find_verdict(parameter, others, ends) is expected
 
 
@@ -87,18 +86,19 @@ def test_words(approved: Approve) -> None:
     parts = (Interval(0.9e9, 1.1e9), Interval(2e9, 3e9))
     changes: list[dict[str, Any]] = [
         {},
-        {"is_open_below": True, "verdict": Identifiability.NOT},
+        {"is_open_below": True, "verdict": Identifiability.NOT_IDENTIFIED},
         {"is_open_above": True},
-        {"is_open_below": True, "is_open_above": True, "verdict": Identifiability.NOT},
+        {"is_open_below": True, "is_open_above": True, "verdict": Identifiability.NOT_IDENTIFIED},
         {"intervals": (), "source": "data sheet"},
-        {"intervals": parts, "verdict": Identifiability.TWO},
+        {"intervals": parts, "verdict": Identifiability.TWO_SOLUTIONS},
         {"intervals": parts, "is_open_below": True, "is_open_above": True},
         {"at_bound": "lower", "value": 0.9e9},
         {"at_bound": "upper", "value": 1.1e9},
         {"verdict": Identifiability.AGAINST_PRIOR},
     ]
     lines = [describe_parameter(replace(KNOWN, **change)) for change in changes]
-    lines.append(describe_parameter(replace(KNOWN, verdict=Identifiability.TWO), [(4e8, 0.08)]))
+    parameter = replace(KNOWN, verdict=Identifiability.TWO_SOLUTIONS)
+    lines.append(describe_parameter(parameter, [(4e8, 0.08)]))
     names = ("a", "b", "radial_friction")
     for matrix in (np.diag([10.0, 4.0, 2.0]), np.diag([9.0, 4.0, 0.0]), np.ones((3, 3))):
         lines.append(

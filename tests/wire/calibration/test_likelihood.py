@@ -145,7 +145,7 @@ def test_both_solutions_are_kept_and_said() -> None:
     assert low[1:] == pytest.approx(TRUTH[1:], rel=0.3)
     assert high[2] > 5.0
     copper = calibration.get_parameter("copper_scale")
-    assert copper.verdict is Identifiability.TWO
+    assert copper.verdict is Identifiability.TWO_SOLUTIONS
     first, second = copper.intervals
     assert first.lower < TRUTH[2] < first.upper < second.lower < high[2] < second.upper
     assert [profile.deviance.min() for profile in copper.profiles] == [0.0, rival.rise]

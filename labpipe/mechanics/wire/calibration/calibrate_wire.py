@@ -43,8 +43,8 @@ from labpipe.records.arrays import Floats
 from labpipe.records.curve import NORMAL_95, Interval
 from labpipe.records.quality import QualityNote
 from labpipe.records.wire import (
+    PARAMETER_UNITS,
     PARAMETERS,
-    UNITS,
     CalibratedParameter,
     Calibration,
     CalibrationFailure,
@@ -163,14 +163,14 @@ def _make_parameter(
     value = float(np.exp(minima.fit.logs[index]))
     if not problem.law.is_active[index]:
         text = f"{identification.NAMES[name]} does not act on this wire"
-        return CalibratedParameter(name, UNITS[name], np.nan, explanation=text)
+        return CalibratedParameter(name, PARAMETER_UNITS[name], np.nan, explanation=text)
     if not problem.is_free[index]:
-        fixed = CalibratedParameter(name, UNITS[name], value, source=choice.source)
+        fixed = CalibratedParameter(name, PARAMETER_UNITS[name], value, source=choice.source)
         return replace(fixed, explanation=identification.describe_parameter(fixed))
     traces = local_minima.follow_profiles(minima, index)
     parameter = CalibratedParameter(
         name=name,
-        unit=UNITS[name],
+        unit=PARAMETER_UNITS[name],
         value=value,
         intervals=tuple(
             Interval(*np.exp(ends).tolist()) for ends in local_minima.unite_intervals(traces)
@@ -302,7 +302,7 @@ def _find_notes(
         name, text, conflict = parameter.name, parameter.explanation, parameter.conflict
         if parameter.at_bound:
             yield QualityNote.of("mechanics.wire.at_bound", name, explanation=text)
-        if parameter.verdict is Identifiability.NOT:
+        if parameter.verdict is Identifiability.NOT_IDENTIFIED:
             yield QualityNote.of("mechanics.wire.not_identified", name, explanation=text)
         if conflict is not None and conflict.contradicts:
             text = conflict.message

@@ -14,7 +14,7 @@ from labpipe.records.arrays import Floats
 from labpipe.records.curve import NORMAL_95
 from labpipe.records.wire import (
     COPPER_SCALE,
-    DISPLAYED,
+    DISPLAY_UNITS,
     INSULATION_MODULUS,
     PARAMETERS,
     RADIAL_FRICTION,
@@ -64,11 +64,11 @@ def find_verdict(
         if parameter.log_error > min_error_ratio * prior_error:
             return Identifiability.BY_PRIOR
     if parameter.is_open_below or parameter.is_open_above or high > max_span * low:
-        return Identifiability.NOT
+        return Identifiability.NOT_IDENTIFIED
     if max(possible_values) < MAX_WELL_SPAN * min(possible_values):
-        return Identifiability.WELL
+        return Identifiability.IDENTIFIED
     is_split = len(parameter.intervals) > 1 or _has_other_value(parameter, alternatives)
-    return Identifiability.TWO if is_split else Identifiability.WEAKLY
+    return Identifiability.TWO_SOLUTIONS if is_split else Identifiability.WEAKLY_IDENTIFIED
 
 
 def format_value(name: str, *values: float) -> str:
@@ -84,7 +84,7 @@ def format_value(name: str, *values: float) -> str:
     >>> format_value("insulation_modulus", 9.341e8, 1.0318e9)
     '934.1 and 1032 MPa'
     """
-    factor, unit = DISPLAYED[name]
+    factor, unit = DISPLAY_UNITS[name]
     rounded = (float(f"{factor * value:.4g}") for value in values)
     numbers = " and ".join(np.format_float_positional(value, trim="-") for value in rounded)
     return f"{numbers} {unit}".rstrip()
@@ -125,7 +125,7 @@ def describe_parameter(
     if verdict is Identifiability.AGAINST_PRIOR:
         return f"{name} is doubtful because prior and tests contradict each other: {text}"
     statement, ending = f"is {verdict.value}", ""
-    if verdict is Identifiability.TWO:
+    if verdict is Identifiability.TWO_SOLUTIONS:
         statement = "has two solutions"
         if _has_other_value(parameter, alternatives):
             ending = "".join(
@@ -133,7 +133,7 @@ def describe_parameter(
                 for value, chance in alternatives
             )
     is_short = interval.upper < MAX_WELL_SPAN * interval.lower
-    if ends is not None and verdict is Identifiability.WEAKLY and is_short:
+    if ends is not None and verdict is Identifiability.WEAKLY_IDENTIFIED and is_short:
         ending = f", and at 99 % between {format_value(key, *ends)}"
     return f"{name} {statement}: {text}{ending}"
 
