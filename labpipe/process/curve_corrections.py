@@ -87,7 +87,7 @@ def build_curve(
     force = test.clocks.interpolate(unfiltered_force, time)  # `correct_curve` filters it
     if np.isnan(force).all():
         facts: dict[str, Any] = {"force": test.force.time[[0, -1]], "motion": time[[0, -1]]}
-        return None, [Finding.of("process.no_overlap", "align", blocks=True, **facts)]
+        return None, [Finding.of("process.no_overlap", "align", is_blocking=True, **facts)]
     branches, motion_time = motion.branches, motion.signal.time
     if len(motion_time) != len(time):
         # The branches count the samples of another channel with the same clock.

@@ -108,14 +108,14 @@ def find_motion_strokes(signal: Signal, settings: Branches) -> tuple[Motion, lis
     noise = estimate_noise_level(values)
     if noise_factor * noise > min_stroke:
         facts: dict[str, Any] = {"noise": 1e3 * noise, "min_stroke": 1e3 * min_stroke}
-        finding = Finding.of("process.motion_is_noise", settings.channel, blocks=True, **facts)
+        finding = Finding.of("process.motion_is_noise", settings.channel, is_blocking=True, **facts)
         return Motion(signal), [finding]
     strokes = turning_points.find_strokes(time, values, min_stroke=min_stroke)
     if strokes:
         return Motion(signal, strokes=strokes), []
     span = 1e3 * float(np.nanmax(values) - np.nanmin(values))
     return Motion(signal), [
-        Finding.of("process.no_motion", settings.channel, blocks=True, span=span)
+        Finding.of("process.no_motion", settings.channel, is_blocking=True, span=span)
     ]
 
 
@@ -497,8 +497,8 @@ def fit_turning_points(
     facts: dict[str, Any] = {"peak_counts": peak_counts}
     if not events.size:
         if pairs:
-            return None, [Finding.of("process.no_common_peak", "align", blocks=True, **facts)]
-        return None, [Finding.of("process.no_pair_of_peaks", "align", blocks=True, **facts)]
+            return None, [Finding.of("process.no_common_peak", "align", is_blocking=True, **facts)]
+        return None, [Finding.of("process.no_pair_of_peaks", "align", is_blocking=True, **facts)]
     if is_ambiguous:
         facts |= {"state": format_overrides("align", "{method: stated, offset: ...}")}
         findings.append(Finding.of("process.alignment_ambiguous", "align", "clock", **facts))
@@ -514,7 +514,7 @@ def _check_constant(force: Signal, channel: str) -> list[Finding]:
     if np.nanmax(force.values) > np.nanmin(force.values):
         return []
     facts: dict[str, Any] = {"channel": channel, "level": float(np.nanmean(force.values))}
-    return [Finding.of("process.constant_channel", channel, blocks=True, force=force, **facts)]
+    return [Finding.of("process.constant_channel", channel, is_blocking=True, force=force, **facts)]
 
 
 def _measure_repeat(motion: Motion, force: Signal, fit: ClockFit) -> Repeat | None:

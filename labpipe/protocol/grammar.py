@@ -314,6 +314,7 @@ _SPAN_TEXTS: Final[Mapping[Any, QuantityText]] = {
 }
 """Parser and formatter of a filter's window, keyed by kind of `Span`; ``samples`` has no unit."""
 _SPAN_SCHEMA = {"type": "string", "examples": ["0.1 s", "2 mm", "5 %", "51 samples"]}
+"""JSON schema of the length of a filter's window."""
 
 
 def _parse_span(text: object) -> Span:
@@ -342,6 +343,7 @@ def format_span(span: Span) -> str:
 _CONTROL_CHARACTER = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff\ufffe\uffff]")
 """A control character (such as a line end or a tab), a surrogate, U+FFFE or U+FFFF."""
 _TEST_NAME = re.compile(r"\w[\w.+-]*")
+"""Name of a test that all file systems accept, except for its length and device names."""
 WINDOWS_DEVICE_NAME: Final = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)
 """Pattern of the file names that Windows reserves for devices, with any suffix."""
 MAX_NAME_BYTES = 120

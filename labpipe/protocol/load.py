@@ -49,7 +49,9 @@ if TYPE_CHECKING:
     from labpipe.protocol.model_files import CalibrationPlan, HarnessFile
 
 _SUFFIXES = (".yaml", ".yml")
+"""Suffixes of the files of protocols."""
 _Dumper = yaml.CSafeDumper if yaml.__with_libyaml__ else yaml.SafeDumper
+"""Fastest installed class that writes YAML."""
 
 
 def list_protocol_folders(protocols: Path | None = None) -> tuple[Path, ...]:
@@ -119,9 +121,8 @@ def find_protocol(name: str, *, sheet_folder: Path, protocols: Path | None = Non
     """
     if name.endswith(_SUFFIXES) or "/" in name or "\\" in name:
         paths = [sheet_folder / name, Path(name)]
-        files = [path for path in paths if path_exists(path)]
         fault = Fault.of("protocol.no_protocol_at", ("protocol",), name=name, paths=paths)
-        return files[0] if files else fault
+        return next(filter(path_exists, paths), fault)
     protocol_files = list_protocols(protocols)
     if name in protocol_files:
         return protocol_files[name]

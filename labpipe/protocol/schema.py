@@ -101,6 +101,7 @@ else:
 KINDS_BY_NAME: Final[Mapping[str, Any]] = {kind.result: kind for kind in KINDS}
 """Kind of result, keyed by its name in YAML."""
 Faults: TypeAlias = Iterator[Fault]
+"""Faults with their paths in the checked block."""
 
 
 class SpecimenBlock(Block):
@@ -593,8 +594,8 @@ def list_unmet_needs(protocol: Protocol) -> list[tuple[KeyPath, str, str]]:
         is_stated = "align" in protocol.model_fields_set
         users.append((("align", "method") if is_stated else ("curve",), "curve", [_ALIGNMENT]))
     met_needs = {*_list_met_needs(protocol)}
-    needs_of_users = ((path, name, need) for path, name, needs in users for need in needs)
-    return [(path, name, need) for path, name, need in needs_of_users if need not in met_needs]
+    user_needs = ((path, name, need) for path, name, needs in users for need in needs)
+    return [user_need for user_need in user_needs if user_need[-1] not in met_needs]
 
 
 def _list_results(protocol: Protocol) -> list[tuple[KeyPath, Kind]]:

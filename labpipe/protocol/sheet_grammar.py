@@ -13,6 +13,7 @@ import difflib
 import json
 import re
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 from datetime import date
 from typing import Annotated, Any, Literal, NamedTuple
 
@@ -191,6 +192,7 @@ def _format_fault(fault: Fault, text: str) -> str:
 SHEET_NAME = "test.yaml"
 """File name of a test sheet."""
 _DIMENSION_NAME = r"[a-z][a-z0-9_]*"
+"""Regular expression of the name of an additional dimension."""
 _NUMBER_WITHOUT_UNIT = r"\s*[-+]?[0-9.]+([eE][-+]?[0-9]+)?\s*"
 
 
@@ -236,8 +238,8 @@ class SheetSpecimen(Block):
     def record(self) -> Specimen:
         """Return the record of the specimen for other subpackages; lengths in m."""
         bundle = None if self.bundle is None else self.bundle.record
-        names = (self.type, self.spool, self.sample)
-        return Specimen(*names, self.dimensions, bundle, self.labels, self.observed)
+        specimen = Specimen(self.type, self.spool, self.sample, self.dimensions)
+        return replace(specimen, bundle=bundle, labels=self.labels, observed=self.observed)
 
     def find_key_faults(self) -> Iterator[Fault]:
         """Find additional keys that name no dimension, and labels with the name of a key."""
@@ -320,7 +322,8 @@ _COMMENTS = {
 }
 """Comment after some keys of a formatted test sheet."""
 _NULL_VALUE = re.compile(r"^( *\w+:) null$", re.MULTILINE)
-_OVERRIDES_HINT = (
+"""Line of YAML with the value null."""
+_OVERRIDES_COMMENT = (
     "# overrides:                # values of the protocol that this test changes, and why\n"
 )
 _OVERRIDE_EXAMPLES = {
@@ -347,7 +350,7 @@ def format_test_sheet(data: Mapping[str, object]) -> str:
         return text
     roles = get_block(data, "files")
     role = next((role for role in _OVERRIDE_EXAMPLES if role in roles), "force")
-    return f"{text}{_OVERRIDES_HINT}#   {_OVERRIDE_EXAMPLES[role]}\n"
+    return f"{text}{_OVERRIDES_COMMENT}#   {_OVERRIDE_EXAMPLES[role]}\n"
 
 
 def _format_entry(key: str, value: object) -> str:

@@ -334,6 +334,7 @@ class ChannelSource(Block):
     the largest force; measure it without a specimen."""
     certificate: Certificate | None = None
     """Certificate of the calibration; its uncertainty includes those of gain and scale."""
+    # `assign_roles` sets the name of the channel in labpipe, and the dotted key of the block.
     _name: str = PrivateAttr("")
     _key: str = PrivateAttr("")
 

@@ -99,7 +99,7 @@ def build_choice_fault(
     valid_words = sorted(set(choices))
     remedy = suggest_word(str(word), valid_words) or remedy
     expected = f"{expected} {format_nearest_words(str(word), valid_words)}"
-    return Fault(path, expected, describe_value(word), remedy, is_key)
+    return Fault(path, expected, describe_value(word), remedy, is_key=is_key)
 
 
 class FaultsError(ValueError):

@@ -38,7 +38,7 @@ class Interval:
     level: float = 0.95
 
     @classmethod
-    def normal_95(cls, value: float, error: float) -> Interval:
+    def make_normal(cls, value: float, error: float) -> Interval:
         """Make the 95 % interval of a normal distribution, value -+ 1.96 error.
 
         Parameters

@@ -174,6 +174,7 @@ Fraction: TypeAlias = Annotated[float, Quantity("1", "%", "10 %", lower_bound=0.
 SnakeName: TypeAlias = Annotated[
     str, PatternText(r"[a-z][a-z0-9_]*", "a name of small letters, digits and '_', a letter first")
 ]
+"""A name in snake case."""
 ChannelName: TypeAlias = Annotated[SnakeName, Reference("channel")]
 StiffnessName: TypeAlias = Annotated[SnakeName, Reference("stiffness")]
 

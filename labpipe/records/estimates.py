@@ -92,10 +92,9 @@ def add_errors(estimate: Estimate, *errors: float) -> Estimate:
     The standard error from an uncertain input is the change of the result if the input is larger by
     one standard uncertainty (GUM, JCGM 100:2008, sec. 5.1.3).
     """
-    added_error = hypot(*errors)
-    interval = estimate.interval
+    added_error, interval = hypot(*errors), estimate.interval
     if interval is not None and added_error > 0.0:
-        added_half_width = Interval.normal_95(0.0, added_error).upper
+        added_half_width = Interval.make_normal(0.0, added_error).upper
         # The value may lie outside the interval, because only the interval is corrected for the
         # bias from noise.
         is_inside = interval.lower <= estimate.value <= interval.upper

@@ -381,24 +381,24 @@ class Answer(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class SampleVerdict:
-    """Answers on whether a sample reaches its limit.
+    """Verdict on a sample that has to reach a limit.
 
     Parameters
     ----------
-    by_number : answer by the value alone, as in standards
-    with_interval : answer by the 95 % interval; ``cannot tell`` if the interval contains the limit
-        or is missing, or if the value is doubtful
+    value_answer : answer by the value alone, as in standards
+    interval_answer : answer by the 95 % interval; ``cannot tell`` if the interval is missing or
+        contains the limit, or if the value is doubtful
     """
 
-    by_number: Answer
-    with_interval: Answer
+    value_answer: Answer
+    interval_answer: Answer
 
     @property
     def text(self) -> str:
         """Both answers as a text, such as ``pass (cannot tell with its interval)``."""
-        if self.by_number is self.with_interval:
-            return str(self.by_number)
-        return f"{self.by_number} ({self.with_interval} with its interval)"
+        if self.value_answer is self.interval_answer:
+            return str(self.value_answer)
+        return f"{self.value_answer} ({self.interval_answer} with its interval)"
 
 
 @dataclass(frozen=True, slots=True)
@@ -413,9 +413,9 @@ class Lot:
     coverage : required fraction of the lot that reaches the limit
     confidence : probability with which this fraction must be demonstrated
     n : number of samples with a value
-    mean, deviation, smallest : mean, standard deviation and smallest value of the samples; NaN
+    mean, deviation, minimum : mean, standard deviation and smallest value of the samples; NaN
         without samples. The deviation is also NaN for one sample
-    bound : one-sided lower tolerance bound of the lot; NaN for fewer than two samples
+    tolerance_bound : one-sided lower tolerance bound of the lot; NaN for fewer than two samples
     cpk : (mean - limit) / (3 standard deviations); NaN without scatter
     n_needed : number of samples with which this mean and deviation would pass; None without
         scatter, or if more than about 100 000 would be needed
@@ -430,8 +430,8 @@ class Lot:
     n: int
     mean: float
     deviation: float
-    smallest: float
-    bound: float
+    minimum: float
+    tolerance_bound: float
     cpk: float
     n_needed: int | None
     reasons: tuple[Reason, ...] = ()
@@ -452,7 +452,7 @@ class Group:
     samples : samples in order of spool, sample and test
     numbers : results over all samples
     band : mean loading curve of the first cycle
-    band_scaled : mean loading curve of the forces divided by the peak force of each sample; None if
+    scaled_band : mean loading curve of the forces divided by the peak force of each sample; None if
         not requested
     notes : quality notes on the group as a whole
     fields : texts of grouping fields with the same value in all samples, keyed by field
@@ -464,7 +464,7 @@ class Group:
     samples: tuple[Sample, ...]
     numbers: tuple[GroupNumber, ...]
     band: Band
-    band_scaled: Band | None = None
+    scaled_band: Band | None = None
     notes: tuple[QualityNote, ...] = ()
     fields: Mapping[str, str] = field(default_factory=dict)
     lot: Lot | None = None

@@ -99,7 +99,8 @@ class QualityNote:
         where, stretches : see the class
         """
         severity = Severity(get_template(name)["severity"].partition(" or ")[0])
-        return cls(get_code(name), severity, where, format_sentence(name, **facts), stretches)
+        code, message = get_code(name), format_sentence(name, **facts)
+        return cls(code, severity, where, message, stretches=stretches)
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,12 +132,12 @@ class Finding:
     ----------
     note : note that describes the finding
     doubts : doubts about the quantities that the finding affects
-    blocks : whether later stages of processing are unavailable because of the finding
+    is_blocking : whether later stages of processing are unavailable because of the finding
     """
 
     note: QualityNote
     doubts: tuple[Doubt, ...] = ()
-    blocks: bool = False
+    is_blocking: bool = False
 
     @classmethod
     def of(
@@ -147,7 +148,7 @@ class Finding:
         *quantities: str,
         period: tuple[float, float] | None = None,
         clock: str = "",
-        blocks: bool = False,
+        is_blocking: bool = False,
         **facts: object,
     ) -> Self:
         """Make a finding from a message template.
@@ -156,12 +157,12 @@ class Finding:
         ----------
         name, where, facts : see `QualityNote.of`
         quantities, period, clock : doubtful quantities, see `Doubt`
-        blocks : see the class
+        is_blocking : see the class
         """
         note = QualityNote.of(name, where, **facts)
         reason = Reason(note.code, note.message)
         doubts = tuple(Doubt(quantity, reason, period, clock) for quantity in quantities)
-        return cls(note, doubts, blocks)
+        return cls(note, doubts, is_blocking)
 
     @property
     def code(self) -> str:
@@ -221,5 +222,5 @@ class Findings:
     @property
     def blocking_reason(self) -> Reason | None:
         """Reason of the first finding that blocks later stages; None without one."""
-        finding = next((finding for finding in self.entries if finding.blocks), None)
+        finding = next((finding for finding in self.entries if finding.is_blocking), None)
         return None if finding is None else Reason(finding.code, finding.note.message)

@@ -390,7 +390,7 @@ def _make_curve_plots(
     legend, bands = [], []
     count = wording.format_count(len(family.groups), "group")
     for index, (group, label) in enumerate(zip(family.groups, family.labels, strict=True)):
-        band = group.band_scaled if is_scaled else group.band
+        band = group.scaled_band if is_scaled else group.band
         if band is not None:
             look, stem = f"c{index % N_COLOURS}", stems[group.name]
             bands.append(band)

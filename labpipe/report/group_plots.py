@@ -375,7 +375,7 @@ def _make_moment_plots(view: GroupView) -> Iterator[Plot]:
 
 def _make_scaled_plots(view: GroupView) -> Iterator[Plot]:
     """Yield the plot of force over the peak force of each sample."""
-    band, curves = view.group.band_scaled, []
+    band, curves = view.group.scaled_band, []
     if band is None:
         return
     for test in view.tests:

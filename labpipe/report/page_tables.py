@@ -573,7 +573,7 @@ def make_lot_table(groups: Iterable[GroupView]) -> Table | None:
             f"{wording.format_number(ratio, None, scale.factor).value} {scale.unit}".strip()
             if isfinite(ratio)
             else DASH
-            for ratio in (1.0, lot.bound, lot.smallest)
+            for ratio in (1.0, lot.tolerance_bound, lot.minimum)
         )
         no_common_limit = Cell(DASH, tip="the samples have several limits")
         rows.append({
@@ -610,8 +610,8 @@ def make_verdict_table(group: Group) -> Table | None:
         verdict = group.lot.verdicts.get(sample.test)
         row: Record = {
             "Test": sample.test,
-            "Verdict": DASH if verdict is None else str(verdict.by_number),
-            "With its interval": DASH if verdict is None else str(verdict.with_interval),
+            "Verdict": DASH if verdict is None else str(verdict.value_answer),
+            "With its interval": DASH if verdict is None else str(verdict.interval_answer),
         }
         for name in ("peak_force.1", FORCE_LIMIT):
             result = find_result(sample.results, name)

@@ -81,7 +81,7 @@ def _list_tables(campaign: Campaign) -> Iterator[Table | None]:
     differences = sorted(campaign.differences, key=lambda difference: not difference.family)
     first_displays = (displays[difference.first] for difference in differences)
     records = map(_make_difference_record, differences, first_displays)
-    has_scaled = any(group.band_scaled is not None for group in campaign.groups)
+    has_scaled = any(group.scaled_band is not None for group in campaign.groups)
     lots = (_make_lot_record(group, group.lot) for group in campaign.groups if group.lot)
     yield _tabulate_unless_empty("lots", lots)
     yield _tabulate_unless_empty("answers", map(_make_answer_record, pairs))
@@ -106,7 +106,7 @@ def _make_lot_record(group: Group, lot: Lot) -> Record:
     scale = page_tables.choose_lot_scale(group, lot)
     forces = {
         "limit": 1.0, "mean": lot.mean, "standard deviation": lot.deviation,
-        "smallest": lot.smallest, "tolerance bound": lot.bound,
+        "smallest": lot.minimum, "tolerance bound": lot.tolerance_bound,
     }  # fmt: skip
     return {
         "group": group.name,
@@ -235,8 +235,8 @@ def _make_test_record(group: str, sample: Sample, lot: Lot | None) -> Record:
     verdict = None if lot is None else lot.verdicts.get(sample.test)
     verdicts: Record = {}
     if verdict is not None:
-        verdicts["verdict"] = str(verdict.by_number)
-        verdicts["verdict with interval"] = str(verdict.with_interval)
+        verdicts["verdict"] = str(verdict.value_answer)
+        verdicts["verdict with interval"] = str(verdict.interval_answer)
     sizes = {f"{name.replace('_', ' ')} (mm)": 1e3 * size
              for name, size in specimen.dimensions.items()}  # fmt: skip
     numbers: Record = {}
@@ -300,7 +300,7 @@ def _tabulate_curves(campaign: Campaign, *, is_scaled: bool) -> Table:
         y, title = wording.Scale(1.0, ""), "Mean force over peak force"
     charts: dict[str, dict[str, list[Record]]] = {}
     for group in campaign.groups:
-        band = group.band_scaled if is_scaled else group.band
+        band = group.scaled_band if is_scaled else group.band
         if band is not None:
             name = f"{title} on first loading ({group.protocol})"
             charts.setdefault(name, {})[group.name] = _list_band_records(group.name, band, x, y)

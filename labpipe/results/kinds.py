@@ -489,7 +489,7 @@ class Kind(ABC):
             name,
             value=outcome.value,
             unit=declared.unit,
-            interval=outcome.interval or Interval.normal_95(outcome.value, outcome.error),
+            interval=outcome.interval or Interval.make_normal(outcome.value, outcome.error),
             status=Status.DOUBTFUL if reasons else Status.OK,
             reasons=reasons,
             method=method,

@@ -210,8 +210,8 @@ def make_clock_fit(
     return ClockFit(
         offset=offset[0],
         drift=drift[0],
-        offset_interval=Interval.normal_95(*offset),
-        drift_interval=Interval.normal_95(*drift),
+        offset_interval=Interval.make_normal(*offset),
+        drift_interval=Interval.make_normal(*drift),
         residual=float(np.sqrt(np.mean(residuals**2))),
         event_times_motion=motion,
         event_times_force=force,

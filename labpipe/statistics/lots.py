@@ -152,8 +152,8 @@ def judge_lot(samples: Sequence[Sample], *, coverage: float, confidence: float) 
         n=n,
         mean=mean,
         deviation=deviation,
-        smallest=float(values.min()) if n else np.nan,
-        bound=mean - factor * deviation,
+        minimum=float(values.min()) if n else np.nan,
+        tolerance_bound=mean - factor * deviation,
         cpk=(mean - 1.0) / (3.0 * deviation) if has_scatter else np.nan,
         n_needed=n_needed,
     )
@@ -171,7 +171,7 @@ def _add_answer(lot: Lot, fractions: Mapping[str, Result], limits: Collection[fl
     """
     is_certain = {test: fraction.status is Status.OK for test, fraction in fractions.items()}
     verdicts = lot.verdicts.items()
-    failing_tests = [test for test, verdict in verdicts if verdict.by_number is Answer.FAIL]
+    failing_tests = [test for test, verdict in verdicts if verdict.value_answer is Answer.FAIL]
     surely_failing = [test for test in failing_tests if is_certain[test]]
     unknown_tests = [test for test, fraction in fractions.items() if fraction.value is None]
     unknown_tests += [test for test in failing_tests if not is_certain[test]]
@@ -194,9 +194,9 @@ def _add_answer(lot: Lot, fractions: Mapping[str, Result], limits: Collection[fl
 
 def _judge_scatter(lot: Lot) -> tuple[Answer, Reason]:
     """Judge a lot by its tolerance bound; all its samples pass."""
-    bound, coverage = lot.format_fraction(lot.bound), format_percent(lot.coverage)
+    bound, coverage = lot.format_fraction(lot.tolerance_bound), format_percent(lot.coverage)
     demanded = {"coverage": coverage, "confidence": format_percent(lot.confidence)}
-    if lot.bound >= 1.0:
+    if lot.tolerance_bound >= 1.0:
         return Answer.PASS, Reason.of("statistics.lot_passes", bound=bound, **demanded)
     upper_factor = compute_tolerance_factor(lot.n, lot.coverage, 1.0 - lot.confidence)
     if lot.mean - upper_factor * lot.deviation < 1.0:

@@ -389,7 +389,7 @@ def summarise_budget(group_result: GroupNumber) -> GroupBudget:
     mean = group_result.mean.chosen
     if mean.interval is None or not mean.interval.upper > mean.interval.lower:
         return GroupBudget(test_shares, {})
-    normal_factor = Interval.normal_95(0.0, 1.0).upper / mean.half_width
+    normal_factor = Interval.make_normal(0.0, 1.0).upper / mean.half_width
     common = {row.cause: (normal_factor * row.change) ** 2 for row in mean.common if row.change}
     scatter = 1.0 - (normal_factor * combine_changes(mean.common)) ** 2
     mean_shares = {SCATTER: scatter, **{cause: common[cause] for cause in sort_causes(common)}}
@@ -503,7 +503,7 @@ def widen_interval(interval: Interval, common: Sequence[Contribution]) -> Interv
     the sum of squares is never shorter; docs/explanations/statistics.md states its coverage.
     """
     middle = 0.5 * (interval.lower + interval.upper)
-    common_half_width = Interval.normal_95(0.0, combine_changes(common)).upper
+    common_half_width = Interval.make_normal(0.0, combine_changes(common)).upper
     if not common_half_width:
         return interval
     half_width = hypot(0.5 * (interval.upper - interval.lower), common_half_width)

@@ -12,8 +12,8 @@ from labpipe.mechanics.rod.rotations import (
     build_frame,
     from_rotation_vectors,
     multiply,
+    normalise,
     to_matrices,
-    unit,
 )
 from labpipe.mechanics.rod.statics import follow
 from labpipe.records.arrays import Floats
@@ -44,7 +44,7 @@ def straight_line(
 ) -> Line:
     """A line of equal elements that is straight at rest, d1 as near to `up` as can be."""
     frame = build_frame(np.asarray(direction), np.asarray(up))
-    along = unit(np.asarray(direction, dtype=np.float64))
+    along = normalise(np.asarray(direction, dtype=np.float64))
     positions = np.asarray(start) + np.linspace(0.0, length, n + 1)[:, None] * along
     return Line(
         np.full(n, length / n), section, positions, np.tile(frame, (n, 1)), np.zeros((n - 1, 3))
@@ -58,7 +58,7 @@ def sliding_section(*, mass: float = 0.0) -> Section:
 
 def clamp(line: Line, node: int = 0) -> Held:
     """Hold an end of a line where it is, with its frame."""
-    return Held(node, line.positions[node], line.get_frame(node))
+    return Held(node, line.positions[node], line.compute_clamp_frame(node))
 
 
 def ramp(peak: tuple[float, float, float], steps: int) -> Floats:
@@ -86,12 +86,12 @@ def space_case(turn: Floats | None = None, *, steps: int = 6) -> tuple[Line, lis
     angle = np.linspace(0.0, 1.2, 13) ** 1.1
     points = np.stack([np.sin(angle), 1.0 - np.cos(angle), 0.1 * angle], axis=1)
     scale = LENGTH / np.sum(np.linalg.norm(np.diff(points, axis=0), axis=1))
-    line = build_line(scale * points, sliding_section(mass=0.02), is_formed=True)
+    line = build_line(scale * points, sliding_section(mass=0.02), is_rest_shape=True)
     way = line.positions[-1] + ramp((-0.1, 0.06, 0.03), steps)
     twist = from_rotation_vectors(ramp((0.4, -0.3, 0.9), steps))
-    frames = multiply(twist, line.get_frame(-1)[None])
+    frames = multiply(twist, line.compute_clamp_frame(-1)[None])
     load, weight = ramp((0.0, 0.02, -0.01), steps), ramp((0.0, 0.0, -9.81), steps)
-    first = line.get_frame(0)
+    first = line.compute_clamp_frame(0)
     if turn is not None:
         space = to_matrices(turn)
         line = Line(

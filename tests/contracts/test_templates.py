@@ -21,7 +21,7 @@ FORWARDS = {name: {"name", "span"} for name in ("_make_stretch_notes", "_make_sp
 FORWARDS["report"] = set()
 """Function that gives a template on -> the facts that it adds."""
 NOTED = {"Finding.of", "QualityNote.of", "record.report", *FORWARDS}
-OTHER_ARGUMENTS = {"period", "clock", "blocks", "is_key", "missing", "channel", "segment"}
+OTHER_ARGUMENTS = {"period", "clock", "is_blocking", "is_key", "missing", "channel", "segment"}
 
 
 TEMPLATES = {

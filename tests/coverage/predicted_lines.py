@@ -135,7 +135,7 @@ def beliefs_of(
 ) -> tuple[line_bands.InputDistribution, ...]:
     """What is known of the line's inputs, for each solution."""
     stated = [
-        line_bands.build_stated_distribution(
+        line_bands.build_t_distribution(
             _INPUTS.get(name, name),
             deviation,
             freedom=FREEDOM.get(name.removesuffix("_1").removesuffix("_2"), np.inf),
@@ -144,7 +144,7 @@ def beliefs_of(
         for name, deviation in drawn.stated.items()
         if name != "specimen"
     ]
-    calibrated = line_bands.build_calibrated_distributions(
+    calibrated = line_bands.build_calibration_distributions(
         found.solutions, found.widening, specimen=LOG_MOMENT_FACTOR
     )
     return tuple(line_bands.join_distributions([each, *stated]) for each in calibrated)

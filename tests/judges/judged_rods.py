@@ -111,7 +111,7 @@ def pressed_column_path(
     own = Section(law, 1.0, axial_stiffness=stretch) if law else section(stretch=stretch)
     line = straight_line(1.0, elements, own)
     way = line.positions[-1] - grown((0.2, 0.0, 0.0), steps)
-    return follow(line, [clamped(line), Held(-1, way, line.get_frame(-1))], steps=steps)
+    return follow(line, [clamped(line), Held(-1, way, line.compute_clamp_frame(-1))], steps=steps)
 
 
 def arch_path(loads: Floats | None = None, ways: Floats | None = None) -> RodPath:
@@ -130,8 +130,8 @@ def arch_path(loads: Floats | None = None, ways: Floats | None = None) -> RodPat
     angle = np.linspace(-0.3, 0.3, 17)
     points = np.stack([np.sin(angle), 0.0 * angle, np.cos(angle)], axis=1) / 0.6
     own = section(stretch=1.2e4)
-    line = build_line(points, own, up=(0.0, 1.0, 0.0), is_formed=True)
-    ends = [Held(node, line.positions[node], line.get_frame(node)) for node in (0, -1)]
+    line = build_line(points, own, up=(0.0, 1.0, 0.0), is_rest_shape=True)
+    ends = [Held(node, line.positions[node], line.compute_clamp_frame(node)) for node in (0, -1)]
     down, rows = np.array([0.0, 0.0, -1.0]), loads if ways is None else ways
     assert rows is not None
     push = rows[:, None] * down
@@ -144,7 +144,7 @@ def bend_path(elements: int, *, load: float = 600.0, torsion: float = 1.0 / 6.0)
     """The bend of 45 degrees, as `bend_of_45_degrees` puts it, its load grown in six steps."""
     angle = np.linspace(0.0, 0.25 * np.pi, elements + 1)
     points = 100.0 * np.stack([np.sin(angle), 1.0 - np.cos(angle), np.zeros_like(angle)], axis=1)
-    line = build_line(points, section(1e7 / 12.0, 5e6 * torsion), is_formed=True)
+    line = build_line(points, section(1e7 / 12.0, 5e6 * torsion), is_rest_shape=True)
     frame = build_frame(np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]))
     force = Load(-1, grown((0.0, 0.0, load), 6))
     return follow(line, [Held(0, np.zeros(3), frame), force], steps=6)

@@ -88,7 +88,7 @@ NUMBERS = st.floats(-1e6, 1e6)
 
 @given(NUMBERS, st.floats(1e-9, 1e6))
 def test_interval_and_standard_error(value: float, error: float) -> None:
-    interval = Interval.normal_95(value, error)
+    interval = Interval.make_normal(value, error)
     assert interval.level == 0.95
     assert interval.upper - value == pytest.approx(1.959964 * error, rel=1e-6, abs=1e-9)
     assert interval.standard_error == pytest.approx(error, rel=1e-6, abs=1e-9)

@@ -111,12 +111,12 @@ def test_findings_that_are_left_out_and_the_first_that_blocks() -> None:
     all_findings = Findings((of_force, of_force)) + iter((of_clock,))
     assert (len(all_findings.entries), all_findings.notes) == (3, (of_force.note,))
     assert [doubt.quantity for doubt in all_findings.doubts] == ["force", "clock"]
-    error = Finding(note("x"))
-    assert Findings((error,)).blocking_reason is None
+    assert Findings((Finding(note("x")),)).blocking_reason is None
     several = Findings((Finding(note("a")), Finding(note("b")), Finding(note("a", "again"))))
     assert [finding.code for finding in several.remove_code("a").entries] == ["b"]
-    findings = Findings((Finding(note("b")), Finding(note("c", "three"), blocks=True)))
-    assert (findings + iter([replace(error, blocks=True)])).blocking_reason == Reason("c", "three")
+    findings = Findings((Finding(note("b")), Finding(note("c", "three"), is_blocking=True)))
+    findings += iter([Finding(note("x"), is_blocking=True)])
+    assert findings.blocking_reason == Reason("c", "three")
 
 
 def test_what_tests_of_a_rig_share() -> None:

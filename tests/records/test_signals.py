@@ -98,7 +98,7 @@ def test_samples_at_times_of_the_curve() -> None:
 
 def test_clocks_moved_by_what_is_not_known_of_them() -> None:
     """Events at 0, 100, 400 s, the last known half as well: weights 4, 4, 1, middle 800 / 9 s."""
-    known = Interval.normal_95(1e-3, 2e-5)
+    known = Interval.make_normal(1e-3, 2e-5)
     events, errors = np.array([0.0, 100.0, 400.0]), np.array([0.1, 0.1, 0.2])
     joined = ClockFit(2.0, 1e-3, known, known, 0.0, events, np.zeros(3), errors, "")
     clocks = Clocks("frame", joined)

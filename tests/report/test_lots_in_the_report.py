@@ -69,7 +69,7 @@ def test_the_workbook_has_lots_and_verdicts(lot: Group, tmp_path: Path) -> None:
     cells = dict(zip(heads, row, strict=True))
     assert (cells["answer"], cells["limit"], cells["n"]) == ("pass", 100.0, 6)
     assert lot.lot is not None
-    assert cells["tolerance bound"] == pytest.approx(LIMIT * lot.lot.bound)
+    assert cells["tolerance bound"] == pytest.approx(LIMIT * lot.lot.tolerance_bound)
     heads, first, *_ = book["tests"].iter_rows(values_only=True)
     cells = dict(zip(heads, first, strict=True))
     assert (cells["verdict"], cells["separation"]) == ("pass", "slip")

@@ -78,7 +78,7 @@ def test_every_row_of_the_report_is_judged_as_printed(awg: int) -> None:
         assert results["force_limit"].value == limit
         share = results["peak_over_limit"]
         assert share.value == pytest.approx(force / limit, rel=1e-3)
-        assert str(judge_sample(share).by_number) == "pass"
+        assert str(judge_sample(share).value_answer) == "pass"
 
 
 OWN = "{result: force-limit, at_least: 60 N, conductor: AWG 22}"

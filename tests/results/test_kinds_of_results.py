@@ -40,10 +40,10 @@ def finding(
     message: str,
     *quantities: str,
     period: tuple[float, float] | None = None,
-    blocks: bool = False,
+    is_blocking: bool = False,
 ) -> Finding:
     note, reason = QualityNote(code, Severity.WARNING, "force", message), Reason(code, message)
-    return Finding(note, tuple(Doubt(x, reason, period, "force") for x in quantities), blocks)
+    return Finding(note, tuple(Doubt(x, reason, period, "force") for x in quantities), is_blocking)
 
 
 def evidence(*found: Finding) -> ReducedTest:
@@ -102,7 +102,7 @@ def test_doubts_of_its_quantities() -> None:
 def test_what_stopped_the_test_comes_first() -> None:
     otherwise = Failure("no_cycle", "no branch")
     assert return_failure(evidence().require)(None, otherwise) is otherwise
-    stopped = evidence(finding("no_motion", "it spans 0.1 mm: too little", blocks=True))
+    stopped = evidence(finding("no_motion", "it spans 0.1 mm: too little", is_blocking=True))
     assert return_failure(stopped.require)(None, otherwise) == Failure(
         "no_motion", "it spans 0.1 mm: too little"
     )

@@ -218,7 +218,7 @@ def slipped(decision: SlipDecision) -> ReducedTest:
         losses[start + 2 :] += 20.0
         losses[start + 1] += 10.0
     force = 30.0 * time - losses + RNG(0).normal(0.0, 0.1, 800)
-    drop = Interval.normal_95(20.0, 0.5)
+    drop = Interval.make_normal(20.0, 0.5)
     slips = tuple(Slip(1e-3, 20.0, drop, drop, decision, start, start + 2) for start in (200, 500))
     test = recorded(time, 1e-3 * time, force, slips=slips)
     if decision is SlipDecision.REPAIRED:
@@ -348,7 +348,7 @@ def test_other_displacements(count: int, rate: float) -> None:
 def test_clocks_shift_and_turn_the_force() -> None:
     """Events at 2 s and 6 s, each known to 0.02 s: the offset to 0.014 s, the drift to 0.7 %."""
     at = np.array([2.0, 6.0])
-    drift = Interval.normal_95(0.0, 0.007)
+    drift = Interval.make_normal(0.0, 0.007)
     fit = ClockFit(1.0, 0.0, drift, drift, 0.0, at, at + 1.0, at * 0.0 + 0.02, "")
     time = np.arange(800) / 100.0
     force = 10.0 * time + RNG(0).normal(0.0, 0.1, 800)

@@ -15,7 +15,7 @@ from labpipe.mechanics.rod.assembly import (
     LineHistory,
     Shape,
 )
-from labpipe.mechanics.rod.banded import Band
+from labpipe.mechanics.rod.banded import BandedMatrix
 from labpipe.mechanics.rod.boundaries import Gravity, Held, Load, Plane, Ring, String
 from labpipe.mechanics.rod.line import Line, Section
 from labpipe.mechanics.rod.rotations import from_rotation_vectors, multiply, skew
@@ -63,7 +63,7 @@ class Case:
         )
         self.imposed = ImposedValues(
             held_positions=self.line.positions[supports.held_nodes],
-            clamps=multiply(
+            clamp_frames=multiply(
                 self.line.frames[[0, -1]], from_rotation_vectors(0.1 * random.normal(size=(2, 3)))
             ),
             forces=0.01 * random.normal(size=(N + 1, 3)),
@@ -81,15 +81,15 @@ class Case:
         return self.assembly.compute_balance(shape, self.imposed, self.history, drag).residual
 
     def matrix(self, drag: ArtificialDrag | None = None) -> Floats:
-        values = self.assembly.compute_balance(self.shape, self.imposed, self.history, drag).values
-        total = self.assembly.indices.total
+        balance = self.assembly.compute_balance(self.shape, self.imposed, self.history, drag)
+        total = self.assembly.indices.n_unknowns
         out = np.zeros((total, total))
-        np.add.at(out, self.assembly.pattern, values)
+        np.add.at(out, self.assembly.pattern, balance.tangent_values)
         return out
 
     def differences(self, drag: ArtificialDrag | None = None) -> Floats:
-        total = self.assembly.indices.total
-        scale = self.assembly.band.scale / np.max(self.assembly.band.scale)
+        total = self.assembly.indices.n_unknowns
+        scale = self.assembly.matrix.scale / np.max(self.assembly.matrix.scale)
         columns = []
         for k in range(total):
             change = np.zeros(total)
@@ -100,7 +100,7 @@ class Case:
 
     def without_skew(self, matrix: Floats, drag: ArtificialDrag | None = None) -> Floats:
         """Take off the part of a gradient's derivative that vanishes where it is in balance."""
-        residual = self.residual(np.zeros(self.assembly.indices.total), drag)
+        residual = self.residual(np.zeros(self.assembly.indices.n_unknowns), drag)
         out = matrix.copy()
         for first in self.assembly.indices.turns:
             at = slice(first, first + 3)
@@ -121,9 +121,9 @@ def test_the_tangent_is_that_of_differences(section: Section, dragged: bool) -> 
     if dragged:
         place = replace(case.shape, positions=case.shape.positions + 0.01)
         drag = ArtificialDrag(10.0, place, np.full((len(case.assembly.supports.nodes), 3), 0.05))
-    free = ~case.assembly.band.fixed
+    free = ~case.assembly.matrix.is_fixed
     free = np.ones_like(free) if not case.assembly.is_rigid else free
-    weigh = (case.assembly.band.scale[:, None] * case.assembly.band.scale)[np.ix_(free, free)]
+    weigh = (case.assembly.matrix.scale[:, None] * case.assembly.matrix.scale)[np.ix_(free, free)]
     exact = case.matrix(drag)[np.ix_(free, free)] * weigh
     expected = case.without_skew(case.differences(drag), drag)[np.ix_(free, free)] * weigh
     np.testing.assert_allclose(exact, expected, atol=3e-7 * np.max(np.abs(expected)))
@@ -134,11 +134,11 @@ def test_solutions_are_those_of_the_dense_matrix() -> None:
     rows = np.concatenate([np.arange(12), np.arange(10), np.arange(2, 12), np.array([4, 4])])
     columns = np.concatenate([np.arange(12), np.arange(2, 12), np.arange(10), np.array([4, 5])])
     values = random.normal(size=len(rows)) + 3.0 * (rows == columns)
-    fixed = np.isin(np.arange(12), [3, 7])
-    dense = np.zeros((12, 12))
+    fixed, dense = np.isin(np.arange(12), [3, 7]), np.zeros((12, 12))
     np.add.at(dense, (rows, columns), values)
     dense[fixed] = np.eye(12)[fixed]
-    band, right = Band(rows, columns, 10.0 ** random.uniform(-2, 2, 12), fixed), np.arange(12.0)
+    scale, right = 10.0 ** random.uniform(-2, 2, 12), np.arange(12.0)
+    band = BandedMatrix(rows, columns, scale, fixed)
     solution = band.solve(values, right)
     assert solution is not None
     np.testing.assert_allclose(solution, np.linalg.solve(dense, right), rtol=1e-10)
@@ -179,8 +179,8 @@ def test_a_cell_that_slides_loses_what_its_sliders_carry() -> None:
 
 BELIEF = bands.join_distributions(
     [
-        bands.build_stated_distribution("a", 0.3, n_draws=16_384),
-        bands.build_stated_distribution("b", 0.4, n_draws=16_384),
+        bands.build_t_distribution("a", 0.3, n_draws=16_384),
+        bands.build_t_distribution("b", 0.4, n_draws=16_384),
     ]
 )
 
@@ -218,7 +218,7 @@ def test_a_cause_that_makes_most_of_a_band_is_exact_where_the_band_ends(
     """The line is solved there."""
     response = bands.compute_response(
         lambda inputs: {"y": np.array(answer(inputs["a"]))},
-        bands.build_stated_distribution("a", 0.3),
+        bands.build_t_distribution("a", 0.3),
     )
     assert response is not None
     band = bands.compute_band([response], "y")
@@ -226,7 +226,7 @@ def test_a_cause_that_makes_most_of_a_band_is_exact_where_the_band_ends(
 
 
 def test_a_parabola_is_met_and_goes_on_straight() -> None:
-    belief = bands.build_stated_distribution("a", 1.0, freedom=4.0)
+    belief = bands.build_t_distribution("a", 1.0, freedom=4.0)
     response = bands.compute_response(
         lambda inputs: {"y": np.array((1.0 + inputs["a"]) ** 2)}, belief
     )

@@ -10,8 +10,8 @@ from scipy.special import stdtrit
 from labpipe.mechanics.law.sliders import SliderLaw
 from labpipe.mechanics.rod.bands import (
     InputDistribution,
-    build_calibrated_distributions,
-    build_stated_distribution,
+    build_calibration_distributions,
+    build_t_distribution,
     join_distributions,
     predict_line_bands,
 )
@@ -33,9 +33,9 @@ LAW = SliderLaw(2e-4, np.array([3e-4, 2e-4]), np.array([1.0, 4.0]), 0.0, 50.0)
 
 BELIEF = join_distributions(
     [
-        build_stated_distribution("law_factor", 0.08, n_draws=2048),
-        build_stated_distribution("length_factor", 0.01, n_draws=2048),
-        build_stated_distribution("free_curvature", 0.3, n_draws=2048, seed=4),
+        build_t_distribution("law_factor", 0.08, n_draws=2048),
+        build_t_distribution("length_factor", 0.01, n_draws=2048),
+        build_t_distribution("free_curvature", 0.3, n_draws=2048, seed=4),
     ]
 )
 
@@ -100,7 +100,7 @@ def test_sides_without_equilibrium_and_jumps_at_other_steps_are_noted() -> None:
     def jumping(inputs: Mapping[str, float]) -> RodPath:
         return replace(pushed(inputs), jump_steps=(0,) if inputs["law_factor"] < 0.0 else (0, 3))
 
-    distribution = build_stated_distribution("law_factor", 0.05)
+    distribution = build_t_distribution("law_factor", 0.05)
     for solve, code, facts in ((torn, "one_sided", "law_factor"), (jumping, "jumps", "3 at the")):
         bands = predict_line_bands([pushed, solve], [distribution, distribution])
         assert bands is not None
@@ -112,7 +112,7 @@ def test_sides_without_equilibrium_and_jumps_at_other_steps_are_noted() -> None:
 
 
 def test_a_line_beyond_what_was_tested_is_doubtful() -> None:
-    distribution = build_stated_distribution("law_factor", 0.05)
+    distribution = build_t_distribution("law_factor", 0.05)
     bands = predict_line_bands([pushed], [distribution], tested_curvature=2.0)
     assert bands is not None
     assert [note.code for note in bands.notes] == ["beyond_tested"]
@@ -135,7 +135,7 @@ def drawn(belief: InputDistribution, direction: dict[str, float]) -> np.ndarray:
 
 
 def test_there_is_one_for_each_solution_of_the_set(calibration: Calibration) -> None:
-    beliefs = build_calibrated_distributions(
+    beliefs = build_calibration_distributions(
         calibration.solutions, calibration.widening, specimen=LAW_FACTOR
     )
     assert len(beliefs) == 2
@@ -143,13 +143,13 @@ def test_there_is_one_for_each_solution_of_the_set(calibration: Calibration) -> 
         assert belief.to_inputs()["copper_scale"] == pytest.approx(np.log(solution.values[2]))
         assert belief.to_inputs()[LAW_FACTOR] == 0.0
     unlikely = replace(calibration.solutions[1], rise=2.0 * calibration.solutions[1].limit)
-    assert len(build_calibrated_distributions([calibration.solutions[0], unlikely])) == 1
+    assert len(build_calibration_distributions([calibration.solutions[0], unlikely])) == 1
 
 
 @pytest.mark.parametrize("one_more", [0.0, 1.0])
 def test_draws_have_the_quantiles_of_the_mixture(calibration: Calibration, one_more: float) -> None:
     solution = replace(calibration.solutions[0], rise=0.0)
-    belief = build_calibrated_distributions([solution], specimen=LAW_FACTOR, n_draws=MANY)[0]
+    belief = build_calibration_distributions([solution], specimen=LAW_FACTOR, n_draws=MANY)[0]
     for weights in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.2, 0.5, 0.3)):
         direction = dict(zip(belief.names, weights, strict=False)) | {LAW_FACTOR: one_more}
         ends = np.quantile(drawn(belief, direction), [0.025, 0.975])
@@ -161,7 +161,7 @@ def test_draws_have_the_quantiles_of_the_mixture(calibration: Calibration, one_m
 def test_a_less_likely_solution_is_narrower(calibration: Calibration) -> None:
     solution = calibration.solutions[0]
     half = replace(solution, rise=0.75 * solution.limit)
-    likely, unlikely = build_calibrated_distributions([replace(solution, rise=0.0), half])
+    likely, unlikely = build_calibration_distributions([replace(solution, rise=0.0), half])
     ratio = np.std(unlikely.amounts @ unlikely.steps.T, axis=0) / np.std(
         likely.amounts @ likely.steps.T, axis=0
     )
@@ -171,19 +171,19 @@ def test_a_less_likely_solution_is_narrower(calibration: Calibration) -> None:
 
 def test_a_stated_deviation_is_drawn_from_students_t() -> None:
     for freedom, quantile in ((np.inf, 1.96), (4.0, float(stdtrit(4.0, 0.975)))):
-        belief = build_stated_distribution("mass_factor", 0.02, freedom=freedom, n_draws=MANY)
+        belief = build_t_distribution("mass_factor", 0.02, freedom=freedom, n_draws=MANY)
         assert belief.to_inputs(np.ones(1)) == {"mass_factor": 0.02}
         upper = np.quantile(drawn(belief, {"mass_factor": 1.0}), 0.975)
         assert upper == pytest.approx(0.02 * quantile, rel=1e-3)
     with pytest.raises(ValueError, match=r"length_factor: deviation=0\.0"):
-        build_stated_distribution("length_factor", 0.0)
+        build_t_distribution("length_factor", 0.0)
 
 
 def test_causes_of_one_input_add() -> None:
     joined = join_distributions(
         [
-            build_stated_distribution("law_factor", 0.03, cause="specimen"),
-            build_stated_distribution("law_factor", 0.04, cause="spool"),
+            build_t_distribution("law_factor", 0.03, cause="specimen"),
+            build_t_distribution("law_factor", 0.04, cause="spool"),
         ]
     )
     assert joined.names == ("law_factor",)

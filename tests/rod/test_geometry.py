@@ -19,15 +19,15 @@ from labpipe.mechanics.rod.boundaries import (
 from labpipe.mechanics.rod.line import Line, Section, build_line
 from labpipe.mechanics.rod.rotations import (
     build_frame,
+    compute_shortest_rotations,
     conjugate,
     cross,
-    find_shortest_turns,
     from_rotation_vectors,
     multiply,
+    normalise,
     skew,
     to_matrices,
     to_rotation_vectors,
-    unit,
 )
 from labpipe.mechanics.rod.schedule import Schedule
 from labpipe.mechanics.rod.supports import CLAMP_WEIGHT, split_cells_at_clamps
@@ -41,7 +41,7 @@ SECTION = linear_section()
 def test_a_line_along_points_is_not_twisted() -> None:
     t = np.linspace(0.0, 6.0, 61)
     helix = np.stack([np.cos(t), np.sin(t), 0.3 * t], axis=1)
-    line = build_line(helix, SECTION, is_formed=True)
+    line = build_line(helix, SECTION, is_rest_shape=True)
     np.testing.assert_allclose(line.rest_curvature[:, 2], 0.0, atol=1e-12)
     bends = np.linalg.norm(line.rest_curvature, axis=1)
     np.testing.assert_allclose(bends, 1.0 / (1.0 + 0.3**2), rtol=1e-3)
@@ -54,16 +54,15 @@ def test_a_line_along_points_is_not_twisted() -> None:
 def test_a_line_knows_its_frames_at_the_nodes() -> None:
     """Of an arc its tangents, at the ends as well; between unequal elements by their lengths."""
     angles = np.linspace(0.0, 1.2, 7)
-    line = build_line(ARC, SECTION, is_formed=True)
+    line = build_line(ARC, SECTION, is_rest_shape=True)
     for node, angle in enumerate(angles):
-        direction = to_matrices(line.get_frame(node))[:, 2]
+        direction = to_matrices(line.compute_clamp_frame(node))[:, 2]
         np.testing.assert_allclose(direction, [np.cos(angle), np.sin(angle), 0.0], atol=1e-12)
-    np.testing.assert_array_equal(line.get_frame(-1), line.get_frame(6))
+    np.testing.assert_array_equal(line.compute_clamp_frame(-1), line.compute_clamp_frame(6))
     line = build_line(np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [3.0, 0.5, 0.0]]), SECTION)
     start = conjugate(line.frames[0])
-    turn, half_turn = (
-        to_rotation_vectors(multiply(start, frame)) for frame in (line.frames[1], line.get_frame(1))
-    )
+    frames = np.array([line.frames[1], line.compute_clamp_frame(1)])
+    turn, half_turn = to_rotation_vectors(multiply(start, frames))
     np.testing.assert_allclose(half_turn, line.lengths[0] / line.length * turn, atol=1e-14)
 
 
@@ -102,7 +101,7 @@ def test_what_is_refused(approved: Approve) -> None:
 
 def test_weight_is_shared_by_nodes() -> None:
     """What lets go holds up to its step."""
-    forces = schedule(Gravity(np.array([0.0, 0.0, -10.0]))).compute_imposed(0.0, ()).forces
+    forces = schedule(Gravity(np.array([0.0, 0.0, -10.0]))).compute_imposed_values(0.0, ()).forces
     assert forces[:, 2] == pytest.approx([-0.125, -0.25, -0.25, -0.25, -0.125])
     plan = schedule(Held(2, LINE.positions[2], release=2))
     assert [plan.list_grips(step) for step in (0, 1, 2)] == [(0,), (0,), ()]
@@ -120,7 +119,8 @@ def schedule(*boundaries: Boundary, steps: int = 2) -> Schedule:
 def test_paths_go_straight_between_their_rows() -> None:
     force = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 3.0], [0.0, 2.0, 3.0]])
     plan = schedule(Load(-1, force))
-    asked = [plan.compute_imposed(time, ()).forces[4] for time in (-1.0, -0.5, 0.0, 0.5, 1.5, 2.0)]
+    times = (-1.0, -0.5, 0.0, 0.5, 1.5, 2.0)
+    asked = [plan.compute_imposed_values(time, ()).forces[4] for time in times]
     assert [force[1] for force in asked] == pytest.approx([0.0, 0.0, 0.0, 0.0, 1.0, 2.0])
     assert [force[2] for force in asked] == pytest.approx([0.0, 0.5, 1.0, 2.0, 3.0, 3.0])
 
@@ -128,11 +128,11 @@ def test_paths_go_straight_between_their_rows() -> None:
 def test_a_line_is_laid_in_gradually() -> None:
     frame = multiply(LINE.frames[0], from_rotation_vectors(np.array([0.0, 0.0, 0.6])))
     plan = schedule(Held(0, np.array([0.0, 0.2, 0.0]), frame))
-    half = plan.compute_imposed(-0.5, (0,))
+    half = plan.compute_imposed_values(-0.5, (0,))
     np.testing.assert_allclose(half.held_positions, [[0.0, 0.1, 0.0]])
-    rotation = to_matrices(LINE.frames[0]).T @ to_matrices(half.clamps)[0]
+    rotation = to_matrices(LINE.frames[0]).T @ to_matrices(half.clamp_frames)[0]
     assert np.arccos((np.trace(rotation) - 1.0) / 2.0) == pytest.approx(0.3)
-    np.testing.assert_allclose(plan.compute_imposed(0.0, (0,)).clamps, [frame])
+    np.testing.assert_allclose(plan.compute_imposed_values(0.0, (0,)).clamp_frames, [frame])
 
 
 def uneven() -> Line:
@@ -166,7 +166,7 @@ def test_an_element_between_two_clamps_has_a_share_of_both() -> None:
 def draw_vectors(number: int = 40) -> Floats:
     """Rotation vectors from nothing to nearly a half turn, rad."""
     random = np.random.default_rng(3)
-    directions = unit(random.normal(size=(number, 3)))
+    directions = normalise(random.normal(size=(number, 3)))
     return np.asarray(np.linspace(0.0, 3.1, number)[:, None] * directions)
 
 
@@ -192,16 +192,16 @@ def test_rotations_are_those_of_scipy() -> None:
 def test_a_frame_points_along_and_its_first_axis_up(seed: int) -> None:
     direction, up = np.random.default_rng(seed).normal(size=(2, 3))
     axes = to_matrices(build_frame(direction, up))
-    np.testing.assert_allclose(axes[:, 2], unit(direction), atol=1e-14)
+    np.testing.assert_allclose(axes[:, 2], normalise(direction), atol=1e-14)
     assert axes[:, 0] @ up > 0.0
     assert axes[:, 1] @ up == pytest.approx(0.0, abs=1e-14)
     assert np.linalg.det(axes) == pytest.approx(1.0)
 
 
 def test_shortest_turns_turn_one_into_the_other_opposites_too() -> None:
-    start = unit(np.random.default_rng(1).normal(size=(5, 3)))
-    end = np.concatenate([unit(np.random.default_rng(2).normal(size=(4, 3))), -start[4:]])
-    turns = find_shortest_turns(start, end)
+    start = normalise(np.random.default_rng(1).normal(size=(5, 3)))
+    end = np.concatenate([normalise(np.random.default_rng(2).normal(size=(4, 3))), -start[4:]])
+    turns = compute_shortest_rotations(start, end)
     turned = np.einsum("nxy,ny->nx", to_matrices(turns), start)
     np.testing.assert_allclose(turned, end, atol=1e-14)
     along = np.einsum("nk,nk->n", to_rotation_vectors(turns), start)

@@ -15,8 +15,8 @@ from labpipe.mechanics.rod.boundaries import (
     Held,
     Load,
     Plane,
-    contact_plane,
-    contact_ring,
+    compute_plane_contact,
+    compute_ring_contact,
     evaluate_curve,
     find_nearest_parameter,
 )
@@ -309,7 +309,7 @@ def test_a_ring_pulls_across_at_the_nearest_place_of_a_smooth_curve(place: float
     across = np.cross(along, [0.3, 0.1, 1.0])
     ring = evaluate_curve(nodes, place) + 0.02 * across / np.linalg.norm(across)
     assert find_nearest_parameter(nodes, ring, place + 0.9) == pytest.approx(place, abs=1e-6)
-    threaded = contact_ring(nodes, ring, place, 50.0)
+    threaded = compute_ring_contact(nodes, ring, place, 50.0)
     assert threaded.force @ along == pytest.approx(0.0, abs=1e-12)
     assert np.linalg.norm(threaded.force) == pytest.approx(50.0 * 0.02)
     assert threaded.weights.sum() == pytest.approx(1.0)
@@ -317,16 +317,16 @@ def test_a_ring_pulls_across_at_the_nearest_place_of_a_smooth_curve(place: float
 
 def test_a_node_sticks_until_friction_is_reached_and_drags_its_contact_along() -> None:
     plane, start = Plane(np.zeros(3), np.array([0.0, 0.0, 1.0]), 0.5), np.zeros((1, 3))
-    above = contact_plane(plane, 1e4, np.array([[1.0, 2.0, 1e-6]]), start, max_gap=1e-9)
+    above = compute_plane_contact(plane, 1e4, np.array([[1.0, 2.0, 1e-6]]), start, max_gap=1e-9)
     assert not np.any(above.forces)
-    np.testing.assert_array_equal(above.contacts, [[1.0, 2.0, 1e-6]])
-    sticking = contact_plane(plane, 1e4, np.array([[4e-4, 0.0, -1e-3]]), start, max_gap=0.0)
+    np.testing.assert_array_equal(above.points, [[1.0, 2.0, 1e-6]])
+    sticking = compute_plane_contact(plane, 1e4, np.array([[4e-4, 0.0, -1e-3]]), start, max_gap=0.0)
     np.testing.assert_allclose(sticking.forces, [[-4.0, 0.0, 10.0]])
-    sliding = contact_plane(plane, 1e4, np.array([[9e-4, 0.0, -1e-3]]), start, max_gap=0.0)
+    sliding = compute_plane_contact(plane, 1e4, np.array([[9e-4, 0.0, -1e-3]]), start, max_gap=0.0)
     np.testing.assert_allclose(sliding.forces, [[-5.0, 0.0, 10.0]])
-    np.testing.assert_allclose(sliding.contacts[:, :2], [[4e-4, 0.0]])
-    back = contact_plane(plane, 1e4, np.array([[8e-4, 0.0, -1e-3]]), sliding.contacts, max_gap=0.0)
-    np.testing.assert_allclose(back.forces, [[-4.0, 0.0, 10.0]])
+    np.testing.assert_allclose(sliding.points[:, :2], [[4e-4, 0.0]])
+    end = compute_plane_contact(plane, 1e4, np.array([[8e-4, 0, -1e-3]]), sliding.points, max_gap=0)
+    np.testing.assert_allclose(end.forces, [[-4.0, 0.0, 10.0]])
 
 
 def ended(line: Line, steps: int, *boundaries: Boundary) -> tuple[str, tuple[object, ...]]:

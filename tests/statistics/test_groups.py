@@ -48,7 +48,7 @@ def test_numbers_and_band_of_two_spools() -> None:
     assert (group.band.n, group.band.members) == (2, "spool means")
     np.testing.assert_allclose(group.band.mean, 52.28 * group.band.displacement)
     assert "not pooled over 6 samples" in said(group)["curve_pooling"]
-    assert group.band_scaled is None
+    assert group.scaled_band is None
     reverse = built(samples()[::-1])
     assert [sample.test for sample in reverse.samples] == [sample.test for sample in group.samples]
     assert reverse.numbers == group.numbers

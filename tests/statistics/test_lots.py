@@ -128,7 +128,7 @@ def test_numbers_of_a_lot() -> None:
     lot = lot_of(spread(1.3, 0.1, 7))
     assert lot.cpk == pytest.approx(1.0)
     assert lot.limit == 89.0
-    assert lot.bound == pytest.approx(1.3 - 4.642 * 0.1, abs=1e-4)
+    assert lot.tolerance_bound == pytest.approx(1.3 - 4.642 * 0.1, abs=1e-4)
     assert lot.n_needed is not None
     factors = [compute_tolerance_factor(lot.n_needed - k, 0.99, 0.95) for k in (0, 1)]
     assert factors[0] <= 3.0 < factors[1]

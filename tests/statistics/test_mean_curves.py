@@ -120,9 +120,9 @@ def test_scaled_band_without_a_peak_force() -> None:
     members[1] = replace(members[1], results=(stiffness(50.0), failed))
     members[2] = replace(members[2], results=(stiffness(50.0),))
     group = built(members, scaled=True)
-    assert group.band_scaled is not None
+    assert group.scaled_band is not None
     # The third has no such result, so the largest force of its curve stands in.
-    assert group.band_scaled.n == 2
+    assert group.scaled_band.n == 2
     assert said(group)["no_peak_force"] == (
         "not in the mean of force / peak force, without a peak force: s1-2"
     )

@@ -229,7 +229,7 @@ SPEED = 0.05 / (LOADING / RATE)
 FIRST = Branch(REST, REST + LOADING, 1, Direction.LOADING, REST / RATE, (REST + LOADING) / RATE)
 
 
-PEAK_ERRORS = Result("peak_displacement.1", 0.05, "m", interval=Interval.normal_95(0.05, 1e-5))
+PEAK_ERRORS = Result("peak_displacement.1", 0.05, "m", interval=Interval.make_normal(0.05, 1e-5))
 
 
 def curve() -> Curve:
@@ -257,8 +257,8 @@ def joined(error: float) -> Aligned:
     fit = ClockFit(
         offset=1.0,
         drift=0.0,
-        offset_interval=Interval.normal_95(1.0, error),
-        drift_interval=Interval.normal_95(0.0, 1e-5),
+        offset_interval=Interval.make_normal(1.0, error),
+        drift_interval=Interval.make_normal(0.0, 1e-5),
         residual=0.0,
         event_times_motion=np.array([60.0]),
         event_times_force=np.array([61.0]),
@@ -326,7 +326,7 @@ def number(
     name: str, value: float, error: float = 0.0, status: Status = Status.OK, **more: object
 ) -> Result:
     reasons = () if status is Status.OK else (Reason("drift", "it drifts"),)
-    interval = Interval.normal_95(value, error)
+    interval = Interval.make_normal(value, error)
     return Result(name, value, "1", interval, status, reasons, **more)  # type: ignore[arg-type]
 
 

@@ -18,7 +18,7 @@ from labpipe.mechanics.rod.boundaries import Boundary, Gravity, Held
 from labpipe.mechanics.rod.line import Line, Section, build_line
 from labpipe.mechanics.rod.path import RodPath
 from labpipe.mechanics.rod.rotations import (
-    find_shortest_turns,
+    compute_shortest_rotations,
     from_rotation_vectors,
     multiply,
     to_matrices,
@@ -62,7 +62,7 @@ def hung(points: Floats, wire: str, *, elements: int = 200) -> Floats:
     lengths = np.full(elements, 1.5 / elements)
     line = Line(lengths, section_of(wire), along.positions, along.frames, free)
     ends = along.frames[[0, -1]]
-    frames = multiply(find_shortest_turns(to_matrices(ends)[:, :, 2], LEVEL), ends)
+    frames = multiply(compute_shortest_rotations(to_matrices(ends)[:, :, 2], LEVEL), ends)
     held = [Held(0, nodes[0], frames[0]), Held(-1, nodes[-1], frames[1])]
     path = follow(line, [*held, Gravity(np.array([0.0, 0.0, -9.81]))], steps=0)
     assert path.status != "failed", path.reasons

@@ -19,19 +19,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from labpipe.mechanics.rod.banded import (
-    Band,
+    BandedMatrix,
     UnknownIndices,
     join_unknowns,
     list_block_entries,
     split_unknowns,
 )
 from labpipe.mechanics.rod.boundaries import (
-    ContactForces,
     Plane,
+    PlaneContact,
     RingContact,
+    compute_plane_contact,
+    compute_ring_contact,
     compute_string_forces,
-    contact_plane,
-    contact_ring,
     sum_at_nodes,
 )
 from labpipe.mechanics.rod.line import Line
@@ -40,9 +40,9 @@ from labpipe.mechanics.rod.rotations import (
     cross,
     from_rotation_vectors,
     multiply,
+    normalise,
     to_matrices,
     to_rotation_vectors,
-    unit,
 )
 from labpipe.mechanics.rod.supports import (
     BentCells,
@@ -52,7 +52,7 @@ from labpipe.mechanics.rod.supports import (
     compute_clamp_directions,
     compute_directions,
 )
-from labpipe.records.arrays import Flags, Floats, Ints
+from labpipe.records.arrays import Floats, Ints
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,13 +79,13 @@ class LineHistory:
 
     Parameters
     ----------
-    rests : shape (cells, sliders, 2), 1/m, rest curvatures of the sliders
-    contacts : shape (planes, n + 1, 3), m, points at which nodes stick to planes
+    slider_rests : shape (cells, sliders, 2), 1/m, rest curvatures of the sliders
+    contact_points : shape (planes, n + 1, 3), m, points at which nodes stick to planes
     ring_parameters : shape (rings,), curve parameters u at which the line passes through the rings
     """
 
-    rests: Floats
-    contacts: Floats
+    slider_rests: Floats
+    contact_points: Floats
     ring_parameters: Floats
 
 
@@ -96,15 +96,15 @@ class ImposedValues:
     Parameters
     ----------
     held_positions : shape (grips, 3), m, positions of the held nodes
-    clamps : shape (clamps, 4), unit quaternions of the clamps
+    clamp_frames : shape (clamps, 4), unit quaternions of the clamps
     forces : shape (n + 1, 3), N, loads and weight at the nodes
     anchors : shape (strings, 3), m, positions of the anchors of strings
     rings : shape (rings, 3), m, positions of the rings
-    time : steps, with fractions; -1 for the initial shape, 0 for the first state
+    time : time in steps, with fractions; -1 for the initial shape, 0 for the first state
     """
 
     held_positions: Floats
-    clamps: Floats
+    clamp_frames: Floats
     forces: Floats
     anchors: Floats
     rings: Floats
@@ -116,19 +116,19 @@ class ArtificialDrag:
     """Artificial drag that resists changes from an earlier shape.
 
     Each cell resists bending and twist in proportion to its stiffness, as with internal damping.
-    It relaxes by its own moment and is not bent by the motion of other cells. The drag against
+    A cell relaxes by its own moment and is not bent by the motion of other cells. The drag against
     motion without bending is a hundred times smaller.
 
     Parameters
     ----------
-    size : drag against bending and twist, relative to the stiffness of the cells
+    ratio : drag against bending and twist, relative to the stiffness of the cells
     shape : earlier shape
-    turns : shape (cells, 3), rad, rotation vectors of the cells in the earlier shape
+    rotation_vectors : shape (cells, 3), rad, rotation vectors of the cells in the earlier shape
     """
 
-    size: float
+    ratio: float
     shape: Shape
-    turns: Floats
+    rotation_vectors: Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -138,32 +138,32 @@ class Balance:
     Parameters
     ----------
     residual : shape (unknowns,), in N for positions, N m for stretches and turns, m for forces
-    values : shape (entries,), entries of the tangent in the order of `Assembly.pattern`
+    tangent_values : shape (entries,), entries of the tangent in the order of `Assembly.pattern`
     inputs : history before the step, and drag
     symmetric_values : shape (entries,), entries of the tangent without the increase of friction
         with pressure
     cells : response of the cells
     directions : directions of the elements
     history : history after the step
-    plane_contacts : forces of the planes
-    tensions : shape (strings, 3), N, forces of the strings on their nodes
-    ring_contacts : forces of the rings
+    plane_contacts : contacts with the planes
+    string_forces : shape (strings, 3), N, forces of the strings on their nodes
+    ring_contacts : contacts with the rings
     """
 
     residual: Floats
-    values: Floats
+    tangent_values: Floats
     inputs: tuple[LineHistory, ArtificialDrag | None]
     symmetric_values: Floats
     cells: BentCells
     directions: Directions
     history: LineHistory
-    plane_contacts: tuple[ContactForces, ...]
-    tensions: Floats
+    plane_contacts: tuple[PlaneContact, ...]
+    string_forces: Floats
     ring_contacts: tuple[RingContact, ...]
 
 
 class Assembly:
-    """Residual and tangent of a line with its supports.
+    """Line with its supports, of which residual and tangent are assembled.
 
     Parameters
     ----------
@@ -177,8 +177,8 @@ class Assembly:
     Attributes
     ----------
     rounding : N, rounding error of the forces of planes, strings and rings
-    drag : shape (unknowns,), unit drag of the unknowns. The sum is `force` / length against motion
-        (N/m), and `force` times length against turns (N m)
+    unit_drag : shape (unknowns,), drag coefficient of each unknown. The sum over the line is
+        `force` / length against motion (N/m), and `force` times length against turns (N m)
     pattern : rows and columns of the entries of the tangent, shape (entries,) each
     """
 
@@ -192,12 +192,12 @@ class Assembly:
         n_rings: int,
         force: float,
     ) -> None:
-        # Indentation under the total force, relative to the length of an element. Stiffer contacts
-        # amplify rounding errors.
+        # The indentation under the total force is relative to the length of an element. Stiffer
+        # contacts amplify rounding errors.
         contact_indentation = 1e-6
         position_rounding = 2e-15  # relative to the length of the line
-        # Stretch of an element under the total force, in the tangent only. The tangent is then
-        # regular for a straight line between two supports.
+        # In the tangent, an element stretches by this fraction under the total force. The tangent
+        # is then regular even for a straight line between two supports.
         min_stretch = 1e-10
         self.line, self.supports, self.planes, self.strings = line, supports, planes, strings
         self.force = force
@@ -208,16 +208,16 @@ class Assembly:
         self.is_rigid = not np.isfinite(section.axial_stiffness)
         self._is_coupled = section.coupling != 0.0 and not self.is_rigid
         is_element = supports.sides < self.n  # the other sides are clamps
-        self._inner = np.flatnonzero(is_element.all(axis=1))
-        # The elements beside each cell; at a clamp the only one, twice.
+        self._inner_cells = np.flatnonzero(is_element.all(axis=1))
+        # A cell has an element on each side. At a clamp, its only element is listed twice.
         self._elements = np.where(is_element, supports.sides, supports.sides[:, ::-1])
-        # The coupling of an element is divided among its cells. That with a clamp is zero.
+        # The coupling of an element is divided among its cells. A clamp has no coupling.
         n_cells = supports.sum_at_frames(np.ones(supports.sides.shape))[: self.n]
         couplings = section.coupling * line.lengths / np.maximum(n_cells, 1.0)
         self._couplings = is_element * couplings[self._elements]
         self._coupled_turns = is_element / supports.lengths[:, None]
-        self._shortest = float(np.min(line.lengths))
-        self._contact_stiffness = force / (contact_indentation * self._shortest)
+        self._min_length = float(np.min(line.lengths))
+        self._contact_stiffness = force / (contact_indentation * self._min_length)
         has_contacts = bool(planes or len(strings[0]) or n_rings)
         self.rounding = position_rounding * self._contact_stiffness * line.length * has_contacts
         fractions = line.lengths / line.length
@@ -227,9 +227,12 @@ class Assembly:
             drag[:, None, None] * np.eye(3) for drag in (node_drag, turn_drag)
         )
         zeros = np.zeros((self.n, 3))
-        self.drag = join_unknowns(node_drag[:, None], zeros[:, 0], turn_drag[:, None], zeros)
+        self.unit_drag = join_unknowns(node_drag[:, None], zeros[:, 0], turn_drag[:, None], zeros)
         self.pattern = self._build_pattern()
-        self.band = Band(*self.pattern, self._compute_scale(), self._find_fixed())
+        is_fixed = np.zeros(self.indices.n_unknowns, dtype=np.bool_)
+        is_fixed[self.indices.positions[supports.held_nodes][:, None] + _AXIS_NUMBERS] = True
+        is_fixed[self.indices.stretches] = self.is_rigid
+        self.matrix = BandedMatrix(*self.pattern, self._compute_scale(), is_fixed)
         self._chord_signs = np.repeat([-1.0, 1.0], 3 * self.n)
         self._compliance = np.repeat(-min_stretch / force * line.lengths, 3)
 
@@ -249,73 +252,77 @@ class Assembly:
         history : history before the step
         drag : artificial drag; None without drag
         """
-        # A drag in the tangent only. The tangent is then regular if the line is free to move.
+        # A small drag in the tangent makes it regular even if the line is free to move.
         min_drag = 1e-10
         translation_drag = 1e-2  # relative to the drag against bending
         lengths = self.line.lengths * (1.0 + shape.stretches)
         cells = self._bend_cells(shape, imposed, history, drag)
         rotations = to_matrices(shape.frames)
         scaled_forces = lengths[:, None] * shape.forces
-        clamp_directions = compute_clamp_directions(self.supports, imposed.clamps)
+        clamp_directions = compute_clamp_directions(self.supports, imposed.clamp_frames)
         directions = compute_directions(self.supports, rotations, clamp_directions, scaled_forces)
-        turns = directions.moments + self._sum_at_elements(cells.gradients.reshape(-1, 2, 3))
+        turn_residual = self._sum_at_elements(cells.gradients.reshape(-1, 2, 3))
+        turn_residual += directions.moments
         stiffnesses = np.stack([cells.stiffnesses[:, :3, :3], cells.stiffnesses[:, 3:, 3:]], axis=1)
-        by_turn = directions.stiffness + self._sum_at_elements(stiffnesses)
-        nodes, by_position, plane_contacts, tensions = self._sum_forces(shape, imposed, history)
+        turn_stiffness = directions.stiffness + self._sum_at_elements(stiffnesses)
+        position_residual, position_stiffness, plane_contacts, string_forces = self._sum_forces(
+            shape, imposed, history
+        )
         ring_contacts = tuple(
-            contact_ring(shape.positions, ring, float(parameter), self._contact_stiffness)
+            compute_ring_contact(shape.positions, ring, float(parameter), self._contact_stiffness)
             for ring, parameter in zip(imposed.rings, history.ring_parameters, strict=True)
         )
-        ring_tangents = self._add_ring_forces(ring_contacts, nodes, by_position)
+        ring_blocks = self._add_ring_forces(ring_contacts, position_residual, position_stiffness)
         chords = shape.positions[1:] - shape.positions[:-1]
         gaps = chords - lengths[:, None] * directions.unit_vectors
-        stretch, by_stretch, by_force = self._compute_stretch_residuals(shape, directions, cells)
-        residual = join_unknowns(nodes, stretch, turns, gaps)
-        drag_factor = min_drag if drag is None else translation_drag * drag.size
-        by_turn += drag_factor * self._turn_drag
-        by_position += drag_factor * self._node_drag
+        stretch_residual, stretch_stiffness, stretch_force_values = self._compute_stretch_residuals(
+            shape, directions, cells
+        )
+        residual = join_unknowns(position_residual, stretch_residual, turn_residual, gaps)
+        drag_factor = min_drag if drag is None else translation_drag * drag.ratio
+        turn_stiffness += drag_factor * self._turn_drag
+        position_stiffness += drag_factor * self._node_drag
         if drag is not None:
-            residual += drag_factor * self.drag * self.compute_change(drag.shape, shape)
+            residual += drag_factor * self.unit_drag * self.compute_change(drag.shape, shape)
         mirrored_blocks = [
             self._chord_signs,
-            by_force.ravel(),
+            stretch_force_values.ravel(),
             (-lengths[:, None, None] * directions.turn_derivatives).ravel(),
             (directions.moments / (1.0 + shape.stretches)[:, None]).ravel(),
-            cells.stiffnesses[self._inner, 3:, :3].ravel(),
+            cells.stiffnesses[self._inner_cells, 3:, :3].ravel(),
             self._compute_coupling_values(cells),
-            *ring_tangents,
+            *ring_blocks,
         ]
-        diagonal_blocks = [self._compliance, by_stretch, by_turn.ravel(), by_position.ravel()]
-        values = symmetric_values = np.concatenate(
-            [*mirrored_blocks, *mirrored_blocks, *diagonal_blocks]
-        )
+        blocks = [*mirrored_blocks, *mirrored_blocks]
+        blocks += [self._compliance, stretch_stiffness, turn_stiffness.ravel()]
+        values = symmetric_values = np.concatenate([*blocks, position_stiffness.ravel()])
         if any(plane.friction > 0.0 for plane in self.planes):
-            diagonal_blocks[-1] = (
-                by_position - sum(contact.friction_coupling for contact in plane_contacts)
-            ).ravel()
-            symmetric_values = np.concatenate(
-                [*mirrored_blocks, *mirrored_blocks, *diagonal_blocks]
-            )
+            position_stiffness -= sum(contact.friction_coupling for contact in plane_contacts)
+            symmetric_values = np.concatenate([*blocks, position_stiffness.ravel()])
+        contact_points = np.array([contact.points for contact in plane_contacts])
         new_history = LineHistory(
             cells.slider_rests,
-            np.array([contact.contacts for contact in plane_contacts]).reshape(-1, self.n + 1, 3),
+            contact_points.reshape(-1, self.n + 1, 3),
             np.array([contact.parameter for contact in ring_contacts]),
         )
         return Balance(
-            residual,
-            values,
-            (history, drag),
-            symmetric_values,
-            cells,
-            directions,
-            new_history,
-            plane_contacts,
-            tensions,
-            ring_contacts,
+            residual=residual,
+            tangent_values=values,
+            inputs=(history, drag),
+            symmetric_values=symmetric_values,
+            cells=cells,
+            directions=directions,
+            history=new_history,
+            plane_contacts=plane_contacts,
+            string_forces=string_forces,
+            ring_contacts=ring_contacts,
         )
 
     def compute_change(self, start: Shape, end: Shape) -> Floats:
-        """Return the change of the unknowns between two shapes; zero for stretches and forces."""
+        """Compute the change of positions and turns between two shapes, as change of all unknowns.
+
+        The change of stretches and forces is set to zero.
+        """
         turns = to_rotation_vectors(multiply(conjugate(start.frames), end.frames))
         zeros = np.zeros(self.n)
         return join_unknowns(end.positions - start.positions, zeros, turns, 0.0 * turns)
@@ -325,7 +332,7 @@ class Assembly:
         positions, stretches, turns, forces = split_unknowns(change)
         return Shape(
             shape.positions + positions,
-            unit(multiply(shape.frames, from_rotation_vectors(turns))),
+            normalise(multiply(shape.frames, from_rotation_vectors(turns))),
             shape.stretches + stretches,
             shape.forces + forces,
         )
@@ -338,7 +345,7 @@ class Assembly:
         held_moves: Floats,
         clamp_turns: Floats,
     ) -> Floats:
-        """Return the right side of a Newton step in which held nodes and clamps also move.
+        """Compute the right side of a Newton step in which held nodes and clamps also move.
 
         Parameters
         ----------
@@ -346,45 +353,43 @@ class Assembly:
         held_moves : shape (grips, 3), m, displacements of the held nodes
         clamp_turns : shape (clamps, 3), rad, rotation vectors of the clamps, in the body frame
         """
-        p, s = self.indices, self.supports
-        right = -balance.residual
-        right[p.positions[s.held_nodes][:, None] + _AXIS_NUMBERS] = held_moves
+        indices, supports = self.indices, self.supports
+        right_side = -balance.residual
+        right_side[indices.positions[supports.held_nodes][:, None] + _AXIS_NUMBERS] = held_moves
         if self.is_rigid:
-            right[p.stretches] = -shape.stretches
+            right_side[indices.stretches] = -shape.stretches
         if np.any(clamp_turns):
-            frame_turns = np.concatenate([np.zeros((self.n, 3)), clamp_turns])[s.sides]
+            frame_turns = np.concatenate([np.zeros((self.n, 3)), clamp_turns])[supports.sides]
             moments = np.matvec(balance.cells.stiffnesses, frame_turns.reshape(-1, 6))
-            elements, clamps = s.clamp_pairs.T
-            space_turns = np.matvec(to_matrices(imposed.clamps), clamp_turns)[clamps]
-            turned_directions = cross(space_turns, compute_clamp_directions(s, imposed.clamps))
-            changes = np.matvec(
-                balance.directions.clamp_derivatives,
-                sum_at_nodes(elements, turned_directions, self.n),
-            )
-            _, _, turns, forces = split_unknowns(right)  # views of the right side
+            elements, clamps = supports.clamp_pairs.T
+            space_turns = np.matvec(to_matrices(imposed.clamp_frames), clamp_turns)[clamps]
+            clamp_directions = compute_clamp_directions(supports, imposed.clamp_frames)
+            clamp_changes = sum_at_nodes(elements, cross(space_turns, clamp_directions), self.n)
+            changes = np.matvec(balance.directions.clamp_derivatives, clamp_changes)
+            _, _, turns, forces = split_unknowns(right_side)  # views of the right side
             turns -= self._sum_at_elements(moments.reshape(-1, 2, 3))
             forces += (self.line.lengths * (1.0 + shape.stretches))[:, None] * changes
-        return right
+        return right_side
 
     def _sum_at_elements(self, values: Floats) -> Floats:
         """Sum values of both sides of the cells, shape (cells, 2, ...), at the elements."""
         return self.supports.sum_at_frames(values)[: self.n]
 
     def compute_reactions(self, balance: Balance, imposed: ImposedValues) -> tuple[Floats, Floats]:
-        """Return the reactions of the grips.
+        """Compute the reactions of the grips.
 
         Forces are in N, shape (grips, 3), and moments in space axes, N m, shape (clamps, 3).
         """
-        s = self.supports
-        moments = sum_at_nodes(s.clamp_pairs[:, 1], balance.directions.clamp_moments, len(s.clamps))
-        gradients = s.sum_at_frames(balance.cells.gradients.reshape(-1, 2, 3))[self.n :]
-        moments += np.matvec(to_matrices(imposed.clamps), gradients)
-        held_unknowns = self.indices.positions[s.held_nodes][:, None] + _AXIS_NUMBERS
+        supports, clamp_moments = self.supports, balance.directions.clamp_moments
+        moments = sum_at_nodes(supports.clamp_pairs[:, 1], clamp_moments, len(supports.clamps))
+        gradients = supports.sum_at_frames(balance.cells.gradients.reshape(-1, 2, 3))[self.n :]
+        moments += np.matvec(to_matrices(imposed.clamp_frames), gradients)
+        held_unknowns = self.indices.positions[supports.held_nodes][:, None] + _AXIS_NUMBERS
         return balance.residual[held_unknowns], moments
 
     def select_frames(self, shape: Shape, imposed: ImposedValues) -> Floats:
-        """Return the frames before and after cells, shape (cells, 2, 4)."""
-        return np.concatenate([shape.frames, imposed.clamps])[self.supports.sides]
+        """Select the frames before and after each cell, shape (cells, 2, 4)."""
+        return np.concatenate([shape.frames, imposed.clamp_frames])[self.supports.sides]
 
     def _bend_cells(
         self,
@@ -393,72 +398,80 @@ class Assembly:
         history: LineHistory,
         drag: ArtificialDrag | None,
     ) -> BentCells:
-        s = self.supports
-        torques = np.vecdot(self._couplings, shape.stretches[self._elements]) / s.lengths
+        """Compute the moments and the tangents of all cells."""
+        supports = self.supports
+        torques = np.vecdot(self._couplings, shape.stretches[self._elements]) / supports.lengths
         return bend_cells(
             self.line.section,
             self.select_frames(shape, imposed),
-            s.lengths,
-            s.rest_curvature,
-            slider_rests=history.rests,
+            supports.lengths,
+            supports.rest_curvature,
+            slider_rests=history.slider_rests,
             torques=torques,
-            artificial_stiffness=None if drag is None else (drag.size, drag.turns),
+            artificial_stiffness=None if drag is None else (drag.ratio, drag.rotation_vectors),
         )
 
     def _sum_forces(
         self, shape: Shape, imposed: ImposedValues, history: LineHistory
-    ) -> tuple[Floats, Floats, tuple[ContactForces, ...], Floats]:
-        """Return position residuals, diagonal tangent blocks, plane contacts and string forces."""
-        max_relative_gap = 1e-9  # of touching nodes, relative to the length of an element
+    ) -> tuple[Floats, Floats, tuple[PlaneContact, ...], Floats]:
+        """Sum the forces at the nodes, except those of rings.
+
+        Returns residuals and diagonal blocks of the tangent for the positions, the contacts of the
+        planes, and the forces of the strings.
+        """
+        max_relative_gap = 1e-9  # largest gap of a touching node / length of an element
         residual = -imposed.forces
         residual[:-1] -= shape.forces
         residual[1:] += shape.forces
         tangent = np.zeros((self.n + 1, 3, 3))
         plane_contacts = tuple(
-            contact_plane(
+            compute_plane_contact(
                 plane,
                 self._contact_stiffness,
                 shape.positions,
-                contacts,
-                max_gap=max_relative_gap * self._shortest,
+                points,
+                max_gap=max_relative_gap * self._min_length,
             )
-            for plane, contacts in zip(self.planes, history.contacts, strict=True)
+            for plane, points in zip(self.planes, history.contact_points, strict=True)
         )
         for contact in plane_contacts:
             residual -= contact.forces
             tangent += contact.stiffness
         nodes, lengths = self.strings
-        tensions = np.zeros((len(nodes), 3))
+        string_forces = np.zeros((len(nodes), 3))
         if len(nodes):
-            tensions, stiffness = compute_string_forces(
+            string_forces, stiffness = compute_string_forces(
                 imposed.anchors, lengths, self._contact_stiffness, shape.positions[nodes]
             )
-            np.subtract.at(residual, nodes, tensions)
+            np.subtract.at(residual, nodes, string_forces)
             np.add.at(tangent, nodes, stiffness)
-        return residual, tangent, plane_contacts, tensions
+        return residual, tangent, plane_contacts, string_forces
 
     def _add_ring_forces(
         self, ring_contacts: tuple[RingContact, ...], residual: Floats, tangent: Floats
     ) -> list[Floats]:
-        """Add ring forces to the nodes in place; return the tangents between different nodes."""
+        """Add ring forces to the nodes in place; return tangent blocks between different nodes.
+
+        The blocks connect nodes at a distance of one and of two elements.
+        """
         if not self._has_rings:
             return []
-        ring_tangents = [np.zeros((self.n + 1 - step, 3, 3)) for step in (1, 2)]
+        distances = (1, 2)
+        ring_blocks = [np.zeros((self.n + 1 - distance, 3, 3)) for distance in distances]
         for contact in ring_contacts:
-            nodes = slice(contact.first, contact.first + 3)
-            residual[nodes] -= contact.weights[:, None] * contact.force
+            first = contact.first_node
+            residual[first : first + 3] -= contact.weights[:, None] * contact.force
             for i in range(3):
-                tangent[contact.first + i] += contact.stiffness[i, :, i, :]
-                for step in range(1, 3 - i):
-                    ring_tangents[step - 1][contact.first + i] += contact.stiffness[
-                        i, :, i + step, :
-                    ]
-        return [blocks.ravel() for blocks in ring_tangents]
+                tangent[first + i] += contact.stiffness[i, :, i, :]
+                for blocks, distance in zip(ring_blocks, distances, strict=True):
+                    if i + distance < 3:
+                        blocks[first + i] += contact.stiffness[i, :, i + distance, :]
+        return [blocks.ravel() for blocks in ring_blocks]
 
     def _compute_stretch_residuals(
         self, shape: Shape, directions: Directions, cells: BentCells
     ) -> tuple[Floats, Floats, Floats]:
-        """Return the residuals of the stretches; their derivatives by stretches and forces."""
+        """Compute residuals of the stretches, and derivatives with respect to stretch and force."""
         lengths = self.line.lengths
         if self.is_rigid:
             return np.zeros(self.n), np.zeros(self.n), np.zeros((self.n, 3))
@@ -470,7 +483,7 @@ class Assembly:
         return residual, stiffness, -lengths[:, None] * directions.unit_vectors
 
     def _compute_coupling_values(self, cells: BentCells) -> Floats:
-        """Return the entries of the tangent between stretches and turns."""
+        """Compute the entries of the tangent between stretches and turns."""
         if not self._is_coupled:
             return np.zeros(0)
         twists = self._coupled_turns[:, :, None] * cells.turn_maps[:, :, 2].reshape(-1, 2, 3)
@@ -479,30 +492,30 @@ class Assembly:
     # ---- indices and magnitudes of the unknowns -----------------------------------------------
 
     def _build_pattern(self) -> tuple[Ints, Ints]:
-        """Return rows and columns of the tangent: blocks, their mirror images, diagonal blocks."""
-        p, s = self.indices, self.supports
-        a, b = p.turns[s.sides[self._inner]].T
+        """List rows and columns of the tangent: blocks, their mirror images, diagonal blocks."""
+        positions, stretches = self.indices.positions, self.indices.stretches
+        turns, forces = self.indices.turns, self.indices.forces
+        turns_before, turns_after = turns[self.supports.sides[self._inner_cells]].T
         mirrored_blocks = [
-            _list_identity_entries(p.positions[:-1], p.forces),
-            _list_identity_entries(p.positions[1:], p.forces),
-            list_block_entries(p.stretches, 1, p.forces, 3),
-            list_block_entries(p.forces, 3, p.turns, 3),
-            list_block_entries(p.stretches, 1, p.turns, 3),
-            list_block_entries(b, 3, a, 3),
+            _list_identity_entries(positions[:-1], forces),
+            _list_identity_entries(positions[1:], forces),
+            list_block_entries(stretches, 1, forces, 3),
+            list_block_entries(forces, 3, turns, 3),
+            list_block_entries(stretches, 1, turns, 3),
+            list_block_entries(turns_after, 3, turns_before, 3),
         ]
-        if self._is_coupled:  # each stretch with the turns on both sides of the cell
-            stretches = p.stretches[np.repeat(self._elements, 2, axis=1)].ravel()
-            turns = p.turns[np.tile(self._elements, 2)].ravel()
-            mirrored_blocks.append(list_block_entries(stretches, 1, turns, 3))
-        for step in (1, 2) if self._has_rings else ():
-            mirrored_blocks.append(
-                list_block_entries(p.positions[:-step], 3, p.positions[step:], 3)
-            )
+        if self._is_coupled:  # each stretch is coupled with the turns on both sides of the cell
+            rows = stretches[np.repeat(self._elements, 2, axis=1)].ravel()
+            columns = turns[np.tile(self._elements, 2)].ravel()
+            mirrored_blocks.append(list_block_entries(rows, 1, columns, 3))
+        for distance in (1, 2) if self._has_rings else ():
+            rows, columns = positions[:-distance], positions[distance:]
+            mirrored_blocks.append(list_block_entries(rows, 3, columns, 3))
         diagonal_blocks = [
-            _list_identity_entries(p.forces, p.forces),
-            list_block_entries(p.stretches, 1, p.stretches, 1),
-            list_block_entries(p.turns, 3, p.turns, 3),
-            list_block_entries(p.positions, 3, p.positions, 3),
+            _list_identity_entries(forces, forces),
+            list_block_entries(stretches, 1, stretches, 1),
+            list_block_entries(turns, 3, turns, 3),
+            list_block_entries(positions, 3, positions, 3),
         ]
         blocks = [
             *mirrored_blocks,
@@ -513,25 +526,18 @@ class Assembly:
         return rows, columns
 
     def _compute_scale(self) -> Floats:
-        """Return the magnitude of each unknown, by which the matrix is scaled."""
-        mean = float(np.mean(self.line.lengths))
+        """Compute the magnitude of each unknown, by which the matrix is scaled."""
+        length = float(np.mean(self.line.lengths))
         stiffness = self.line.section.law.first_stiffness
         ones = np.ones((self.n, 3))
-        nodes = np.full((self.n + 1, 3), mean)
-        scale = join_unknowns(nodes, ones[:, 0], ones, stiffness / mean**2 * ones)
-        return np.asarray(scale * np.sqrt(mean / stiffness))
-
-    def _find_fixed(self) -> Flags:
-        """Return which unknowns are prescribed."""
-        fixed = np.zeros(self.indices.total, dtype=np.bool_)
-        fixed[self.indices.positions[self.supports.held_nodes][:, None] + _AXIS_NUMBERS] = True
-        fixed[self.indices.stretches] = self.is_rigid
-        return fixed
+        positions = np.full((self.n + 1, 3), length)
+        scale = join_unknowns(positions, ones[:, 0], ones, stiffness / length**2 * ones)
+        return np.asarray(scale * np.sqrt(length / stiffness))
 
 
 _AXIS_NUMBERS = np.arange(3)
 
 
 def _list_identity_entries(rows: Ints, columns: Ints) -> tuple[Ints, Ints]:
-    """Return rows and columns of three entries for each pair, one on each axis."""
+    """List rows and columns of the three entries, one on each axis, for each pair of indices."""
     return (rows[:, None] + _AXIS_NUMBERS).ravel(), (columns[:, None] + _AXIS_NUMBERS).ravel()

@@ -2,7 +2,7 @@
 
 Every element has ten unknowns: the position of its first node (3), its stretch, the turn of its
 frame (3), and its force (3). The position of the last node follows. A matrix is assembled from
-small blocks in a fixed order. All their entries are added to the band at once.
+small blocks in a fixed order. The entries of all blocks are added to the band at once.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class UnknownIndices:
     positions : shape (n + 1,), index of the first component of each position
     stretches : shape (n,), index of each stretch
     turns, forces : shape (n,), index of the first component of each turn and force
-    total : number of unknowns
+    n_unknowns : number of unknowns
     """
 
     def __init__(self, n: int) -> None:
@@ -38,7 +38,7 @@ class UnknownIndices:
         self.stretches, self.turns, self.forces = (
             self.positions[:-1] + offset for offset in (STRETCH, TURN, FORCE)
         )
-        self.total = PER_ELEMENT * n + 3
+        self.n_unknowns = PER_ELEMENT * n + 3
 
 
 def join_unknowns(positions: Floats, stretches: Floats, turns: Floats, forces: Floats) -> Floats:
@@ -46,13 +46,13 @@ def join_unknowns(positions: Floats, stretches: Floats, turns: Floats, forces: F
 
     Parameters
     ----------
-    positions : shape (n + 1, 3), values at the nodes
+    positions : shape (n + 1, 3), values for the positions of the nodes
     stretches : shape (n,), values for the stretches of the elements
     turns, forces : shape (n, 3), values for the turns and forces of the elements
 
     Returns
     -------
-    Shape (10 n + 3,).
+    Values of all unknowns, shape (10 n + 3,).
     """
     unknowns = np.empty(PER_ELEMENT * len(stretches) + 3)
     rows = unknowns[:-3].reshape(-1, PER_ELEMENT)
@@ -72,12 +72,16 @@ def split_unknowns(values: Floats) -> tuple[Floats, Floats, Floats, Floats]:
 
 
 def list_block_entries(rows: Ints, height: int, columns: Ints, width: int) -> tuple[Ints, Ints]:
-    """Return rows and columns of all entries of equal blocks, block by block.
+    """List rows and columns of all entries of blocks of equal size, block by block.
 
     Parameters
     ----------
     rows, columns : shape (blocks,), first row and first column of each block
     height, width : numbers of rows and columns of a block
+
+    Returns
+    -------
+    Rows and columns, shape (blocks x height x width,) each.
     """
     shape = (len(rows), height, width)
     all_rows = rows[:, None, None] + np.arange(height)[:, None]
@@ -85,46 +89,45 @@ def list_block_entries(rows: Ints, height: int, columns: Ints, width: int) -> tu
     return np.broadcast_to(all_rows, shape).ravel(), np.broadcast_to(all_columns, shape).ravel()
 
 
-class Band:
-    """A banded matrix that is filled repeatedly with the same blocks.
+class BandedMatrix:
+    """Banded matrix that is filled repeatedly with the same blocks.
 
     Parameters
     ----------
     rows, columns : shape (entries,), row and column of every entry of every block; entries at the
         same position are added
     scale : shape (unknowns,), magnitude of each unknown, by which rows and columns are multiplied
-    fixed : shape (unknowns,), whether the change of the unknown is prescribed
+    is_fixed : shape (unknowns,), whether the change of the unknown is prescribed
     """
 
-    def __init__(self, rows: Ints, columns: Ints, scale: Floats, fixed: Flags) -> None:
+    def __init__(self, rows: Ints, columns: Ints, scale: Floats, is_fixed: Flags) -> None:
         self.size = len(scale)
         self.scale = scale
-        self.fixed = fixed
-        self.lower = int(np.max(rows - columns))
-        self.upper = int(np.max(columns - rows))
-        self._depth = 2 * self.lower + self.upper + 1
-        self._entries = self._depth * columns + (self.lower + self.upper + rows - columns)
-        self._weights = scale[rows] * scale[columns] * ~fixed[rows]
-        self._ones = self._depth * np.flatnonzero(fixed) + (self.lower + self.upper)
+        self.is_fixed = is_fixed
+        self.n_lower = int(np.max(rows - columns))
+        self.n_upper = int(np.max(columns - rows))
+        self._depth = 2 * self.n_lower + self.n_upper + 1
+        # Indices of all entries, and of the fixed diagonal entries, in the band of LAPACK.
+        self._entries = self._depth * columns + (self.n_lower + self.n_upper + rows - columns)
+        self._fixed_entries = self._depth * np.flatnonzero(is_fixed) + (self.n_lower + self.n_upper)
+        self._weights = scale[rows] * scale[columns] * ~is_fixed[rows]
 
-    def solve(self, values: Floats, right: Floats) -> Floats | None:
-        """Solve for the unknowns, shape (unknowns,); None if that fails.
+    def solve(self, values: Floats, right_side: Floats) -> Floats | None:
+        """Solve for the unknowns, shape (unknowns,); return None if the matrix is singular.
 
         Parameters
         ----------
         values : shape (entries,), entries of the matrix
-        right : shape (unknowns,), right side; for a fixed unknown, its change
+        right_side : shape (unknowns,), right side; for a fixed unknown, its change
         """
         flat = np.bincount(self._entries, values * self._weights, minlength=self._depth * self.size)
-        flat[self._ones] = 1.0
-        band = flat.reshape(self.size, self._depth).T
-        factors, pivots, has_failed = lapack.dgbtrf(band, self.lower, self.upper, overwrite_ab=True)
+        flat[self._fixed_entries] = 1.0
+        band, widths = flat.reshape(self.size, self._depth).T, (self.n_lower, self.n_upper)
+        factors, pivots, has_failed = lapack.dgbtrf(band, *widths, overwrite_ab=True)
         if has_failed:
             return None
-        scaled = np.where(self.fixed, right / self.scale, right * self.scale)
-        solution, has_failed = lapack.dgbtrs(
-            factors, self.lower, self.upper, scaled, pivots, overwrite_b=True
-        )
+        scaled = np.where(self.is_fixed, right_side / self.scale, right_side * self.scale)
+        solution, has_failed = lapack.dgbtrs(factors, *widths, scaled, pivots, overwrite_b=True)
         if has_failed or not np.all(np.isfinite(solution)):
             return None
         return np.asarray(solution * self.scale)

@@ -4,8 +4,8 @@ The path is solved for the best inputs, and with every cause changed by plus and
 that covers 95 % of its draws, limited to 0.1 to 2 units of the cause. The response to a cause is
 the parabola through these three solutions, continued linearly. The effects of the causes are added.
 If one cause dominates and its amount is within the limits, the response is exact at the ends of the
-band. Thousands of draws require only two matrix products. Quantiles of Student's t, of its mixtures
-and of the largest values along the line need no further approximation.
+band. Thousands of draws require only two matrix products. Quantiles of Student's t, of mixtures of
+it, and of the largest values along the line need no further approximation.
 
 Bands are pointwise: each component at each node lies inside its band in 95 of 100 lines. A complete
 shape lies inside its bands in fewer lines. The band of the smallest bend radius is that of the
@@ -16,7 +16,7 @@ a distribution for each of its solutions. The logarithms of the parameters are d
 solution as the mixture of Student's t of that solution. A specimen of the spool differs from the
 mean of the tested samples by a factor on all moments. Parameters and factor are drawn together,
 because the uncertain scatter of samples widens both. All other inputs, such as free curvature and
-mass, are independent. They are stated as a standard deviation, with degrees of freedom if these are
+mass, are independent. Each is stated as a standard deviation, with degrees of freedom if these are
 few, or as a range.
 """
 
@@ -38,16 +38,17 @@ from labpipe.records.quality import QualityNote
 from labpipe.records.result import Status
 from labpipe.records.wire import PARAMETERS, Solution
 
-DRAWS = 4096
+N_DRAWS = 4096
 """Number of draws of a distribution, a power of two. If the scatter of specimens, estimated from
-three samples, dominates, the error of the width of a band is 1.5 %. It is 3 % for random draws."""
+three samples, dominates, the error of the width of a band is 1.5 %. With random draws it is 3 %."""
 CALIBRATION = "calibration"
 """Name of the cause for uncertain parameters of a calibration."""
 SPECIMEN = "specimen"
 """Name of the cause for the difference of a specimen from the mean sample."""
 
 _MAX_LOG_STEP = 0.3
-"""Largest step of a logarithm. Lines are solved up to two steps away, at a factor of 1.8."""
+"""Largest step of the logarithm of an input. A line is solved up to two steps away, at which the
+input differs by a factor of 1.8."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,34 +71,33 @@ class InputDistribution(ArrayRecord):
     amounts: Annotated[Floats, "draws", "causes"]
 
     def to_inputs(self, amounts: Floats | None = None) -> dict[str, float]:
-        """Return the inputs for amounts of the causes, shape (causes,), or the best inputs."""
+        """Return the inputs for amounts of the causes, shape (causes,); without them, the best."""
         values = self.centre if amounts is None else self.centre + self.steps @ amounts
         return dict(zip(self.names, values.tolist(), strict=True))
 
 
-def build_stated_distribution(
+def build_t_distribution(
     name: str,
     deviation: float,
     *,
     centre: float = 0.0,
     freedom: float = np.inf,
     cause: str = "",
-    n_draws: int = DRAWS,
+    n_draws: int = N_DRAWS,
     seed: int = 0,
 ) -> InputDistribution:
-    """Build the distribution of an input from its standard deviation.
+    """Build the distribution of an input, Student's t, from its standard deviation.
 
     Parameters
     ----------
     name : name of the input
     deviation : standard deviation in the unit of the input, positive
-    centre : best value
-    freedom : degrees of freedom of the deviation; if finite, Student's t replaces the normal
-        distribution
+    centre : best value in the unit of the input
+    freedom : degrees of freedom of the deviation; infinite for the normal distribution
     cause : name of the cause; by default that of the input
     n_draws : number of draws, which are the quantiles at evenly spaced probabilities
     seed : seed of the order of the draws, together with name and cause. The order must differ
-        between the distributions of a line, for which different names suffice
+        between the distributions of a line; different names ensure this
 
     Raises
     ------
@@ -108,38 +108,37 @@ def build_stated_distribution(
         facts = {"name": name, "deviation": deviation, "freedom": freedom}
         raise ValueError(format_sentence("mechanics.rod.bad_deviation", **facts))
     random = np.random.default_rng([seed, *f"{name} {cause}".encode()])
-    uniform = (random.permutation(n_draws) + 0.5) / n_draws
-    amounts = np.asarray(
-        ndtri(uniform) if np.isinf(freedom) else stdtrit(freedom, uniform), np.float64
-    )
-    steps = np.array([[deviation]])
-    return InputDistribution((name,), (cause or name,), np.array([centre]), steps, amounts[:, None])
+    probability = (random.permutation(n_draws) + 0.5) / n_draws
+    quantiles = ndtri(probability) if np.isinf(freedom) else stdtrit(freedom, probability)
+    amounts = np.asarray(quantiles, np.float64)[:, None]
+    best, steps = np.array([centre]), np.array([[deviation]])
+    return InputDistribution((name,), (cause or name,), best, steps, amounts=amounts)
 
 
 def build_uniform_distribution(
-    name: str, low: float, high: float, *, cause: str, n_draws: int = DRAWS, seed: int = 0
+    name: str, low: float, high: float, *, cause: str, n_draws: int = N_DRAWS, seed: int = 0
 ) -> InputDistribution:
-    """Build the distribution of an input that is equally likely anywhere in a range.
+    """Build the uniform distribution of an input in a range.
 
     Parameters
     ----------
     name : name of the input
     low, high : ends of the range, in the unit of the input
     cause : name of the cause
-    n_draws, seed : as for `build_stated_distribution`
+    n_draws, seed : number and order of the draws, as for `build_t_distribution`
     """
     random = np.random.default_rng([seed, *f"{name} {cause}".encode()])
     amounts = 2.0 * (random.permutation(n_draws) + 0.5) / n_draws - 1.0
     centre, steps = np.array([0.5 * (low + high)]), np.array([[0.5 * (high - low)]])
-    return InputDistribution((name,), (cause,), centre, steps, amounts[:, None])
+    return InputDistribution((name,), (cause,), centre, steps, amounts=amounts[:, None])
 
 
-def build_calibrated_distributions(
+def build_calibration_distributions(
     solutions: Sequence[Solution],
     widening: float = 1.0,
     *,
     specimen: str | None = None,
-    n_draws: int = DRAWS,
+    n_draws: int = N_DRAWS,
     seed: int = 0,
 ) -> tuple[InputDistribution, ...]:
     """Build a distribution for each solution in the 95 % set of a calibration.
@@ -159,6 +158,7 @@ def build_calibrated_distributions(
     bands of the calibration, the deviations for a less likely solution are multiplied by
     sqrt(1 - rise / limit).
     """
+    allowed_solutions = [solution for solution in solutions if solution.is_allowed]
     return tuple(
         _build_solution_distribution(
             solution,
@@ -167,7 +167,7 @@ def build_calibrated_distributions(
             n_draws=n_draws,
             random=np.random.default_rng([seed, index]),
         )
-        for index, solution in enumerate(solution for solution in solutions if solution.is_allowed)
+        for index, solution in enumerate(allowed_solutions)
     )
 
 
@@ -182,43 +182,42 @@ def _build_solution_distribution(
     """Build the distribution of one solution, including the factor of the specimen if any."""
     from scipy.stats.qmc import Sobol  # imports scipy.stats, which takes half a second
 
-    active = np.flatnonzero(np.isfinite(solution.values))
+    indices = np.flatnonzero(np.isfinite(solution.values))  # of active parameters
     mixture = solution.mixture
     probability_range = 1.0 - 1e-10  # keeps probabilities away from 0 and 1
+    draws = Sobol(3 + len(indices), seed=random).random(n_draws)
     # Columns: component of the mixture, divisor of Student's t, specimen, and each parameter.
-    uniform = 0.5 + probability_range * (Sobol(3 + len(active), seed=random).random(n_draws) - 0.5)
-    component = np.searchsorted(np.cumsum(mixture.chance), uniform[:, 0])
+    probability = 0.5 + probability_range * (draws - 0.5)
+    component = np.searchsorted(np.cumsum(mixture.chance), probability[:, 0])
     component = np.minimum(component, len(mixture.chance) - 1)
     divisors = np.ones(n_draws)  # convert normal draws to draws of Student's t
     if np.isfinite(mixture.freedom):
-        divisors = np.sqrt(chdtri(mixture.freedom, uniform[:, 1]) / mixture.freedom)
-    normal = ndtri(uniform[:, 2:])
-    active_covariance = mixture.covariance[:, active[:, None], active]
-    variances, axes = np.linalg.eigh(active_covariance)
+        divisors = np.sqrt(chdtri(mixture.freedom, probability[:, 1]) / mixture.freedom)
+    normal_draws = ndtri(probability[:, 2:])
+    covariances = mixture.covariance[:, indices[:, None], indices]
+    shifts = mixture.shift[:, indices]
+    variances, axes = np.linalg.eigh(covariances)
     roots = axes * np.sqrt(np.maximum(variances, 0.0))[:, None, :]
-    deviations = np.einsum("nij,nj->ni", roots[component], normal[:, 1:]) / divisors[:, None]
-    changes = widening * (mixture.shift[component][:, active] + deviations)
-    covariance = np.einsum("s,sij->ij", mixture.chance, active_covariance)
-    shift = mixture.shift[:, active]
-    covariance += np.einsum("s,si,sj->ij", mixture.chance, shift, shift)
-    steps = _find_steps(covariance)
-    amounts = changes @ np.linalg.pinv(steps).T
+    deviations = np.einsum("nij,nj->ni", roots[component], normal_draws[:, 1:]) / divisors[:, None]
+    changes = widening * (shifts[component] + deviations)
+    covariance = np.einsum("s,sij->ij", mixture.chance, covariances)
+    covariance += np.einsum("s,si,sj->ij", mixture.chance, shifts, shifts)
+    steps = _compute_steps(covariance)
     distribution = InputDistribution(
-        tuple(PARAMETERS[index] for index in active),
-        (CALIBRATION,) * steps.shape[1],
-        np.log(solution.values[active]),
-        steps,
-        amounts,
+        names=tuple(PARAMETERS[index] for index in indices),
+        causes=(CALIBRATION,) * steps.shape[1],
+        centre=np.log(solution.values[indices]),
+        steps=steps,
+        amounts=changes @ np.linalg.pinv(steps).T,
     )
-    log_factors = mixture.scatter[component] * normal[:, 0] / divisors
+    log_factors = mixture.scatter[component] * normal_draws[:, 0] / divisors
     scatter = float(np.sqrt(mixture.chance @ mixture.scatter**2))
     if specimen is None or scatter == 0.0:
         return distribution
     step = min(scatter, _MAX_LOG_STEP)
-    specimen_distribution = InputDistribution(
-        (specimen,), (SPECIMEN,), np.zeros(1), np.array([[step]]), log_factors[:, None] / step
-    )
-    return join_distributions([distribution, specimen_distribution])
+    amounts, steps = log_factors[:, None] / step, np.array([[step]])
+    factor = InputDistribution((specimen,), (SPECIMEN,), np.zeros(1), steps, amounts=amounts)
+    return join_distributions([distribution, factor])
 
 
 def join_distributions(distributions: Iterable[InputDistribution]) -> InputDistribution:
@@ -233,25 +232,26 @@ def join_distributions(distributions: Iterable[InputDistribution]) -> InputDistr
     names = tuple(dict.fromkeys(name for item in items for name in item.names))
     counts = [len(item.causes) for item in items]
     centre, steps = np.zeros(len(names)), np.zeros((len(names), sum(counts)))
-    for item, end in zip(items, np.cumsum(counts), strict=True):
+    for item, stop in zip(items, np.cumsum(counts), strict=True):
         rows = np.array([names.index(name) for name in item.names], dtype=np.int64)
         centre[rows] += item.centre
-        steps[rows, end - len(item.causes) : end] = item.steps
+        steps[rows, stop - len(item.causes) : stop] = item.steps
     causes = tuple(cause for item in items for cause in item.causes)
     amounts = np.hstack([item.amounts for item in items])
-    return InputDistribution(names, causes, centre, steps, amounts)
+    return InputDistribution(names, causes, centre, steps, amounts=amounts)
 
 
-def _find_steps(covariance: Floats) -> Floats:
-    """Return steps of one standard deviation along the principal axes, as columns.
+def _compute_steps(covariance: Floats) -> Floats:
+    """Compute steps of one standard deviation along the principal axes, as columns.
 
-    Axes without variance are left out. A step with a component above `_MAX_LOG_STEP` is shortened.
+    Axes without variance are omitted. A step with a component above `_MAX_LOG_STEP` is shortened.
     """
-    zero_variance = 1e-12  # relative to the largest variance
+    # The variance is relative to the largest one; the component avoids a division by zero.
+    min_variance, min_component = 1e-12, 1e-12
     variances, axes = np.linalg.eigh(covariance)
-    has_variance = variances > zero_variance * max(float(variances[-1]), 1e-300)
+    has_variance = variances > min_variance * max(float(variances[-1]), 1e-300)
     steps = axes[:, has_variance] * np.sqrt(variances[has_variance])
-    largest_component = np.abs(steps).max(axis=0, initial=zero_variance)
+    largest_component = np.abs(steps).max(axis=0, initial=min_component)
     return np.asarray(steps * np.minimum(1.0, _MAX_LOG_STEP / largest_component))
 
 
@@ -259,7 +259,7 @@ Fields = Mapping[str, Floats]
 """Fields of a line, arrays of any shape, keyed by name."""
 PathSolver = Callable[[Mapping[str, float]], RodPath]
 """Function that builds a line and its boundaries from named inputs, and solves its path."""
-TAIL = 0.025
+TAIL_PROBABILITY = 0.025
 """Probability below the lower end of a band, and above its upper end."""
 
 
@@ -272,9 +272,9 @@ class Response:
     distribution : distribution of the inputs
     best_fields : fields at the best inputs
     max_amounts : shape (causes,), amount of each cause up to which the parabola holds
-    linear_coefficients, quadratic_coefficients : fields of shape (causes, ...). An amount x of a
-        cause changes the value by linear x + quadratic x^2 up to `max_amounts`, and along the
-        tangent beyond
+    linear_coefficients, quadratic_coefficients : coefficients a and b of each field, shape (causes,
+        ...). An amount x of a cause changes the field by a x + b x^2. Beyond `max_amounts`, the
+        field changes along the tangent of this parabola
     one_sided_causes : causes without an equilibrium for one sign of the amount; the response is
         linear through the other solution
     unsolved_causes : causes without an equilibrium for either sign, which do not change the band
@@ -289,27 +289,28 @@ class Response:
     unsolved_causes: tuple[str, ...] = ()
 
     def compute_draws(self, name: str) -> Floats:
-        """Return draws of a field, shape (draws, ...)."""
-        value = self.best_fields[name]
+        """Compute draws of a field, shape (draws, ...)."""
+        best_value = self.best_fields[name]
         all_causes = np.ones(len(self.distribution.causes), dtype=np.bool_)
         changes = self._compute_changes(name, all_causes)
-        return np.asarray(value + changes.reshape(len(changes), *value.shape))
+        return np.asarray(best_value + changes.reshape(len(changes), *best_value.shape))
 
-    def _compute_changes(self, name: str, selected: Flags) -> Floats:
-        """Return the changes of a field due to selected causes in all draws, (draws, values)."""
-        amounts, max_amounts = self.distribution.amounts[:, selected], self.max_amounts[selected]
+    def _compute_changes(self, name: str, mask: Flags) -> Floats:
+        """Compute the changes of a field by selected causes in all draws, shape (draws, values)."""
+        amounts, max_amounts = self.distribution.amounts[:, mask], self.max_amounts[mask]
         clipped = np.clip(amounts, -max_amounts, max_amounts)
-        squares = clipped * (2.0 * amounts - clipped)  # the tangent beyond the largest amounts
+        squares = clipped * (2.0 * amounts - clipped)  # linear in the amounts beyond the largest
         shape = (len(self.distribution.causes), self.best_fields[name].size)
-        linear = self.linear_coefficients[name].reshape(shape)[selected]
-        quadratic = self.quadratic_coefficients[name].reshape(shape)[selected]
+        linear = self.linear_coefficients[name].reshape(shape)[mask]
+        quadratic = self.quadratic_coefficients[name].reshape(shape)[mask]
         return np.asarray(amounts @ linear + squares @ quadratic)
 
     def compute_variance_fractions(self, name: str) -> dict[str, float]:
-        """Return the fraction of the variance of a field, summed over its values, by cause.
+        """Compute the fraction of the variance of a field that each cause contributes.
 
-        Columns of the distribution with the same cause are taken together. The mapping is empty if
-        the field is constant. The standard deviation is half the width of the central 68 % of the
+        The variance is summed over the values of the field, and over the columns of the
+        distribution with the same cause. The fractions are keyed by cause; there are none if the
+        field is constant. The standard deviation is half the width of the central 68 % of the
         draws, which heavy tails hardly change.
         """
         causes, variances = np.array(self.distribution.causes), {}
@@ -341,15 +342,16 @@ def compute_response(
     # The amounts of a cause for which the line is solved are limited. Solutions for smaller amounts
     # differ by little more than the error of the solver. Draws in long tails are extrapolated.
     min_amount, max_amount = 0.1, 2.0
-    value = solve_fields(distribution.to_inputs())
-    if value is None:
+    best_fields = solve_fields(distribution.to_inputs())
+    if best_fields is None:
         return None
-    amounts = np.quantile(np.abs(distribution.amounts), 1.0 - 2.0 * TAIL, axis=0)
+    amounts = np.quantile(np.abs(distribution.amounts), 1.0 - 2.0 * TAIL_PROBABILITY, axis=0)
     amounts = np.clip(amounts, min_amount, max_amount)
-    steps = np.diag(amounts)
-    pairs = [[solve_fields(distribution.to_inputs(step)) for step in (row, -row)] for row in steps]
+    pairs = []  # fields with plus and with minus the amount of each cause
+    for row in np.diag(amounts):
+        pairs.append([solve_fields(distribution.to_inputs(step)) for step in (row, -row)])
     linear, quadratic = {}, {}
-    for name, best_value in value.items():
+    for name, best_value in best_fields.items():
         linear[name], quadratic[name] = np.zeros((2, len(amounts), *best_value.shape))
         for cause, ((plus, minus), amount) in enumerate(zip(pairs, amounts, strict=True)):
             increments = [] if plus is None else [plus[name] - best_value]
@@ -357,17 +359,23 @@ def compute_response(
             if increments:  # with one solution only, the quadratic coefficient becomes zero
                 linear[name][cause] = 0.5 * (increments[0] + increments[-1]) / amount
                 quadratic[name][cause] = 0.5 * (increments[0] - increments[-1]) / amount**2
-    n_unsolved = np.array([sum(fields is None for fields in pair) for pair in pairs])
-    faulty_causes = (
-        tuple(dict.fromkeys(np.array(distribution.causes)[n_unsolved == count].tolist()))
-        for count in (1, 2)
+    n_unsolved, faulty_causes = np.array([pair.count(None) for pair in pairs]), {}
+    for field, count in (("one_sided_causes", 1), ("unsolved_causes", 2)):
+        names = np.array(distribution.causes)[n_unsolved == count].tolist()
+        faulty_causes[field] = tuple(dict.fromkeys(names))
+    return Response(
+        distribution,
+        best_fields,
+        amounts,
+        linear,
+        quadratic_coefficients=quadratic,
+        **faulty_causes,
     )
-    return Response(distribution, value, amounts, linear, quadratic, *faulty_causes)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Band:
-    """A number or an array with its pointwise 95 % band.
+    """Number or array with its pointwise 95 % band.
 
     Parameters
     ----------
@@ -413,15 +421,15 @@ def join_bands(values_and_draws: Iterable[tuple[Floats, Floats]]) -> Band:
     Returns
     -------
     The band from the lowest lower end to the highest upper end of the bands of all distributions.
-    The band of a distribution includes its value.
+    The band of a distribution is extended to its value.
     """
-    values, lows, highs = [], [], []
+    values, lower_ends, upper_ends = [], [], []
     for value, draws in values_and_draws:
-        low, high = np.quantile(draws, [TAIL, 1.0 - TAIL], axis=0)
+        lower, upper = np.quantile(draws, [TAIL_PROBABILITY, 1.0 - TAIL_PROBABILITY], axis=0)
         values.append(value)
-        lows.append(np.minimum(low, value))
-        highs.append(np.maximum(high, value))
-    return Band(values[0], np.min(lows, axis=0), np.max(highs, axis=0))
+        lower_ends.append(np.minimum(lower, value))
+        upper_ends.append(np.maximum(upper, value))
+    return Band(values[0], np.min(lower_ends, axis=0), np.max(upper_ends, axis=0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -437,7 +445,7 @@ class StateBands:
     smallest_bend_radius : shape (), m, minimum along the line; infinite if the line is straight
     reaction_forces : shape (boundaries, 3), N
     reaction_moments : shape (boundaries, 3), N m
-    variance_fractions : fractions of the variance, summed along the line, that each cause of the
+    variance_fractions : fraction of the variance, summed along the line, that each cause of the
         best distribution contributes, keyed by ``positions``, ``reaction_forces`` and
         ``smallest_bend_radius``, then by cause. The fractions of ``smallest_bend_radius`` are those
         of the curvature vectors of the whole line
@@ -471,7 +479,7 @@ class LineBands:
 
 
 _STEP_FIELDS = ("positions", "reaction_forces", "reaction_moments", "curvature_vectors")
-"""Attributes of `RodState` that are fields of a path."""
+"""Attributes of `RodState` whose bands are computed."""
 
 
 def collect_step_fields(path: RodPath) -> dict[str, Floats]:
@@ -501,7 +509,7 @@ def predict_line_bands(
     Parameters
     ----------
     solvers : function that solves the line for inputs, for each distribution, because each solution
-        of a calibration has its own slip curvatures. Each is called 1 + 2 x causes times
+        of a calibration has its own slip curvatures. A function is called 1 + 2 x causes times
     distributions : distributions of the inputs, one for each solution of a calibration, the best
         first
     steps : indices of the steps for which bands are computed; negative indices count from the end
@@ -513,9 +521,9 @@ def predict_line_bands(
     -------
     The envelope of the bands of all distributions; None if the line cannot be solved for the best
     inputs of a distribution. The notes are ``beyond_tested`` if the line is bent beyond the tests,
-    ``one_sided`` if a cause has no equilibrium for one sign of its amount, ``silent`` if it has
-    none for either sign, so that the band excludes the cause, and ``jumps`` if the line jumps at
-    other steps than for the best inputs.
+    ``one_sided`` if the line has no equilibrium for one sign of the amount of a cause, ``silent``
+    if it has none for either sign, so that the band excludes the cause, and ``jumps`` if the line
+    jumps at steps other than for the best inputs.
 
     Raises
     ------
@@ -527,6 +535,7 @@ def predict_line_bands(
     paths_by_distribution: list[list[RodPath]] = [[] for _ in solvers]
 
     def solve_fields(index: int, inputs: Mapping[str, float]) -> Fields | None:
+        """Solve the line with the solver of a distribution; collect the path and its fields."""
         path = solvers[index](inputs)
         if path.status is Status.FAILED:
             return None
@@ -566,16 +575,16 @@ def _compute_smallest_radius(curvature_vectors: Floats) -> Floats:
 
 def _compute_step_bands(responses: Sequence[Response], step: int) -> StateBands:
     """Compute the bands of the quantities of a line at one step, from 0."""
-    positions, forces, moments, curvatures = (f"{name} {step}" for name in _STEP_FIELDS)
-    fields = {"positions": positions, "reaction_forces": forces, "smallest_bend_radius": curvatures}
+    position, force, moment, curvature = (f"{name} {step}" for name in _STEP_FIELDS)
+    fields = {"positions": position, "reaction_forces": force, "smallest_bend_radius": curvature}
     compute_fractions = responses[0].compute_variance_fractions
     return StateBands(
         step=step,
-        positions=compute_band(responses, positions),
-        curvature=compute_band(responses, curvatures, compute_node_curvature),
-        smallest_bend_radius=compute_band(responses, curvatures, _compute_smallest_radius),
-        reaction_forces=compute_band(responses, forces),
-        reaction_moments=compute_band(responses, moments),
+        positions=compute_band(responses, position),
+        curvature=compute_band(responses, curvature, compute_node_curvature),
+        smallest_bend_radius=compute_band(responses, curvature, _compute_smallest_radius),
+        reaction_forces=compute_band(responses, force),
+        reaction_moments=compute_band(responses, moment),
         variance_fractions={name: compute_fractions(field) for name, field in fields.items()},
     )
 
@@ -605,14 +614,15 @@ def _find_equilibrium_notes(responses: Sequence[Response]) -> Iterator[QualityNo
         yield QualityNote.of("mechanics.rod.silent", names, causes=names)
 
 
-def _find_jump_notes(groups: Sequence[Sequence[RodPath]]) -> Iterator[QualityNote]:
-    """Yield a note if the line jumps at other steps than for the best inputs of a distribution.
+def _find_jump_notes(path_groups: Sequence[Sequence[RodPath]]) -> Iterator[QualityNote]:
+    """Yield a note if the line jumps at steps other than for the best inputs of a distribution.
 
-    Each group holds the paths of one distribution, that of its best inputs first. Jumps at step 0
-    are ignored.
+    Each group has the paths of one distribution, that of the best inputs first. Jumps at step 0 are
+    ignored.
     """
-    jumps = [[[step for step in path.jump_steps if step > 0] for path in paths] for paths in groups]
-    pairs = [(paths[0], steps) for paths in jumps for steps in paths if steps != paths[0]]
-    if pairs:
-        best_steps, changed_steps = (", ".join(map(str, steps)) or "none" for steps in pairs[0])
-        yield QualityNote.of("mechanics.rod.jumps", "", steps=best_steps, other=changed_steps)
+    for paths in path_groups:
+        texts = [", ".join(str(step) for step in path.jump_steps if step > 0) for path in paths]
+        if changed_texts := [text for text in texts if text != texts[0]]:
+            steps, other = texts[0] or "none", changed_texts[0] or "none"
+            yield QualityNote.of("mechanics.rod.jumps", "", steps=steps, other=other)
+            return

@@ -11,8 +11,8 @@ plane at which it sticks. If its force exceeds the friction, the point moves wit
 A ring acts on a smooth curve instead of the elements, so that the line slides smoothly past nodes.
 The curve is the quadratic spline that is tangent to every element at its middle. The two half
 elements at the ends are straight. The curve parameter u is measured in nodes: u = 3.5 is the middle
-of the element after node 3. A ring is a stiff spring to the nearest point of the curve. Its force
-is normal to the curve, without friction.
+of the element after node 3. A ring is a stiff spring to the nearest point of the curve. The force
+of the ring is normal to the curve, without friction.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ EARTH = (0.0, 0.0, -GRAVITY)
 
 
 def _read_path(name: str, values: object, width: int) -> Floats:
-    """Return a path as a read-only array of rows; refuse another width and numbers not finite."""
+    """Return a path as a read-only array of rows; refuse another width and non-finite numbers."""
     path: Floats = np.array(values, dtype=np.float64)
     path = path[None] if path.ndim == 1 else path
     if path.ndim != 2 or path.shape[1] != width or not len(path):
@@ -55,19 +55,20 @@ def _read_direction(name: str, values: object) -> Floats:
     size = float(np.linalg.norm(vector[0]))
     is_direction = len(vector) == 1 and size > 0.0
     require(name, np.asarray(values).tolist(), "a direction, not zero", holds=is_direction)
-    unit: Floats = vector[0] / size
-    unit.flags.writeable = False
-    return unit
+    unit_vector: Floats = vector[0] / size
+    unit_vector.flags.writeable = False
+    return unit_vector
 
 
 def _set_fields(record: object, **values: object) -> None:
+    """Set fields of a frozen record."""
     for name, value in values.items():
         object.__setattr__(record, name, value)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Held:
-    """A clamp or a pin at a node, which may move and may release the line.
+    """Clamp or pin at a node, which may move and may release the line.
 
     Parameters
     ----------
@@ -82,8 +83,8 @@ class Held:
     Raises
     ------
     ValueError
-        If a path has another shape or is not finite, a frame is not of length one, or `release` is
-        below 1.
+        If a path has another shape or is not finite, a quaternion is not of length one, or
+        `release` is below 1.
     """
 
     node: int
@@ -95,8 +96,8 @@ class Held:
     def __post_init__(self) -> None:
         _set_fields(self, position=_read_path("position", self.position, 3))
         if self.frame is not None:
-            frame = _read_path("frame", self.frame, 4)
-            if np.max(np.abs(np.linalg.norm(frame, axis=1) - 1.0)) > 1e-6:
+            frame, max_error = _read_path("frame", self.frame, 4), 1e-6
+            if np.max(np.abs(np.linalg.norm(frame, axis=1) - 1.0)) > max_error:
                 raise ValueError(format_sentence("mechanics.rod.not_unit", name="frame"))
             _set_fields(self, frame=frame)
         require("release", self.release, ">= 1", holds=self.release is None or self.release >= 1)
@@ -104,7 +105,7 @@ class Held:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ring:
-    """A frictionless ring through which the line slides.
+    """Frictionless ring through which the line slides.
 
     Parameters
     ----------
@@ -129,7 +130,7 @@ class Ring:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class String:
-    """A weightless string from a node to an anchor, which is taut or slack.
+    """Weightless string from a node to an anchor, which is taut or slack.
 
     Parameters
     ----------
@@ -156,7 +157,7 @@ class String:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Load:
-    """A force on a node that keeps its direction in space.
+    """Force on a node. The force keeps its direction in space when the line moves.
 
     Parameters
     ----------
@@ -175,7 +176,7 @@ class Load:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plane:
-    """A plane with Coulomb friction, on one side of which the line stays.
+    """Plane with Coulomb friction, on one side of which the line stays.
 
     The axis of the line stays half a diameter above the plane. Friction acts on the axis.
 
@@ -189,7 +190,8 @@ class Plane:
     Raises
     ------
     ValueError
-        If a number is out of its range.
+        If a vector has another shape or is not finite, the normal is zero, or the friction is
+        negative.
     """
 
     point: Floats
@@ -209,7 +211,7 @@ class Plane:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Gravity:
-    """Gravity.
+    """Gravity, which acts on the mass of the whole line.
 
     Parameters
     ----------
@@ -225,10 +227,11 @@ class Gravity:
 
 
 Boundary: TypeAlias = Held | Ring | String | Load | Plane | Gravity
+"""Boundary of a line."""
 
 
 def list_paths(boundary: Boundary) -> dict[str, Floats]:
-    """List the paths of a boundary, keyed by name of their field.
+    """List the paths of a boundary, keyed by the names of their fields.
 
     Parameters
     ----------
@@ -251,46 +254,46 @@ def resample(boundary: Boundary, times: Floats) -> Boundary:
     rows_before, rows_after = np.floor(times).astype(int), np.ceil(times).astype(int)
     for name, path in list_paths(boundary).items():
         if len(path) > 1:
-            midpoints = 0.5 * (path[rows_before] + path[rows_after])
-            changes[name] = rotations.unit(midpoints) if name == "frame" else midpoints
+            new_path = 0.5 * (path[rows_before] + path[rows_after])
+            changes[name] = rotations.normalise(new_path) if name == "frame" else new_path
     if isinstance(boundary, Held) and boundary.release is not None:
         changes["release"] = int(np.searchsorted(times, boundary.release - 1, side="right"))
     return replace(boundary, **changes)  # type: ignore[arg-type]
 
 
-_EYE = np.eye(3)
+_IDENTITY = np.eye(3)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ContactForces:
-    """Contact forces of a plane on the nodes.
+class PlaneContact:
+    """Contact of the nodes of a line with a plane.
 
     Parameters
     ----------
-    forces : shape (nodes, 3), N, forces on the nodes
+    forces : shape (nodes, 3), N, forces of the plane on the nodes
     stiffness : shape (nodes, 3, 3), N/m, derivative of minus the force with respect to the position
     friction_coupling : shape (nodes, 3, 3), N/m, part of `stiffness` from the increase of friction
         with pressure. It has no potential, and stability is checked without it
-    contacts : shape (nodes, 3), m, points at which the nodes stick
+    points : shape (nodes, 3), m, points of the plane at which the nodes stick
     """
 
     forces: Floats
     stiffness: Floats
     friction_coupling: Floats
-    contacts: Floats
+    points: Floats
 
 
-def contact_plane(
-    plane: Plane, stiffness: float, positions: Floats, contacts: Floats, *, max_gap: float
-) -> ContactForces:
-    """Compute the forces of a plane on nodes.
+def compute_plane_contact(
+    plane: Plane, stiffness: float, positions: Floats, points: Floats, *, max_gap: float
+) -> PlaneContact:
+    """Compute the contact of nodes with a plane.
 
     Parameters
     ----------
     plane : plane that the nodes may touch
     stiffness : N/m, stiffness of the contact of a node
     positions : shape (nodes, 3), m, positions of the nodes
-    contacts : shape (nodes, 3), m, points at which the nodes stuck before the step
+    points : shape (nodes, 3), m, points at which the nodes stuck before the step
     max_gap : m, gap up to which a node counts as touching, without force
     """
     normal = plane.normal
@@ -299,8 +302,8 @@ def contact_plane(
     is_touching = indentation >= -max_gap
     tangent = np.where(is_touching, stiffness, 0.0)[:, None, None] * np.outer(normal, normal)
     forces = pressure[:, None] * normal
-    projection = _EYE - np.outer(normal, normal)
-    offset = (positions - contacts) @ projection
+    projection = _IDENTITY - np.outer(normal, normal)
+    offset = (positions - points) @ projection
     distance = np.linalg.norm(offset, axis=1)
     max_offset = plane.friction * pressure / stiffness
     is_sliding = distance > max_offset
@@ -311,13 +314,13 @@ def contact_plane(
     friction_coupling = np.zeros_like(tangent)
     if plane.friction > 0.0:
         forces = forces - stiffness * elastic_offset
-        is_slipping_contact = is_sliding & is_touching
-        slip_direction = np.where(is_slipping_contact, 1.0 / divisor, 0.0)[:, None] * offset
-        slip_normal = projection - slip_direction[:, :, None] * slip_direction[:, None, :]
-        tangent = tangent + stiffness * elastic_fraction[:, None, None] * slip_normal
+        inverse_distance = np.where(is_sliding & is_touching, 1.0 / divisor, 0.0)
+        slip_direction = inverse_distance[:, None] * offset  # zero at a node that sticks
+        elastic_projection = projection - slip_direction[:, :, None] * slip_direction[:, None, :]
+        tangent = tangent + stiffness * elastic_fraction[:, None, None] * elastic_projection
         friction_coupling = -stiffness * plane.friction * slip_direction[:, :, None] * normal
         tangent = tangent + friction_coupling
-    return ContactForces(forces, tangent, friction_coupling, positions - elastic_offset)
+    return PlaneContact(forces, tangent, friction_coupling, positions - elastic_offset)
 
 
 def compute_string_forces(
@@ -345,12 +348,12 @@ def compute_string_forces(
     projection = direction[:, :, None] * direction[:, None, :]
     axial_stiffness = np.where(tension > 0.0, stiffness, 0.0)[:, None, None]
     lateral_stiffness = (tension / divisor)[:, None, None]
-    tangent = axial_stiffness * projection + lateral_stiffness * (_EYE - projection)
+    tangent = axial_stiffness * projection + lateral_stiffness * (_IDENTITY - projection)
     return tension[:, None] * direction, tangent
 
 
 def sum_at_nodes(nodes: Ints, values: Floats, n_nodes: int) -> Floats:
-    """Sum the values, shape (n, ...), that belong to each of the nodes, shape (n_nodes, ...)."""
+    """Sum values, shape (n, ...), of equal node or element numbers, shape (n_nodes, ...)."""
     sums = np.zeros((n_nodes, *values.shape[1:]))
     np.add.at(sums, nodes, values)
     return sums
@@ -363,7 +366,7 @@ class RingContact:
     Parameters
     ----------
     parameter : curve parameter u of the point nearest to the ring
-    first : first of the three loaded nodes
+    first_node : first of the three successive nodes that carry the force
     weights : shape (3,), weights of these nodes in the position of that point
     force : shape (3,), N, force of the ring on the line
     stiffness : shape (3, 3, 3, 3), N/m, derivative of minus the force on a node (axes 0 and 1) with
@@ -371,16 +374,16 @@ class RingContact:
     """
 
     parameter: float
-    first: int
+    first_node: int
     weights: Floats
     force: Floats
     stiffness: Floats
 
 
-def contact_ring(
+def compute_ring_contact(
     positions: Floats, ring: Floats, previous_u: float, stiffness: float
 ) -> RingContact:
-    """Find the point at which a line passes through a ring, and the force of the ring.
+    """Compute the point at which a line passes through a ring, and the force of the ring.
 
     Parameters
     ----------
@@ -390,26 +393,27 @@ def contact_ring(
     stiffness : N/m, stiffness of the contact
     """
     u = find_nearest_parameter(positions, ring, previous_u)
-    first, b, first_derivatives, second_derivatives = _compute_weights(u, len(positions))
-    points = positions[first : first + 3]
-    offset = b @ points - ring
-    slope, bend = first_derivatives @ points, second_derivatives @ points
+    first_node, b, first_derivatives, second_derivatives = _compute_weights(u, len(positions))
+    nodes = positions[first_node : first_node + 3]
+    offset = b @ nodes - ring
+    slope, bend = first_derivatives @ nodes, second_derivatives @ nodes
     mixed = b[:, None] * slope + first_derivatives[:, None] * offset
-    size = slope @ slope + max(float(offset @ bend), -0.5 * float(slope @ slope))
-    tangent = np.einsum("i,j,xy->ixjy", b, b, np.eye(3))
+    # This is the second derivative of half the squared distance with respect to u, kept positive.
+    convexity = slope @ slope + max(float(offset @ bend), -0.5 * float(slope @ slope))
+    tangent = np.einsum("i,j,xy->ixjy", b, b, _IDENTITY)
     if 0.0 < u < len(positions) - 1:
-        tangent -= np.einsum("ix,jy->ixjy", mixed, mixed) / size
-    return RingContact(u, first, b, -stiffness * offset, stiffness * tangent)
+        tangent -= np.einsum("ix,jy->ixjy", mixed, mixed) / convexity
+    return RingContact(u, first_node, b, -stiffness * offset, stiffness=stiffness * tangent)
 
 
 def evaluate_curve(positions: Floats, u: float) -> Floats:
-    """Return the point of the curve at the parameter u, shape (3,), m."""
-    first, weights, _, _ = _compute_weights(u, len(positions))
-    return np.asarray(weights @ positions[first : first + 3])
+    """Evaluate the curve at the parameter u, shape (3,), m."""
+    first_node, weights, _, _ = _compute_weights(u, len(positions))
+    return np.asarray(weights @ positions[first_node : first_node + 3])
 
 
 def _compute_weights(u: float, n_nodes: int) -> tuple[int, Floats, Floats, Floats]:
-    """Return the first of three nodes, their weights, and first and second derivatives of these."""
+    """Compute the first of three nodes, and their weights with first and second derivatives."""
     node = int(np.clip(np.floor(u + 0.5), 1, n_nodes - 2))
     t = u - node + 0.5
     zeros = np.zeros(3)
@@ -425,21 +429,22 @@ def _compute_weights(u: float, n_nodes: int) -> tuple[int, Floats, Floats, Float
 
 def find_nearest_parameter(positions: Floats, ring: Floats, previous_u: float) -> float:
     """Find the curve parameter u of the point nearest to a ring, near the previous parameter."""
-    max_iterations = 30
-    max_change = 1.5  # nodes
+    n_candidates, max_iterations = 25, 30
+    max_distance = 1.5  # from the previous parameter, nodes
+    max_change, tolerance = 0.1, 1e-14  # of the parameter in an iteration, and at convergence
     end = float(len(positions) - 1)
-    low, high = max(previous_u - max_change, 0.0), min(previous_u + max_change, end)
-    candidates = np.linspace(low, high, 25)
+    low, high = max(previous_u - max_distance, 0.0), min(previous_u + max_distance, end)
+    candidates = np.linspace(low, high, n_candidates)
     distances = [float(np.sum((evaluate_curve(positions, u) - ring) ** 2)) for u in candidates]
     u = float(candidates[int(np.argmin(distances))])
     for _ in range(max_iterations):
-        first, b, first_derivatives, second_derivatives = _compute_weights(u, len(positions))
-        points = positions[first : first + 3]
-        offset = b @ points - ring
-        slope, bend = first_derivatives @ points, second_derivatives @ points
-        size = slope @ slope + max(float(offset @ bend), -0.5 * float(slope @ slope))
-        change = float(np.clip(-(offset @ slope) / size, -0.1, 0.1))
+        first_node, b, first_derivatives, second_derivatives = _compute_weights(u, len(positions))
+        nodes = positions[first_node : first_node + 3]
+        offset = b @ nodes - ring
+        slope, bend = first_derivatives @ nodes, second_derivatives @ nodes
+        convexity = slope @ slope + max(float(offset @ bend), -0.5 * float(slope @ slope))
+        change = float(np.clip(-(offset @ slope) / convexity, -max_change, max_change))
         u = float(np.clip(u + change, 0.0, end))
-        if abs(change) < 1e-14:
+        if abs(change) < tolerance:
             break
     return u

@@ -6,7 +6,7 @@ their multipliers, but with a stiff penalty on these conditions, is positive def
 decided by a banded Cholesky factorisation. The penalty is 1e6 times EI / L^2 or the largest force
 in the line. Modes are stable down to a stiffness of -3e-4 times `Assembly.drag`, so that the error
 of critical loads is about 1e-4. Sliders that slid in the step are assumed to continue in the same
-direction. The increase of friction with pressure, which has no potential, is left out.
+direction. The increase of friction with pressure, which has no potential, is neglected.
 """
 
 from __future__ import annotations
@@ -38,15 +38,15 @@ from labpipe.mechanics.rod.rotations import (
     conjugate,
     from_rotation_vectors,
     multiply,
+    normalise,
     to_rotation_vectors,
-    unit,
 )
 from labpipe.records.arrays import Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Equilibrium:
-    """An equilibrium of a line at a time.
+    """Equilibrium of a line at a time.
 
     Parameters
     ----------
@@ -80,8 +80,8 @@ def find_equilibrium(
     assembly : line with its supports
     start : equilibrium before the boundaries have moved; with drag, it may have a perturbed shape
     target : imposed values after the motion
-    guess : history for the first iteration, one of both histories of `start`, which give equal
-        forces. With the previous one, sliders that slid continue to slide, which is the better
+    guess : history for the first iteration, one of the two histories of `start`, which give equal
+        forces. With the previous history, sliders that slid continue to slide, which is the better
         guess if the motion continues
     drag : artificial drag; None without drag
 
@@ -91,50 +91,57 @@ def find_equilibrium(
     """
     max_iterations = 10
     max_idle_iterations = 2  # without progress; Newton's method may cycle at corners of the law
-    progress = 0.8  # ratio of an iteration's turn to the smallest turn before
+    progress_ratio = 0.8  # largest turn of an iteration with progress / smallest turn before
+    max_turn = 0.7  # rad, of an element in one iteration
+    max_move = 0.35  # of a node in one iteration, relative to the length of the line
     min_fraction = 0.1  # of an iteration step; shorter steps do not converge
     shape, nodes = start.shape, assembly.supports.held_nodes
     # Held nodes and clamps move with the first iteration step, or the fraction of it that is taken.
-    before = start.imposed
-    current = replace(target, held_positions=before.held_positions, clamps=before.clamps)
+    origin = start.imposed
+    imposed = replace(
+        target, held_positions=origin.held_positions, clamp_frames=origin.clamp_frames
+    )
     balance = _update_balance(start, target, guess)
     if balance is None or drag is not None:
-        balance = assembly.compute_balance(shape, current, guess, drag)
-    smallest_turn, idle_iterations = math.inf, 0
+        balance = assembly.compute_balance(shape, imposed, guess, drag)
+    smallest_turn, n_idle_iterations = math.inf, 0
     for _ in range(max_iterations):
         held_moves = target.held_positions - shape.positions[nodes]
-        clamp_turns = np.zeros((len(target.clamps), 3))
-        if current is not target:
-            clamp_turns = to_rotation_vectors(multiply(conjugate(current.clamps), target.clamps))
-        right = assembly.compute_right_side(balance, shape, current, held_moves, clamp_turns)
-        change = assembly.band.solve(balance.values, right)
+        clamp_turns = np.zeros((len(target.clamp_frames), 3))
+        if imposed is not target:
+            rotations = multiply(conjugate(imposed.clamp_frames), target.clamp_frames)
+            clamp_turns = to_rotation_vectors(rotations)
+        right_side = assembly.compute_right_side(balance, shape, imposed, held_moves, clamp_turns)
+        change = assembly.matrix.solve(balance.tangent_values, right_side)
         if change is None:
             return None
         moves, _, turns, _ = split_unknowns(change)
-        turn, move = float(np.max(np.abs(turns))), float(np.max(np.abs(moves)))
-        smallest_turn, idle_iterations = (
-            (turn, 0) if turn < progress * smallest_turn else (smallest_turn, idle_iterations + 1)
-        )
-        fraction = _limit_step(turn, move / assembly.line.length)
-        if fraction < min_fraction or idle_iterations == max_idle_iterations:
+        turn = float(np.max(np.abs(turns)))
+        relative_move = float(np.max(np.abs(moves))) / assembly.line.length
+        has_progress = turn < progress_ratio * smallest_turn
+        smallest_turn = turn if has_progress else smallest_turn
+        n_idle_iterations = 0 if has_progress else n_idle_iterations + 1
+        fraction = 1.0 / max(1.0, turn / max_turn, relative_move / max_move)
+        if fraction < min_fraction or n_idle_iterations == max_idle_iterations:
             return None
         shape = assembly.apply_change(shape, fraction * change)
         if fraction == 1.0:
-            current = target
+            imposed = target
         else:
-            clamps = multiply(current.clamps, from_rotation_vectors(fraction * clamp_turns))
-            current = replace(current, clamps=unit(clamps))
-        balance = assembly.compute_balance(shape, current, start.history, drag)
-        relative_change = max(turn, move / assembly.line.length)
+            frames = multiply(imposed.clamp_frames, from_rotation_vectors(fraction * clamp_turns))
+            imposed = replace(imposed, clamp_frames=normalise(frames))
+        balance = assembly.compute_balance(shape, imposed, start.history, drag)
+        relative_change = max(turn, relative_move)
         if fraction == 1.0 and _is_balanced(assembly, balance, shape, relative_change):
-            return Equilibrium(shape, balance, target, balance.history, start.history)
+            history, previous_history = balance.history, start.history
+            return Equilibrium(shape, balance, target, history, previous_history=previous_history)
     return None
 
 
 def _update_balance(
     start: Equilibrium, target: ImposedValues, guess: LineHistory
 ) -> Balance | None:
-    """Return a balance updated with new imposed forces; None if other imposed values changed."""
+    """Update the balance of a start with new forces; return None if it needs another change."""
     balance, imposed = start.balance, start.imposed
     history, drag = balance.inputs
     pairs = ((imposed.anchors, target.anchors), (imposed.rings, target.rings))
@@ -146,24 +153,18 @@ def _update_balance(
     return replace(balance, residual=balance.residual + change)
 
 
-def _limit_step(turn: float, relative_move: float) -> float:
-    """Return the largest fraction of a step in which no element turns or moves too far."""
-    max_turn = 0.7  # rad, of an element in one iteration
-    max_move = 0.35  # of a node in one iteration, relative to the length of the line
-    return 1.0 / max(1.0, turn / max_turn, relative_move / max_move)
-
-
 def _is_balanced(
     assembly: Assembly, balance: Balance, shape: Shape, relative_change: float
 ) -> bool:
     """Return whether a shape is in balance, given the relative change of the last iteration."""
-    # Relative to force, moment and length of the whole line. With 1e-7 a taut clamped line has a
-    # spurious tension.
+    # The balance is relative to force, moment and length of the whole line. With a tolerance of
+    # 1e-7, a taut clamped line has a spurious tension.
     balance_tolerance = 1e-10
-    # Relative to the length, or rad. It ends the search if rounding limits the balance.
+    # If rounding limits the balance, the search ends after a change below this, in lengths or rad.
     step_tolerance = 1e-11
     rounded_balance = 1e-5
-    # Relative to the forces on the line. The shape of a tauter line is mostly rounding.
+    # The tension is relative to the forces on the line. With a larger one, the shape is mostly
+    # rounding error.
     max_relative_tension = 1e4
     length = assembly.line.length
     tension = float(np.max(np.abs(shape.forces)))
@@ -171,7 +172,7 @@ def _is_balanced(
         return False
     force = max(assembly.force, tension)
     residual = np.abs(balance.residual)
-    residual[assembly.band.fixed] = 0.0
+    residual[assembly.matrix.is_fixed] = 0.0
     nodes, stretches, turns, gaps = (float(np.max(values)) for values in split_unknowns(residual))
     moments = max(turns, stretches) / (force * length)
     error = max(max(nodes - assembly.rounding, 0.0) / force, moments, gaps / length)
@@ -181,7 +182,7 @@ def _is_balanced(
 
 
 class StabilityCheck:
-    """Stability checks of a line with given supports; constant parts are computed once.
+    """Check of the stability of a line with its supports; constant parts are computed once.
 
     Parameters
     ----------
@@ -190,9 +191,9 @@ class StabilityCheck:
 
     def __init__(self, assembly: Assembly) -> None:
         self._assembly = assembly
-        n, band = assembly.n, assembly.band
+        n, matrix = assembly.n, assembly.matrix
         rows, columns = assembly.pattern
-        is_force = np.arange(assembly.indices.total) % PER_ELEMENT >= FORCE
+        is_force = np.arange(assembly.indices.n_unknowns) % PER_ELEMENT >= FORCE
         self._selected_entries = np.flatnonzero(~(is_force[rows] | is_force[columns]))
         first, second = assembly.indices.positions[:-1], assembly.indices.positions[1:]
         entries = [
@@ -205,27 +206,29 @@ class StabilityCheck:
             FORCE * (unknowns // PER_ELEMENT) + unknowns % PER_ELEMENT  # without the forces
             for unknowns in (np.concatenate(group) for group in zip(*entries, strict=True))
         )
-        row, column = np.maximum(rows, columns), np.minimum(rows, columns)
+        # All entries are moved to the lower triangle.
+        rows, columns = np.maximum(rows, columns), np.minimum(rows, columns)
         self.size = FORCE * n + 3
-        self._depth = int(np.max(row - column)) + 1
-        self._entries = self._depth * column + (row - column)
+        self._depth = int(np.max(rows - columns)) + 1
+        self._entries = self._depth * columns + (rows - columns)
         self._unknowns = np.flatnonzero(~is_force)
-        fixed, scale = band.fixed[~is_force], band.scale[~is_force]
+        is_fixed, scale = matrix.is_fixed[~is_force], matrix.scale[~is_force]
         # Off-diagonal entries occur twice, except in the block between nodes.
-        weights = np.where(row == column, 1.0, 0.5)
-        weights[len(self._selected_entries) + n * FORCE * FORCE : len(row) - 9 * n] = 1.0
-        self._weights = weights * scale[row] * scale[column] * ~(fixed[row] | fixed[column])
-        self._scale, self._fixed = scale, fixed
-        self._drag = assembly.drag[~is_force] * scale**2
+        weights = np.where(rows == columns, 1.0, 0.5)
+        weights[len(self._selected_entries) + n * FORCE * FORCE : len(rows) - 9 * n] = 1.0
+        is_removed = is_fixed[rows] | is_fixed[columns]
+        self._weights = weights * scale[rows] * scale[columns] * ~is_removed
+        self._scale, self._is_fixed = scale, is_fixed
+        self._drag = assembly.unit_drag[~is_force] * scale**2
         self._mass = self._drag * (np.arange(self.size) % FORCE < STRETCH)
 
     def is_stable(self, balance: Balance, shape: Shape) -> bool:
-        """Return whether the overdamped line returns from every small perturbation."""
-        neutral_drag = 3e-4  # relative to the unit drag; softer modes count as neutral
+        """Return whether the line with drag returns from every small perturbation."""
+        neutral_drag = 3e-4  # relative to the unit drag; a mode that this drag holds is neutral
         return self._factorise(balance, shape, neutral_drag) is not None
 
     def find_softest_mode(self, balance: Balance, shape: Shape, load: Floats) -> Floats | None:
-        """Find the softest mode; None if there is none.
+        """Find the softest mode, as a change of all unknowns, shape (unknowns,); None if not found.
 
         Parameters
         ----------
@@ -236,27 +239,27 @@ class StabilityCheck:
         Notes
         -----
         The mode is found by inverse iteration. The mass is the drag of the nodes, which excludes
-        pure twist. A small asymmetric load is added.
+        pure twist. The iteration starts with the load and a small asymmetric load.
         """
-        iterations = 6
+        n_iterations = 6
         asymmetry = 1e-3  # relative size of the asymmetric load
-        drag = 1e-3
+        drag, max_drag = 1e-3, 1e9  # relative to the unit drag
         factors = self._factorise(balance, shape, drag)
-        while factors is None and drag < 1e9:
+        while factors is None and drag < max_drag:
             drag *= 4.0
             factors = self._factorise(balance, shape, drag)
         if factors is None:
             return None
-        number = np.arange(self.size)
-        is_bending = np.isin(number % FORCE, (TURN, TURN + 1))
-        asymmetric_load = np.cos(1.0 + 2.4 * number) * is_bending
+        index = np.arange(self.size)
+        is_bending = np.isin(index % FORCE, (TURN, TURN + 1))
+        asymmetric_load = np.cos(1.0 + 2.4 * index) * is_bending
         asymmetric_load /= np.sqrt(np.sum(asymmetric_load**2))
-        scaled_load = load[self._unknowns] * self._scale * ~self._fixed
+        scaled_load = load[self._unknowns] * self._scale * ~self._is_fixed
         size = float(np.sqrt(np.sum(scaled_load**2)))
-        mode = asymmetric_load * ~self._fixed
+        mode = asymmetric_load * ~self._is_fixed
         if size > 0.0:
             mode = scaled_load / size + asymmetry * mode
-        for _ in range(iterations):
+        for _ in range(n_iterations):
             mode, _ = lapack.dpbtrs(factors, mode, lower=True)
             mode = self._mass * mode
             size = float(np.sqrt(np.sum(mode**2)))
@@ -264,14 +267,14 @@ class StabilityCheck:
                 return None
             mode /= size
         mode, _ = lapack.dpbtrs(factors, mode, lower=True)
-        change = np.zeros(self._assembly.indices.total)
+        change = np.zeros(self._assembly.indices.n_unknowns)
         change[self._unknowns] = mode * self._scale
         return change
 
     def _factorise(self, balance: Balance, shape: Shape, drag: float) -> Floats | None:
-        """Return Cholesky factors of the tangent with a drag; None if not positive definite."""
+        """Factorise the tangent with a relative drag; return None if not positive definite."""
         penalty_factor = 1e6
-        rounding = 1e-14
+        rounding = 1e-14  # relative to the diagonal
         line = self._assembly.line
         tension = float(np.max(np.abs(shape.forces)))
         critical_force = line.section.law.first_stiffness / line.length**2
@@ -292,12 +295,11 @@ class StabilityCheck:
                 stiffness[:, FORCE:, FORCE:].ravel(),
             ]
         )
-        weighted = values * self._weights
-        band = np.bincount(self._entries, weighted, minlength=self._depth * self.size)
-        diagonal = band[:: self._depth]
+        weighted_values = values * self._weights
+        flat = np.bincount(self._entries, weighted_values, minlength=self._depth * self.size)
+        diagonal = flat[:: self._depth]
         diagonal += drag * self._drag + rounding * diagonal
-        diagonal[self._fixed] = 1.0
-        factors, has_failed = lapack.dpbtrf(
-            band.reshape(self.size, self._depth).T, lower=True, overwrite_ab=True
-        )
+        diagonal[self._is_fixed] = 1.0
+        band = flat.reshape(self.size, self._depth).T
+        factors, has_failed = lapack.dpbtrf(band, lower=True, overwrite_ab=True)
         return None if has_failed else np.asarray(factors)

@@ -1,8 +1,8 @@
-"""Define a discrete line: section, elements, initial shape, and curvature at rest.
+"""Define a line, a discrete rod: section, elements, initial shape, and curvature at rest.
 
 n elements connect n + 1 nodes. Each element is straight and has a frame. The third axis d3 of the
-frame points along the element, and the other two are material directions normal to it. The law of
-bending acts at the nodes, over the half elements on both sides.
+frame points along the element, and the other two are material directions normal to the element. The
+bending law acts at the nodes, over half an element on each side.
 """
 
 from __future__ import annotations
@@ -17,20 +17,22 @@ from labpipe.mechanics.law.plays import require, require_not_negative, require_p
 from labpipe.mechanics.law.sliders import SliderLaw
 from labpipe.mechanics.rod.rotations import (
     build_frame,
+    compute_shortest_rotations,
     conjugate,
-    find_shortest_turns,
     from_rotation_vectors,
     multiply,
+    normalise,
     to_rotation_vectors,
-    unit,
 )
 from labpipe.messages import format_sentence
 from labpipe.records.arrays import ArrayRecord, Floats
 
+_Z_AXIS = (0.0, 0.0, 1.0)
+
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """Section of a line, constant along it.
+    """Cross-section, constant along the line.
 
     Parameters
     ----------
@@ -45,7 +47,8 @@ class Section:
     Raises
     ------
     ValueError
-        If a number is out of its range, or the line has no stiffness.
+        If the law has no stiffness, the torsional or axial stiffness is not positive, mass or
+        diameter is negative, or the coupling is not below sqrt(EA GJ) in magnitude.
     """
 
     law: SliderLaw
@@ -63,14 +66,14 @@ class Section:
         require("axial_stiffness", axial, "> 0", holds=axial > 0.0)
         require_not_negative("mass_per_length", self.mass_per_length)
         require_not_negative("diameter", self.diameter)
-        bound = "finite and of magnitude below sqrt(axial_stiffness * torsional_stiffness)"
-        is_small = abs(coupling) < np.sqrt(axial * self.torsional_stiffness)
-        require("coupling", coupling, bound, holds=np.isfinite(coupling) and is_small)
+        condition = "finite and of magnitude below sqrt(axial_stiffness * torsional_stiffness)"
+        is_definite = abs(coupling) < np.sqrt(axial * self.torsional_stiffness)
+        require("coupling", coupling, condition, holds=np.isfinite(coupling) and is_definite)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Line(ArrayRecord):
-    """A line of n elements before it is bent by its boundaries; see `build_line`.
+    """Line of n elements before boundaries are applied; see `build_line`.
 
     Parameters
     ----------
@@ -79,7 +82,7 @@ class Line(ArrayRecord):
     positions : shape (n + 1, 3), m, initial positions of the nodes
     frames : shape (n, 4), initial unit quaternions (w, x, y, z), which rotate x, y, z to d1, d2, d3
     rest_curvature : shape (n - 1, 3), 1/m, curvature at rest at the inner nodes: two bending
-        components and the twist, in the mean of the frames on both sides
+        components and the twist, in the mean of the two adjacent frames
     """
 
     lengths: Annotated[Floats, "elements"]
@@ -95,19 +98,19 @@ class Line(ArrayRecord):
 
     @property
     def rest_curvature_at_nodes(self) -> Floats:
-        """Return the curvature at rest of all nodes, 1/m, shape (n + 1, 3).
+        """Return the curvature at rest at all nodes, 1/m, shape (n + 1, 3).
 
-        The curvature at an end is that of the neighbouring node. It is zero for a line of one
-        element.
+        At an end, it is that of the neighbouring node. For a line of one element, it is zero.
         """
-        if not len(self.rest_curvature):
+        inner = self.rest_curvature
+        if not len(inner):
             return np.zeros((len(self.positions), 3))
-        return np.concatenate(
-            [self.rest_curvature[:1], self.rest_curvature, self.rest_curvature[-1:]]
-        )
+        return np.concatenate([inner[:1], inner, inner[-1:]])
 
-    def get_frame(self, node: int) -> Floats:
-        """Return the frame with which a clamp at a node leaves the line unchanged, shape (4,).
+    def compute_clamp_frame(self, node: int) -> Floats:
+        """Compute the frame of a clamp that holds a node of the initial line, shape (4,).
+
+        Such a clamp does not bend or twist the line.
 
         Parameters
         ----------
@@ -116,11 +119,13 @@ class Line(ArrayRecord):
         index = node % len(self.positions)
         curvature = self.rest_curvature_at_nodes[index]
         if 0 < index < len(self.lengths):
-            before, after = self.frames[index - 1 : index + 1]
+            frame_before, frame_after = self.frames[index - 1 : index + 1]
             centre_distance = 0.5 * float(np.sum(self.lengths[index - 1 : index + 1]))
-            curvature = to_rotation_vectors(multiply(conjugate(before), after)) / centre_distance
+            rotation = multiply(conjugate(frame_before), frame_after)
+            curvature = to_rotation_vectors(rotation) / centre_distance
         element = max(index - 1, 0)
-        distance = (0.5 if index else -0.5) * self.lengths[element]  # from its middle to the node
+        # The distance from the middle of the element to the node is half the length.
+        distance = (0.5 if index else -0.5) * self.lengths[element]
         return multiply(self.frames[element], from_rotation_vectors(distance * curvature))
 
     @property
@@ -128,18 +133,18 @@ class Line(ArrayRecord):
         """Return the arc length of the nodes at rest, m, shape (n + 1,)."""
         return np.concatenate([[0.0], np.cumsum(self.lengths)])
 
-    def describe_place(self, node: int) -> str:
+    def describe_position(self, node: int) -> str:
         """Describe the position of a node, counted from 0, for messages."""
-        return format_place(float(self.stations[node]))
+        return format_position(float(self.stations[node]))
 
 
-def format_place(station: float) -> str:
+def format_position(station: float) -> str:
     """Format a position on a line, given as arc length from the start, m."""
     return f"{1e3 * station:.4g} mm from the start"
 
 
 def build_line(
-    positions: Floats, section: Section, *, up: ArrayLike = (0.0, 0.0, 1.0), is_formed: bool = False
+    positions: Floats, section: Section, *, up: ArrayLike = _Z_AXIS, is_rest_shape: bool = False
 ) -> Line:
     """Build a line without twist from the positions of its nodes.
 
@@ -148,14 +153,14 @@ def build_line(
     positions : shape (n + 1, 3), m, positions of the nodes
     section : section of the line
     up : shape (3,), direction that d1 of the first frame approaches as closely as possible
-    is_formed : True if the points are the shape at rest, for example of a line curled by its spool;
-        False for a line that is straight at rest and is bent to these points
+    is_rest_shape : True if the positions are the shape at rest, for example of a line curled by its
+        spool; False for a line that is straight at rest and is bent to these positions
 
     Raises
     ------
     ValueError
-        If there are fewer than two points, successive points coincide or are not finite, or `up` is
-        parallel to the first element.
+        If the shape of `positions` is wrong, successive positions coincide or are not finite, or
+        `up` is zero or parallel to the first element.
 
     Notes
     -----
@@ -163,25 +168,24 @@ def build_line(
     space, d1 of the last frame therefore differs from d1 of the first frame by the holonomy angle
     of the curve.
     """
-    points = np.asarray(positions, dtype=np.float64)
-    if points.ndim != 2 or points.shape[1:] != (3,) or len(points) < 2:
-        raise ValueError(format_sentence("mechanics.rod.points_shape", shape=points.shape))
-    steps = np.diff(points, axis=0)
-    lengths = np.linalg.norm(steps, axis=1)
-    if not np.all(lengths > 0.0):
-        index = int(np.argmin(lengths > 0.0))
+    positions = np.asarray(positions, dtype=np.float64)
+    if positions.ndim != 2 or positions.shape[1:] != (3,) or len(positions) < 2:
+        raise ValueError(format_sentence("mechanics.rod.points_shape", shape=positions.shape))
+    edges = np.diff(positions, axis=0)
+    lengths = np.linalg.norm(edges, axis=1)
+    if len(faulty_edges := np.flatnonzero(~(lengths > 0.0))):
+        first = int(faulty_edges[0])
         raise ValueError(
-            format_sentence("mechanics.rod.same_points", first=index, second=index + 1)
+            format_sentence("mechanics.rod.same_points", first=first, second=first + 1)
         )
-    directions = steps / lengths[:, None]
-    turns = find_shortest_turns(directions[:-1], directions[1:])
-    frames = [build_frame(directions[0], np.asarray(up))]
-    for turn in turns:
-        frames.append(unit(multiply(turn, frames[-1])))
-    quaternions = np.array(frames)
+    directions = edges / lengths[:, None]
+    frame_list = [build_frame(directions[0], np.asarray(up))]
+    for rotation in compute_shortest_rotations(directions[:-1], directions[1:]):
+        frame_list.append(normalise(multiply(rotation, frame_list[-1])))
+    frames = np.array(frame_list)
     rest_curvature = np.zeros((len(lengths) - 1, 3))
-    if is_formed:
+    if is_rest_shape:
         centre_distances = 0.5 * (lengths[1:] + lengths[:-1])
-        frame_rotations = multiply(conjugate(quaternions[:-1]), quaternions[1:])
+        frame_rotations = multiply(conjugate(frames[:-1]), frames[1:])
         rest_curvature = to_rotation_vectors(frame_rotations) / centre_distances[:, None]
-    return Line(lengths, section, points, quaternions, rest_curvature)
+    return Line(lengths, section, positions, frames, rest_curvature=rest_curvature)

@@ -23,7 +23,7 @@ from labpipe.records.result import Status
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RodState(ArrayRecord):
-    """A line in equilibrium, with its history.
+    """Line in equilibrium, with its history.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ class RodState(ArrayRecord):
         before it; a tension is along d3
     moments : shape (n + 1, 2, 3), N m, in space axes, moment that the line after a cell exerts on
         the line before it. The second axis is the side of the node, before and after it; the sides
-        differ at a clamp. Zero before the first and after the last node
+        differ at a clamp. It is zero before the first and after the last node
     curvatures : shape (n + 1, 2, 3), 1/m, curvatures minus those at rest, on both sides of every
         node: two bending components and the twist in the mean frame. At a clamp they are means over
         half an element
@@ -65,7 +65,7 @@ class RodState(ArrayRecord):
     def bending_curvatures(self) -> Floats:
         """Return the bending curvature at the nodes minus that at rest, 1/m, shape (n + 1,).
 
-        At a clamp it is the larger curvature of both sides.
+        At a clamp, it is the larger of the curvatures on both sides.
         """
         bending = self.node_curvatures[:, :, :2]
         return np.asarray(np.max(np.linalg.norm(bending, axis=2), axis=1))
@@ -80,8 +80,8 @@ class RodPath(ArrayRecord):
     line : line in its initial shape
     boundaries : boundaries of the line, in the order of the caller
     states : states of steps 0, 1, ...; fewer than requested if the path failed
-    status : `failed` if a step has no equilibrium; `doubtful` for another reason, such as a
-        curvature beyond the range of the law
+    status : `failed` if a step has no equilibrium; `doubtful` if there is another reason, such as a
+        curvature beyond the range of the law; otherwise `ok`
     reasons : reasons of the status, the most important first; empty if `ok`
     jump_steps : steps in which the line jumped, because it snapped or was released
     lost_energy : shape (states,), J, energy lost in the sliders
@@ -113,24 +113,6 @@ class RodPath(ArrayRecord):
         return self.states[-1]
 
 
-def merge_rests(supports: Supports, rests: Floats) -> Floats:
-    """Merge rest curvatures of sliders on both sides of the nodes into those of cells.
-
-    Without a clamp both sides form one cell. Its rest curvatures are their weighted mean, which
-    keeps every slider within its limit.
-
-    Parameters
-    ----------
-    supports : cells of the line
-    rests : shape (nodes, 2, sliders, 2), 1/m, rest curvatures of the sliders
-
-    Returns
-    -------
-    Shape (cells, sliders, 2), 1/m.
-    """
-    return np.asarray(np.einsum("cs,csjx->cjx", supports.side_weights, rests[supports.nodes]))
-
-
 def split_sides(supports: Supports, values: Floats) -> Floats:
     """Assign the values of cells to both sides of their nodes.
 
@@ -151,7 +133,7 @@ def split_sides(supports: Supports, values: Floats) -> Floats:
 
 
 def build_state(
-    assembly: Assembly, schedule: Schedule, grips: tuple[int, ...], current: Equilibrium, step: int
+    assembly: Assembly, schedule: Schedule, grips: tuple[int, ...], solution: Equilibrium, step: int
 ) -> RodState:
     """Build the state of a step, with all forces and moments in space axes.
 
@@ -160,42 +142,41 @@ def build_state(
     assembly : line and supports
     schedule : paths of the boundaries
     grips : indices of the boundaries that hold the line
-    current : equilibrium at the end of the step
+    solution : equilibrium at the end of the step
     step : number of the step
     """
-    supports, cells = assembly.supports, current.balance.cells
-    forces, clamp_moments = assembly.compute_reactions(current.balance, current.imposed)
-    moments = split_sides(supports, _compute_moments(assembly, current))
+    supports, balance, shape = assembly.supports, solution.balance, solution.shape
+    grip_forces, clamp_moments = assembly.compute_reactions(balance, solution.imposed)
     reaction_forces, reaction_moments = np.zeros((2, len(schedule.boundaries), 3))
-    reaction_forces[list(grips)] = forces
+    reaction_forces[list(grips)] = grip_forces
     for k, load in schedule.loads.items():
         reaction_forces[k] = load.force[min(step, len(load.force) - 1)]
-    clamped = [grips[int(row)] for row in supports.clamps]
-    reaction_moments[clamped] = clamp_moments
-    for k, contact in zip(schedule.planes, current.balance.plane_contacts, strict=True):
+    reaction_moments[[grips[int(row)] for row in supports.clamps]] = clamp_moments
+    for k, contact in zip(schedule.planes, balance.plane_contacts, strict=True):
         reaction_forces[k] = contact.forces.sum(axis=0)
-    reaction_forces[list(schedule.strings)] = current.balance.tensions
-    for k, ring_contact in zip(schedule.rings, current.balance.ring_contacts, strict=True):
+    reaction_forces[list(schedule.strings)] = balance.string_forces
+    for k, ring_contact in zip(schedule.rings, balance.ring_contacts, strict=True):
         reaction_forces[k] = ring_contact.force
+    cells = balance.cells
     node_curvatures = split_sides(supports, _extrapolate_to_clamps(supports, cells.curvatures))
     rest_curvature = assembly.line.rest_curvature_at_nodes[:, None, :2]
     return RodState(
-        positions=current.shape.positions,
-        frames=current.shape.frames,
-        stretches=current.shape.stretches,
-        forces=current.shape.forces,
-        moments=moments,
+        positions=shape.positions,
+        frames=shape.frames,
+        stretches=shape.stretches,
+        forces=shape.forces,
+        moments=split_sides(supports, _compute_moments(assembly, solution)),
         curvatures=split_sides(supports, cells.curvatures),
         node_curvatures=node_curvatures,
         curvature_vectors=node_curvatures[:, :, :2] + rest_curvature,
-        rests=split_sides(supports, current.balance.history.rests),
+        rests=split_sides(supports, balance.history.slider_rests),
         reaction_forces=reaction_forces,
         reaction_moments=reaction_moments,
     )
 
 
 def _extrapolate_to_clamps(supports: Supports, curvatures: Floats) -> Floats:
-    """Return the curvatures of the cells, shape (cells, 3), extrapolated to the clamps.
+    """Extrapolate the curvatures of the cells, shape (cells, 3), 1/m, to the clamps.
 
     The curvature of a half cell at a clamp is that of the line at the distance `CLAMP_WEIGHT` times
     the length of its element from the clamp. The extrapolation is linear through that point and the
@@ -212,15 +193,15 @@ def _extrapolate_to_clamps(supports: Supports, curvatures: Floats) -> Floats:
     return extrapolated
 
 
-def _compute_moments(assembly: Assembly, current: Equilibrium) -> Floats:
-    """Return the moments that the line after a cell exerts on the line before it, N m, (cells, 3).
+def _compute_moments(assembly: Assembly, equilibrium: Equilibrium) -> Floats:
+    """Compute the moments of the line after each cell on the line before it, N m, (cells, 3).
 
-    In a half cell at a clamp it is the moment at the node, not at the middle of the half cell.
+    In a half cell at a clamp, it is the moment at the node, not at the middle of the half cell.
     """
-    supports, cells = assembly.supports, current.balance.cells
-    frames_after = assembly.select_frames(current.shape, current.imposed)[:, 1]
-    moments = np.asarray(np.matvec(to_matrices(frames_after), cells.gradients[:, 3:]))
-    clamp_moments = current.balance.directions.clamp_moments
+    supports, balance = assembly.supports, equilibrium.balance
+    frames_after = assembly.select_frames(equilibrium.shape, equilibrium.imposed)[:, 1]
+    moments = np.asarray(np.matvec(to_matrices(frames_after), balance.cells.gradients[:, 3:]))
+    clamp_moments = balance.directions.clamp_moments
     for (element, clamp), moment in zip(supports.clamp_pairs, clamp_moments, strict=True):
         sides = np.array([assembly.n + clamp, element])
         moments[np.all(supports.sides == sides, axis=1)] -= moment
@@ -229,10 +210,10 @@ def _compute_moments(assembly: Assembly, current: Equilibrium) -> Floats:
 
 
 def compute_lost_energy(assembly: Assembly, start_rests: Floats, end_rests: Floats) -> float:
-    """Compute the energy lost in the sliders in a step or a fraction of it, J.
+    """Compute the energy lost in the sliders in a step or in a fraction of a step, J.
 
-    The moment of a sliding slider is K_j kappa_j while its rest curvature changes. That of a
-    growing slider is the mean of its limits at the start and at the end.
+    The moment of a sliding slider is K_j kappa_j while its rest curvature changes. The moment of a
+    slider whose limit grows is the mean of those at the start and at the end.
 
     Parameters
     ----------
@@ -252,7 +233,7 @@ _LENGTH_ROUNDING = 1e-9
 
 
 class NoEquilibriumError(Exception):
-    """Error for a path of a line that cannot be continued.
+    """Error that the path of a line cannot be continued.
 
     Parameters
     ----------
@@ -265,12 +246,12 @@ class NoEquilibriumError(Exception):
 
     @classmethod
     def of(cls, template: str, /, **facts: object) -> NoEquilibriumError:
-        """Build the error from a template and its facts, as `Reason.of`."""
+        """Build the error from a template of a reason and its facts; see `Reason.of`."""
         return cls(Reason.of(template, **facts))
 
 
 def check_reach(schedule: Schedule, grips: tuple[int, ...], step: int) -> None:
-    """Refuse held nodes that are too far apart for an inextensible line, or make it taut.
+    """Refuse held nodes that are too far apart for an inextensible line, or make the line taut.
 
     A taut line has no equilibrium under transverse loads, and its tension under axial loads is not
     determined.
@@ -287,11 +268,11 @@ def check_reach(schedule: Schedule, grips: tuple[int, ...], step: int) -> None:
         If the distance of two held nodes is larger than the length between them or, under loads,
         too close to it.
     """
-    # Relative to the length. With less slack the tension exceeds 600 times the load and is
-    # dominated by rounding errors.
+    # The slack is relative to the length. With less slack, the tension exceeds 600 times the load
+    # and is dominated by rounding errors.
     min_slack = 1e-7
     min_relative_force = 1e-9  # of a load, relative to the forces on the line
-    imposed = schedule.compute_imposed(float(step), grips)
+    imposed = schedule.compute_imposed_values(float(step), grips)
     nodes = np.array([schedule.held_nodes[k] for k in grips], dtype=np.int64)
     order = np.argsort(nodes)
     nodes = nodes[order]
@@ -309,8 +290,8 @@ def check_reach(schedule: Schedule, grips: tuple[int, ...], step: int) -> None:
         raise NoEquilibriumError.of(
             "mechanics.rod.too_short" if is_too_short else "mechanics.rod.taut",
             step=step,
-            place=schedule.line.describe_place(node),
-            other=schedule.line.describe_place(next_node),
+            place=schedule.line.describe_position(node),
+            other=schedule.line.describe_position(next_node),
             length=length,
             distance=distance,
         )
@@ -323,21 +304,21 @@ def check_planes(schedule: Schedule, grips: tuple[int, ...], step: int) -> None:
     ----------
     schedule, grips, step : as for `check_reach`
     """
-    held_positions = schedule.compute_imposed(float(step), grips).held_positions
+    held_positions = schedule.compute_imposed_values(float(step), grips).held_positions
     line = schedule.line
     clearance = 0.5 * line.section.diameter
     for plane in schedule.planes.values() if grips else ():
         heights = (held_positions - plane.point) @ plane.normal
-        lowest = int(np.argmin(heights))
-        if heights[lowest] < clearance - _LENGTH_ROUNDING * line.length:
-            k = grips[lowest]
+        row = int(np.argmin(heights))
+        if heights[row] < clearance - _LENGTH_ROUNDING * line.length:
+            k = grips[row]
             raise NoEquilibriumError.of(
                 "mechanics.rod.in_plane",
                 step=step,
-                place=line.describe_place(schedule.held_nodes[k]),
-                grip=format_boundary(schedule.boundaries, schedule.held[k]),
+                place=line.describe_position(schedule.held_nodes[k]),
+                grip=format_boundary(schedule.boundaries, schedule.holders[k]),
                 table=format_boundary(schedule.boundaries, plane),
-                height=1e3 * heights[lowest],
+                height=1e3 * heights[row],
                 clearance=1e3 * clearance,
             )
 
@@ -355,21 +336,21 @@ def check_line(
     step : number of the step
     max_strain : strain beyond which the line counts as torn
     """
-    max_fold = 3.13  # rad, between two elements
+    max_turn = 3.13  # rad, between two elements
     element = int(np.argmax(shape.stretches))
     stretch, max_stretch = 100.0 * shape.stretches[element], 100.0 * max_strain
     if stretch > max_stretch:
         raise NoEquilibriumError.of(
             "mechanics.rod.torn",
             step=step,
-            place=assembly.line.describe_place(element),
+            place=assembly.line.describe_position(element),
             stretch=stretch,
             max_stretch=max_stretch,
         )
     turns = np.linalg.norm(balance.cells.rotation_vectors, axis=1)
-    if float(np.max(turns, initial=0.0)) > max_fold:
+    if float(np.max(turns, initial=0.0)) > max_turn:
         cell = int(np.argmax(turns))
-        place = assembly.line.describe_place(assembly.supports.nodes[cell])
+        place = assembly.line.describe_position(assembly.supports.nodes[cell])
         raise NoEquilibriumError.of(
             "mechanics.rod.folded", step=step, place=place, turn=turns[cell]
         )
@@ -386,6 +367,6 @@ def check_rings(schedule: Schedule, balance: Balance, step: int) -> None:
     """
     for ring, contact in zip(schedule.rings.values(), balance.ring_contacts, strict=True):
         if not 0.0 < contact.parameter < schedule.n:
-            end = schedule.line.describe_place(0 if contact.parameter <= 0.0 else schedule.n)
+            end = schedule.line.describe_position(0 if contact.parameter <= 0.0 else schedule.n)
             name = format_boundary(schedule.boundaries, ring)
             raise NoEquilibriumError.of("mechanics.rod.left_ring", step=step, place=end, ring=name)

@@ -12,33 +12,37 @@ from scipy.spatial.transform import Rotation
 from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats
 
-_FACTOR = np.array([[0, 1, 2, 3], [1, 0, 3, 2], [2, 3, 0, 1], [3, 2, 1, 0]])
-_SIGN = np.array([[1, -1, -1, -1], [1, 1, -1, 1], [1, 1, 1, -1], [1, -1, 1, 1]], dtype=np.float64)
-"""Indices and signs of the left factor for each component of a product."""
-_NEXT, _AFTER_NEXT = np.array([1, 2, 0]), np.array([2, 0, 1])
-_FIRST = np.array([[2, 1, 1], [1, 1, 2], [1, 2, 1]]), np.array([[2, 2, 3], [2, 1, 3], [3, 3, 1]])
-_SECOND = np.array([[3, 0, 0], [0, 3, 0], [0, 0, 2]]), np.array([[3, 3, 2], [3, 3, 1], [2, 1, 2]])
-_OF_FIRST = np.array([[-2.0, 2.0, 2.0], [2.0, -2.0, 2.0], [2.0, 2.0, -2.0]])
-_OF_SECOND = np.array([[-2.0, -2.0, 2.0], [2.0, -2.0, -2.0], [-2.0, 2.0, -2.0]])
-"""Components in the two products of each entry of a rotation matrix, and factors on products."""
-_EYE = np.eye(3)
-_INVERSE = np.array([1.0, -1.0, -1.0, -1.0])
+_LEFT_INDICES = np.array([[0, 1, 2, 3], [1, 0, 3, 2], [2, 3, 0, 1], [3, 2, 1, 0]])
+_LEFT_SIGNS = np.array([[1, -1, -1, -1], [1, 1, -1, 1], [1, 1, 1, -1], [1, -1, 1, 1]], float)
+"""Indices and signs of the components of the left factor, for each component of a product."""
+_NEXT_AXIS, _LAST_AXIS = np.array([1, 2, 0]), np.array([2, 0, 1])
+"""For each axis, the second and the third axis in cyclic order."""
+_PAIRS_1 = np.array([[2, 1, 1], [1, 1, 2], [1, 2, 1]]), np.array([[2, 2, 3], [2, 1, 3], [3, 3, 1]])
+_PAIRS_2 = np.array([[3, 0, 0], [0, 3, 0], [0, 0, 2]]), np.array([[3, 3, 2], [3, 3, 1], [2, 1, 2]])
+_FACTORS_1 = np.array([[-2.0, 2.0, 2.0], [2.0, -2.0, 2.0], [2.0, 2.0, -2.0]])
+_FACTORS_2 = np.array([[-2.0, -2.0, 2.0], [2.0, -2.0, -2.0], [-2.0, 2.0, -2.0]])
+"""Each entry of a rotation matrix has two products of two components: their indices and factors."""
+_IDENTITY = np.eye(3)
+_CONJUGATE_SIGNS = np.array([1.0, -1.0, -1.0, -1.0])
+_MIN_SIZE = 1e-150
+"""Smallest divisor, which avoids a division by zero."""
 
 
 def multiply(left: Floats, right: Floats) -> Floats:
     """Multiply quaternions, shape (..., 4); the product rotates by `right`, then by `left`."""
-    return np.asarray(np.vecdot(left.take(_FACTOR, axis=-1) * _SIGN, right[..., None, :]))
+    left_matrices = left.take(_LEFT_INDICES, axis=-1) * _LEFT_SIGNS
+    return np.asarray(np.vecdot(left_matrices, right[..., None, :]))
 
 
 def conjugate(frames: Floats) -> Floats:
-    """Invert rotations, shape (..., 4)."""
-    return np.asarray(frames * _INVERSE)
+    """Return the quaternions of the inverse rotations, shape (..., 4)."""
+    return np.asarray(frames * _CONJUGATE_SIGNS)
 
 
 def cross(u: Floats, v: Floats) -> Floats:
-    """Return the vector product, shape (..., 3), several times faster than `numpy.cross`."""
-    positive_terms = u.take(_NEXT, axis=-1) * v.take(_AFTER_NEXT, axis=-1)
-    return np.asarray(positive_terms - u.take(_AFTER_NEXT, axis=-1) * v.take(_NEXT, axis=-1))
+    """Compute the vector product, shape (..., 3), several times faster than `numpy.cross`."""
+    positive_terms = u.take(_NEXT_AXIS, axis=-1) * v.take(_LAST_AXIS, axis=-1)
+    return np.asarray(positive_terms - u.take(_LAST_AXIS, axis=-1) * v.take(_NEXT_AXIS, axis=-1))
 
 
 def skew(vectors: Floats) -> Floats:
@@ -55,7 +59,7 @@ def from_rotation_vectors(vectors: Floats) -> Floats:
     half = 0.5 * np.sqrt(np.vecdot(vectors, vectors))
     frames = np.empty((*vectors.shape[:-1], 4))
     frames[..., 0] = np.cos(half)
-    size = np.maximum(half, 1e-150)
+    size = np.maximum(half, _MIN_SIZE)
     frames[..., 1:] = (0.5 * np.sin(size) / size)[..., None] * vectors
     return frames
 
@@ -63,7 +67,7 @@ def from_rotation_vectors(vectors: Floats) -> Floats:
 def to_rotation_vectors(frames: Floats) -> Floats:
     """Return rotation vectors of quaternions, rad, of magnitude up to pi, shape (..., 3)."""
     real, imaginary = frames[..., 0], frames[..., 1:]
-    size = np.maximum(np.sqrt(np.vecdot(imaginary, imaginary)), 1e-150)
+    size = np.maximum(np.sqrt(np.vecdot(imaginary, imaginary)), _MIN_SIZE)
     scale = np.copysign(2.0, real) * np.arctan2(size, np.abs(real)) / size
     return np.asarray(scale[..., None] * imaginary)
 
@@ -72,13 +76,13 @@ def to_matrices(frames: Floats) -> Floats:
     """Return rotation matrices, shape (..., 3, 3); the columns are d1, d2, d3."""
     first_products, second_products = (
         frames.take(first, axis=-1) * frames.take(second, axis=-1) * factor
-        for (first, second), factor in ((_FIRST, _OF_FIRST), (_SECOND, _OF_SECOND))
+        for (first, second), factor in ((_PAIRS_1, _FACTORS_1), (_PAIRS_2, _FACTORS_2))
     )
-    return np.asarray(_EYE + first_products + second_products)
+    return np.asarray(_IDENTITY + first_products + second_products)
 
 
-def unit(vectors: Floats) -> Floats:
-    """Normalise vectors or quaternions along the last axis."""
+def normalise(vectors: Floats) -> Floats:
+    """Normalise vectors or quaternions along the last axis to length one."""
     return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
 
 
@@ -94,45 +98,46 @@ def build_frame(direction: Floats, up: Floats) -> Floats:
     ValueError
         If a vector is zero or both are parallel.
     """
+    min_angle = 1e-9  # between vectors that are not parallel, rad
     d3 = np.asarray(direction, dtype=np.float64)
     normal = cross(d3, np.asarray(up, dtype=np.float64))
-    if not np.linalg.norm(normal) > 1e-9 * np.linalg.norm(d3) * np.linalg.norm(up):
+    if not np.linalg.norm(normal) > min_angle * np.linalg.norm(d3) * np.linalg.norm(up):
         vectors = [np.asarray(vector).tolist() for vector in (direction, up)]
         raise ValueError(
             format_sentence("mechanics.rod.parallel", direction=vectors[0], up=vectors[1])
         )
-    d3, d2 = unit(d3), unit(normal)
+    d3, d2 = normalise(d3), normalise(normal)
     rotation = Rotation.from_matrix(np.stack([cross(d2, d3), d2, d3], axis=1))
     return np.asarray(rotation.as_quat(canonical=True, scalar_first=True))
 
 
-def find_shortest_turns(start: Floats, end: Floats) -> Floats:
-    """Find the quaternions of the smallest rotations between unit vectors, shape (..., 4).
+def compute_shortest_rotations(start: Floats, end: Floats) -> Floats:
+    """Compute the quaternions of the smallest rotations between unit vectors, shape (..., 4).
 
-    Opposite vectors are rotated about an arbitrary axis normal to them.
+    The rotation between opposite vectors is about an arbitrary axis normal to them.
     """
-    frames = np.empty((*start.shape[:-1], 4))
-    frames[..., 0] = 1.0 + np.vecdot(start, end)
-    frames[..., 1:] = cross(start, end)
-    is_opposite = frames[..., 0] < 1e-12
+    rotations = np.empty((*start.shape[:-1], 4))
+    rotations[..., 0] = 1.0 + np.vecdot(start, end)
+    rotations[..., 1:] = cross(start, end)
+    is_opposite = rotations[..., 0] < 1e-12
     if np.any(is_opposite):
-        axes = np.eye(3)[np.argmin(np.abs(start[is_opposite]), axis=-1)]
-        frames[is_opposite, 0] = 0.0
-        frames[is_opposite, 1:] = cross(start[is_opposite], axes)
-    return unit(frames)
+        axes = _IDENTITY[np.argmin(np.abs(start[is_opposite]), axis=-1)]
+        rotations[is_opposite, 0] = 0.0
+        rotations[is_opposite, 1:] = cross(start[is_opposite], axes)
+    return normalise(rotations)
 
 
 def compute_tangent_factors(angles: Floats) -> tuple[Floats, Floats]:
-    """Return the coefficient c(theta) of the inverse tangent map, and c'(theta) / theta.
+    """Compute the coefficient c(theta) of the inverse tangent map, and c'(theta) / theta.
 
     Parameters
     ----------
-    angles : theta, any shape, rad, below 2 pi
+    angles : angles theta, any shape, rad, below 2 pi
 
     Notes
     -----
     A small rotation d in the body frame changes a rotation vector psi of magnitude theta by
-    (1 + psi x / 2 + c psi x psi x) d, with c = (1 - (theta / 2) cot(theta / 2)) / theta^2.
+    d + psi x d / 2 + c psi x (psi x d), with c = (1 - (theta / 2) cot(theta / 2)) / theta^2.
     """
     max_series_angle = 0.3  # rad; for smaller angles the series are more accurate
     x = angles**2

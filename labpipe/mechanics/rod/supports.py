@@ -1,12 +1,12 @@
 """Compute the cells and element directions of a line with held and clamped nodes.
 
 The direction of an element is the director d3 of its frame, which points along the line. Beside a
-clamp it is the normalised mean of this director, and that of the clamp with the weight
-`CLAMP_WEIGHT`.
+clamp, the direction is the normalised mean of this director and the director of the clamp, which
+has the weight `CLAMP_WEIGHT`.
 
-Bending and twist act in the *cells* of a line, the half elements on both sides of a node. The cell
-of a free node connects the frames of its two elements. A clamp divides the cell into two half
-cells. Each connects the frame of the clamp with that of an element.
+Bending and twist act in the *cells* of a line. A cell is the half elements on both sides of a node.
+The cell of a free node connects the frames of its two elements. A clamp divides the cell into two
+half cells. Each half cell connects the frame of the clamp with that of an element.
 
 The rotation vector psi (rad) rotates the frame before a cell to the frame after it. The elastic
 curvature of a cell of length h is psi / h minus the curvature at rest, expressed in the mean of
@@ -43,13 +43,13 @@ from labpipe.mechanics.rod.rotations import (
 from labpipe.records.arrays import Floats, Ints
 
 Grip: TypeAlias = tuple[int, bool]
-"""Node that is held, and whether its frame is held as well."""
+"""Held node, and whether it is a clamp, which also holds the frame."""
 
 _Cell: TypeAlias = tuple[tuple[int, int], int, tuple[float, float], float]
 """Frames before and after a cell, its node, weights of the sides, and length (m)."""
 
 CLAMP_WEIGHT = 1.0 / 6.0
-"""Weight of a clamp in the direction of an adjacent element, beside the frame of that element.
+"""Weight of a clamp in the direction of an adjacent element; the element has the remaining weight.
 
 The half cell at a clamp has the moment of the node instead of that at its middle, which makes the
 line too soft. If the direction of the clamp (rotated by the curvature at rest) contributes to that
@@ -76,7 +76,7 @@ class Supports:
     lengths : shape (cells,), m, lengths of the cells
     rest_curvature : shape (cells, 3), 1/m, curvatures of the cells at rest
     own_weights : shape (n,), weight of the frame of each element in its direction
-    clamp_pairs : shape (pairs, 2), pairs of an element and an adjacent clamp
+    clamp_pairs : shape (pairs, 2), index of an element, and index of an adjacent clamp
     rest_turns : shape (pairs, 4), quaternions of the rotation at rest from the clamp to the middle
         of the element
     """
@@ -129,11 +129,11 @@ def split_cells_at_clamps(line: Line, grips: tuple[Grip, ...]) -> Supports:
     own_weights = np.ones(len(line.lengths))
     clamp_pairs, rest_vectors = [], []
     for node, clamp in clamps_by_node.items():
-        for element, distance_over_length in ((node - 1, -0.5), (node, 0.5)):
+        for element, relative_distance in ((node - 1, -0.5), (node, 0.5)):
             if 0 <= element < len(line.lengths):
                 own_weights[element] -= CLAMP_WEIGHT
                 clamp_pairs.append((element, clamp))
-                distance = distance_over_length * line.lengths[element]  # from clamp to middle, m
+                distance = relative_distance * line.lengths[element]  # from clamp to middle, m
                 rest_vectors.append(distance * rest_curvature[node])
     return Supports(
         n_nodes=n_nodes,
@@ -151,32 +151,36 @@ def split_cells_at_clamps(line: Line, grips: tuple[Grip, ...]) -> Supports:
 
 
 def _list_cells(line: Line, node: int, clamps_by_node: dict[int, int]) -> list[_Cell]:
-    """Return the cells of a node: one, two at an inner clamp, none at a free end."""
+    """List the cells of a node: one at a free node or an end clamp, two at an inner clamp.
+
+    A free end has no cell.
+    """
     n = len(line.lengths)
-    half_before = 0.5 * float(line.lengths[node - 1]) if node > 0 else 0.0
-    half_after = 0.5 * float(line.lengths[node]) if node < n else 0.0
+    length_before = 0.5 * float(line.lengths[node - 1]) if node > 0 else 0.0
+    length_after = 0.5 * float(line.lengths[node]) if node < n else 0.0
     if node in clamps_by_node:
         clamp = n + clamps_by_node[node]
         cells: list[_Cell] = [
-            ((node - 1, clamp), node, (1.0, 0.0), half_before),
-            ((clamp, node), node, (0.0, 1.0), half_after),
+            ((node - 1, clamp), node, (1.0, 0.0), length_before),
+            ((clamp, node), node, (0.0, 1.0), length_after),
         ]
         return [cell for cell in cells if cell[-1] > 0.0]  # no element before or after an end
     if not 0 < node < n:
         return []
-    length = half_before + half_after
-    weights = (half_before / length, half_after / length)
+    length = length_before + length_after
+    weights = (length_before / length, length_after / length)
     return [((node - 1, node), node, weights, length)]
 
 
-_EYE = np.eye(3)
+_IDENTITY = np.eye(3)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Directions:
     """Directions u of n elements, and derivatives of -g . u.
 
-    g is the force of an element times its length, N m. A turn is a small rotation of a frame.
+    The vector g is the force of an element times its length, N m. A turn is a small rotation of a
+    frame.
 
     Parameters
     ----------
@@ -210,35 +214,35 @@ def compute_directions(
     supports : supports of the line, which state the elements beside a clamp
     frames : shape (n, 3, 3), rotation matrices of the elements
     clamp_directions : shape (pairs, 3), contributions of clamps, see `compute_clamp_directions`
-    scaled_forces : g, shape (n, 3), N m, force of each element times its length
+    scaled_forces : shape (n, 3), N m, vectors g, force of each element times its length
     """
     elements, own_weights = supports.clamp_pairs[:, 0], supports.own_weights
     mean = own_weights[:, None] * frames[:, :, 2]
     np.add.at(mean, elements, clamp_directions)
     norm = np.sqrt(np.vecdot(mean, mean))[:, None]
     u = mean / norm
-    scales = own_weights[:, None, None]
     mean_derivatives = np.zeros_like(frames)
     mean_derivatives[:, :, 0] = -own_weights[:, None] * frames[:, :, 1]
     mean_derivatives[:, :, 1] = own_weights[:, None] * frames[:, :, 0]
     # The first and second derivatives with respect to the mean are those of -g . mean / |mean|.
-    projection = (_EYE - u[:, :, None] * u[:, None, :]) / norm[:, :, None]
+    projection = (_IDENTITY - u[:, :, None] * u[:, None, :]) / norm[:, :, None]
     p = np.matvec(projection, scaled_forces)
     outer = u[:, :, None] * p[:, None, :]
     mean_stiffness = outer + outer.mT
     mean_stiffness += np.vecdot(scaled_forces, u)[:, None, None] * projection
     mean_stiffness /= norm[:, :, None]
-    stiffness = scales * _differentiate_twice(np.vecmat(p, frames))
+    stiffness = own_weights[:, None, None] * _differentiate_twice(np.vecmat(p, frames))
     stiffness += mean_derivatives.mT @ mean_stiffness @ mean_derivatives
     turn_derivatives = projection @ mean_derivatives
     moments = -np.vecmat(scaled_forces, turn_derivatives)
     clamp_moments = -cross(clamp_directions, p[elements])
-    return Directions(u, turn_derivatives, moments, stiffness, projection, clamp_moments)
+    clamp_terms = {"clamp_derivatives": projection, "clamp_moments": clamp_moments}
+    return Directions(u, turn_derivatives, moments, stiffness, **clamp_terms)
 
 
 def _differentiate_twice(g: Floats) -> Floats:
-    """Return the second derivative of -g . d3 with respect to a turn, with g in the body frame."""
-    derivative = g[:, 2, None, None] * _EYE
+    """Compute the second derivative of -g . d3 with respect to a turn, with g in the body frame."""
+    derivative = g[:, 2, None, None] * _IDENTITY
     derivative[:, :, 2] -= 0.5 * g
     derivative[:, 2, :] -= 0.5 * g
     return np.asarray(derivative)
@@ -264,7 +268,6 @@ class BentCells:
     ----------
     rotation_vectors : shape (cells, 3), rad, rotation vectors psi
     curvatures : shape (cells, 3), 1/m, curvatures minus those at rest
-    moments : shape (cells, 3), N m, moments in the mean frames
     slider_rests : shape (cells, sliders, 2), 1/m, rest curvatures of the sliders after the step
     turn_maps : shape (cells, 6, 3), matrices -A and A^T
     gradients : shape (cells, 6), N m, derivatives of the energy with respect to the turns d_a and
@@ -274,7 +277,6 @@ class BentCells:
 
     rotation_vectors: Floats
     curvatures: Floats
-    moments: Floats
     slider_rests: Floats
     turn_maps: Floats
     gradients: Floats
@@ -301,8 +303,9 @@ def bend_cells(
     rest_curvature : shape (cells, 3), 1/m, curvatures at rest
     slider_rests : shape (cells, sliders, 2), 1/m, rest curvatures of the sliders before the step
     torques : shape (cells,), N m, torques due to stretch
-    artificial_stiffness : artificial stiffness of the cells relative to their initial stiffness,
-        and rotation vectors psi at which it has no moment, shape (cells, 3); None without it
+    artificial_stiffness : artificial stiffness relative to the initial stiffness of a cell, and
+        rotation vectors psi at which it causes no moment, shape (cells, 3), rad; None for no
+        artificial stiffness
     """
     psi = compute_turns(frames)
     curvatures = psi / lengths[:, None] - rest_curvature
@@ -316,31 +319,30 @@ def bend_cells(
     stiffness /= lengths[:, None, None]
     if artificial_stiffness is not None:
         factor, relaxed_psi = artificial_stiffness
-        bending = section.law.first_stiffness
-        section_stiffness = np.array([bending, bending, section.torsional_stiffness])
+        ei, gj = section.law.first_stiffness, section.torsional_stiffness
+        section_stiffness = np.array([ei, ei, gj])
         added_stiffness = factor * section_stiffness / lengths[:, None]
         moments += added_stiffness * (psi - relaxed_psi)
-        stiffness += added_stiffness[:, :, None] * _EYE
-    maps, geometric = _compute_tangent_maps(psi, moments)
+        stiffness += added_stiffness[:, :, None] * _IDENTITY
+    maps, map_derivatives = _compute_tangent_maps(psi, moments)
     half_skew = 0.5 * skew(moments)
     # The gradient is -A m and A^T m. Its derivatives with respect to psi follow from both factors.
     turn_maps = np.concatenate([-maps, maps.mT], axis=1)
-    derivatives = np.concatenate([half_skew - geometric, half_skew + geometric], axis=1)
+    derivatives = np.concatenate([half_skew - map_derivatives, half_skew + map_derivatives], axis=1)
     derivatives += turn_maps @ stiffness
     stiffnesses = derivatives @ turn_maps.mT
     return BentCells(
-        psi,
-        curvatures,
-        moments,
-        response.history,
-        turn_maps,
-        np.matvec(turn_maps, moments),
-        0.5 * (stiffnesses + stiffnesses.mT),
+        rotation_vectors=psi,
+        curvatures=curvatures,
+        slider_rests=response.history,
+        turn_maps=turn_maps,
+        gradients=np.matvec(turn_maps, moments),
+        stiffnesses=0.5 * (stiffnesses + stiffnesses.mT),
     )
 
 
 def compute_turns(frames: Floats) -> Floats:
-    """Return rotation vectors from frames before to frames after cells, rad, (cells, 3).
+    """Compute the rotation vectors from the frame before to the frame after each cell, (cells, 3).
 
     Parameters
     ----------
@@ -350,14 +352,14 @@ def compute_turns(frames: Floats) -> Floats:
 
 
 def _compute_tangent_maps(psi: Floats, moments: Floats) -> tuple[Floats, Floats]:
-    """Return the tangent maps A, and the derivatives of c psi x (psi x m) with respect to psi."""
+    """Compute the tangent maps A, and the derivatives of c psi x (psi x m) with respect to psi."""
     factors, c_slope_over_angle = compute_tangent_factors(np.sqrt(np.vecdot(psi, psi)))
     c = factors[:, None, None]
     outer = psi[:, :, None] * psi[:, None, :]
     square, product = np.vecdot(psi, psi)[:, None], np.vecdot(psi, moments)[:, None]
-    tangent_maps = _EYE + 0.5 * skew(psi) + c * (outer - square[:, None] * _EYE)
+    tangent_maps = _IDENTITY + 0.5 * skew(psi) + c * (outer - square[:, None] * _IDENTITY)
     mixed = psi[:, :, None] * moments[:, None, :]
     double_cross = product * psi - square * moments  # psi x (psi x m)
-    geometric = c * (product[:, None] * _EYE + mixed - 2.0 * mixed.mT)
-    geometric += (c_slope_over_angle[:, None] * double_cross)[:, :, None] * psi[:, None, :]
-    return tangent_maps, geometric
+    derivatives = c * (product[:, None] * _IDENTITY + mixed - 2.0 * mixed.mT)
+    derivatives += (c_slope_over_angle[:, None] * double_cross)[:, :, None] * psi[:, None, :]
+    return tangent_maps, derivatives

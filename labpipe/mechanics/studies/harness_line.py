@@ -32,19 +32,19 @@ from labpipe.mechanics.law.sliders import GrowingSlider, SliderLaw, make_linear_
 from labpipe.mechanics.rod import boundaries as rod
 from labpipe.mechanics.rod.bands import (
     InputDistribution,
-    build_calibrated_distributions,
-    build_stated_distribution,
+    build_calibration_distributions,
+    build_t_distribution,
     build_uniform_distribution,
     join_distributions,
 )
 from labpipe.mechanics.rod.line import Line, Section, build_line
 from labpipe.mechanics.rod.rotations import (
-    find_shortest_turns,
+    compute_shortest_rotations,
     from_rotation_vectors,
     multiply,
+    normalise,
     to_matrices,
     to_rotation_vectors,
-    unit,
 )
 from labpipe.mechanics.studies.calibration_file import StoredCalibration, read_calibration
 from labpipe.mechanics.studies.wire_sheets import build_wire_error, read_wire_sheet
@@ -176,7 +176,7 @@ def _build_line(harness: HarnessFile, section: Section, stations: Floats) -> Lin
     angles = 0.5 * spool.curvature * (stations[1:] + stations[:-1])
     tangents = np.cos(angles)[:, None] * direction + np.sin(angles)[:, None] * side
     arc = np.cumsum(np.diff(stations)[:, None] * tangents, axis=0)
-    return build_line(start + np.vstack([np.zeros(3), arc]), section, up=side, is_formed=True)
+    return build_line(start + np.vstack([np.zeros(3), arc]), section, up=side, is_rest_shape=True)
 
 
 def _compute_spool_normal(spool: Spool, direction: Floats) -> Floats:
@@ -192,7 +192,7 @@ def _compute_spool_normal(spool: Spool, direction: Floats) -> Floats:
     normal = spool_direction - (spool_direction @ direction) * direction
     if np.linalg.norm(normal) < min_norm:
         raise ValueError(format_sentence("mechanics.studies.spool_side", towards=spool.towards))
-    return np.asarray(unit(normal))
+    return np.asarray(normalise(normal))
 
 
 def _build_boundaries(harness: HarnessFile, line: Line, stations: Floats) -> Iterator[rod.Boundary]:
@@ -212,7 +212,7 @@ def _build_boundaries(harness: HarnessFile, line: Line, stations: Floats) -> Ite
         match boundary:
             case Clip() | Pin() | Grip():
                 path = compute_path(boundary, line.positions[node], steps)
-                frames = _interpolate_frames(boundary, line.get_frame(node), steps)
+                frames = _interpolate_frames(boundary, line.compute_clamp_frame(node), steps)
                 yield rod.Held(node, path, frames, boundary.release, name)
             case Ring():
                 # The path starts at the nearest point of the line.
@@ -270,7 +270,7 @@ def _interpolate_frames(boundary: Clip | Pin | Grip, start: Floats, steps: int) 
         n_steps = last_step - previous_step
         start_direction = to_matrices(frames[-1])[:, 2]
         direction = start_direction if point.direction is None else np.array(point.direction)
-        rotation = to_rotation_vectors(find_shortest_turns(start_direction, direction))
+        rotation = to_rotation_vectors(compute_shortest_rotations(start_direction, direction))
         fractions = np.arange(1, n_steps + 1) / n_steps
         partial_rotations = from_rotation_vectors(fractions[:, None] * rotation)
         frames += list(multiply(partial_rotations, np.tile(frames[-1], (n_steps, 1))))
@@ -372,7 +372,7 @@ def read_material(harness: HarnessFile, file: Path, wires: Path | None = None) -
         spread = harness.line.spool.spread
         deviations += [(name, spread, "curl of the spool") for name in REST_CURVATURE_CHANGES]
     common_distributions = tuple(
-        build_stated_distribution(name, deviation, cause=cause)
+        build_t_distribution(name, deviation, cause=cause)
         for name, deviation, cause in deviations
         if deviation > 0.0
     )
@@ -453,14 +453,14 @@ def _build_distributions(
     """Build the distributions of a calibration, and of a share that the sheet does not give."""
     distributions: tuple[InputDistribution, ...] = ()
     if calibration is not None:
-        distributions = build_calibrated_distributions(
+        distributions = build_calibration_distributions(
             calibration.solutions, calibration.widening, specimen=LOG_MOMENT_FACTOR
         )
     if spec.isotropic_share is not None:
         return distributions
     if calibration is not None and calibration.share is not None:
         value, error = calibration.share
-        share = build_stated_distribution(ISOTROPIC_SHARE, error, centre=value, cause=_HARDENING)
+        share = build_t_distribution(ISOTROPIC_SHARE, error, centre=value, cause=_HARDENING)
     else:
         share = build_uniform_distribution(ISOTROPIC_SHARE, *DEFAULT_SHARE_RANGE, cause=_HARDENING)
     return _join_each(distributions, (share,))

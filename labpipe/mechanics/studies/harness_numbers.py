@@ -25,9 +25,9 @@ import numpy as np
 from labpipe.mechanics.law.sliders import SliderLaw, get_current_sliders
 from labpipe.mechanics.rod import boundaries as rod
 from labpipe.mechanics.rod.bands import collect_step_fields, compute_node_curvature
-from labpipe.mechanics.rod.line import Line, format_place
+from labpipe.mechanics.rod.line import Line, format_position
 from labpipe.mechanics.rod.path import RodPath, RodState
-from labpipe.mechanics.rod.rotations import conjugate, multiply, to_rotation_vectors, unit
+from labpipe.mechanics.rod.rotations import conjugate, multiply, normalise, to_rotation_vectors
 from labpipe.mechanics.rod.statics import follow
 from labpipe.mechanics.studies.harness_line import Material, PreparedLine
 from labpipe.messages import format_sentence
@@ -141,7 +141,7 @@ def compute_heights(positions: Floats, path: RodPath) -> Floats:
     Heights, shape (..., n + 1), m.
     """
     gravities = [load.vector[-1] for load in path.boundaries if isinstance(load, rod.Gravity)]
-    return np.asarray(positions @ (-unit(gravities[0]) if gravities else [0.0, 0.0, 1.0]))
+    return np.asarray(positions @ (-normalise(gravities[0]) if gravities else [0.0, 0.0, 1.0]))
 
 
 def compute_released_curvature(law: SliderLaw, rests: Floats) -> Floats:
@@ -343,9 +343,9 @@ def _describe_numbers(path: RodPath) -> dict[str, str]:
     final_bend, sharpest_bend = (find_sharpest_bend(path, rows) for rows in (steps[-1:], steps))
     lowest_node = int(np.argmin(compute_heights(path.last.positions, path)))
     remarks = {
-        RADIUS: format_place(final_bend.arc_length),
-        PATH_RADIUS: f"step {sharpest_bend.step}, {format_place(sharpest_bend.arc_length)}",
-        LOWEST_POINT: format_place(stations[lowest_node]),
+        RADIUS: format_position(final_bend.arc_length),
+        PATH_RADIUS: f"step {sharpest_bend.step}, {format_position(sharpest_bend.arc_length)}",
+        LOWEST_POINT: format_position(stations[lowest_node]),
         LOST_ENERGY: "in bending, since the start",
     }
     forces = np.array([np.linalg.norm(state.reaction_forces, axis=1) for state in path.states])
@@ -360,7 +360,7 @@ def _describe_numbers(path: RodPath) -> dict[str, str]:
     node = int(np.argmax(residual))
     if residual[node]:
         suffix = "" if law.growing_sliders else ", by Masing's rule"
-        remarks[RESIDUAL_CURVATURE] = f"{format_place(stations[node])}; if released{suffix}"
+        remarks[RESIDUAL_CURVATURE] = f"{format_position(stations[node])}; if released{suffix}"
     return remarks
 
 
@@ -439,7 +439,7 @@ def find_reasons(path: RodPath, material: Material) -> tuple[Reason, ...]:
             Reason.of(
                 "mechanics.studies.beyond_backed",
                 step=step,
-                place=path.line.describe_place(node),
+                place=path.line.describe_position(node),
                 curvature=curvature,
                 limit=material.curvature_limit,
                 source=material.limit_source,
@@ -451,7 +451,7 @@ def find_reasons(path: RodPath, material: Material) -> tuple[Reason, ...]:
             Reason.of(
                 "mechanics.studies.beyond_stretch",
                 step=step,
-                place=path.line.describe_place(element),
+                place=path.line.describe_position(element),
                 stretch=100.0 * stretch,
                 limit=100.0 * material.stretch_limit,
             )

@@ -228,11 +228,11 @@ def calibrate_share(
     if len(fits) == 2:
         shares, share_errors = np.array(list(fits.values())).T
         is_creep = abs(shares[1] - shares[0]) > MAX_DISAGREEMENT * np.hypot(*share_errors)
-    interval = Interval.normal_95(value, error)
+    interval = Interval.make_normal(value, error)
     return IsotropicShare(
         value=value,
         interval=Interval(max(interval.lower, 0.0), min(interval.upper, 1.0)),
-        intervals={name: Interval.normal_95(*fit) for name, fit in fits.items()},
+        intervals={name: Interval.make_normal(*fit) for name, fit in fits.items()},
         n_tests=len(tests),
         is_creep=bool(is_creep),
     )
