@@ -26,7 +26,7 @@ from labpipe.records.quality import Doubt, Finding
 from labpipe.records.signals import Clocks, Signal, Signals
 from labpipe.signal import clock_alignment, turning_points
 from labpipe.signal.clock_alignment import (
-    Repeat,
+    CycleLag,
     find_rough_peaks,
     make_clock_fit,
     match_peaks,
@@ -517,7 +517,7 @@ def _check_constant(force: Signal, channel: str) -> list[Finding]:
     return [Finding.of("process.constant_channel", channel, is_blocking=True, force=force, **facts)]
 
 
-def _measure_repeat(motion: Motion, force: Signal, fit: ClockFit) -> Repeat | None:
+def _measure_repeat(motion: Motion, force: Signal, fit: ClockFit) -> CycleLag | None:
     """Measure the time from the second cycle to the last one on both clocks.
 
     The first cycle is not used, because it deforms the specimen for the first time. The result is
@@ -556,7 +556,7 @@ def _measure_repeat(motion: Motion, force: Signal, fit: ClockFit) -> Repeat | No
     lags = [x.value for x in fits if not isinstance(x, Failure)]
     drift_error = float(np.linalg.norm(np.subtract(lags[1:], lags[0]))) if lags else 0.0
     error = float(np.hypot(lag.error, force_lag.error))
-    return Repeat(lag.value, force_lag.value, error, drift_error)
+    return CycleLag(lag.value, force_lag.value, error, drift_error)
 
 
 def _has_relaxation(force: Signal, motion: Motion, fit: ClockFit) -> bool:
@@ -576,7 +576,7 @@ def _has_relaxation(force: Signal, motion: Motion, fit: ClockFit) -> bool:
     return max(losses) > max_loss_fraction * span
 
 
-def _select_repeat(repeat: Repeat | None, fit: ClockFit) -> tuple[Repeat | None, list[Finding]]:
+def _select_repeat(repeat: CycleLag | None, fit: ClockFit) -> tuple[CycleLag | None, list[Finding]]:
     """Select the lag of the repeated cycle, or report that the turning points contradict it."""
     max_lag_difference = 4.0  # standard errors
     if repeat is None:
@@ -588,14 +588,14 @@ def _select_repeat(repeat: Repeat | None, fit: ClockFit) -> tuple[Repeat | None,
     return None, [Finding.of("process.cycles_not_alike", "align", lag=lag, expected=expected)]
 
 
-def _fit_events(events: Floats, repeat: Repeat | None) -> ClockFit:
+def _fit_events(events: Floats, repeat: CycleLag | None) -> ClockFit:
     """Fit the relation of the clocks to events and, if there is one, to the repeated cycle."""
     motion, force, errors, shape_errors = events
     # The error from shape is common to all events but one, so that it must not average out.
     errors = np.hypot(errors, sqrt(len(errors) - 1) * shape_errors)
     method = "turning points: lines through the travel, smooth pieces of the force"
     method = method if repeat is None else f"{method}; lag of the repeated cycle"
-    return clock_alignment.fit_clocks(motion, force, errors, method=method, repeat=repeat)
+    return clock_alignment.fit_clocks(motion, force, errors, method=method, cycle_lag=repeat)
 
 
 def _check_fit(fit: ClockFit, align: schema.AlignTurningPoints) -> Iterator[Finding]:

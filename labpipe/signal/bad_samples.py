@@ -9,10 +9,7 @@ from math import log, pi, sqrt
 import numpy as np
 
 from labpipe.records.arrays import Flags, Floats, Ints, median
-from labpipe.signal.turning_points import (
-    compute_step_quantile,
-    estimate_noise_level,
-)
+from labpipe.signal.turning_points import compute_step_quantile, estimate_noise_level
 
 _UNUSUAL_RUN_FACTOR = 4.0
 """Multiple of the usual run length above which a run is unusual."""
@@ -36,8 +33,9 @@ class StuckRun:
 
     Parameters
     ----------
-    start, stop : indices of the samples, `stop` excluded
-    is_clipped : whether the channel has no value beyond the repeated value; otherwise it is frozen
+    start, stop : indices of the first sample, and of the first sample after the run
+    is_clipped : whether the channel has no value beyond the repeated value; otherwise the channel
+        is frozen
     """
 
     start: int
@@ -45,15 +43,15 @@ class StuckRun:
     is_clipped: bool
 
 
-def find_stuck_runs(time: Floats, values: Floats, paired: Floats | None = None) -> list[StuckRun]:
+def find_stuck_runs(time: Floats, values: Floats, pair: Floats | None = None) -> list[StuckRun]:
     """Find runs in which a channel repeats a value although its quantity changes.
 
     Parameters
     ----------
     time : shape (n,), s, times of the samples
     values : shape (n,), values of the channel; a NaN ends a run
-    paired : shape (n,), other quantity of the test (the displacement for a force, the force for a
-        displacement); None if it was not recorded
+    pair : shape (n,), values of the other quantity of the test (the displacement for a
+        force, the force for a displacement); None if it was not recorded
 
     Returns
     -------
@@ -61,14 +59,15 @@ def find_stuck_runs(time: Floats, values: Floats, paired: Floats | None = None) 
 
     Notes
     -----
-    There are two criteria. In a noisy channel, a run counts if noise produces a run of its length
-    in fewer than one of 10^6 records. In a quiet channel, the values must approach and leave the
-    run steeply, by more than five steps of the resolution within half its length, with at least 0.3
-    of the slope farther away. Meanwhile `paired` must continue. If the channel is clipped, or
-    frozen up to the last sample, `paired` must continue at about its previous speed through both
-    ends. If the channel is frozen and then jumps, `paired` must change by a fraction of its range.
-    A machine at rest, a rounded peak, a plateau, creep under constant force, slack, and a coarse
-    resolution are not reported.
+    There are two criteria. In a noisy channel, a run is stuck if noise produces a run of this
+    length in fewer than one of 10^6 records. In a quiet channel, the values must approach and leave
+    the run steeply, by more than five steps of the resolution within half the length of the run,
+    with at least 0.3 of the slope farther away. The other quantity must continue during the run. If
+    the channel is clipped, or frozen up to the last sample, the other quantity must continue at
+    about the same speed through both ends of the run. If the channel is frozen and then jumps, the
+    other quantity must change by a fraction of the full range of that quantity. A machine at rest,
+    a rounded peak, a plateau, creep under constant force, slack, and a coarse resolution are not
+    reported.
     """
     min_run = 3  # samples; two equal samples occur at any corner
     is_equal = np.zeros(len(values) + 1, dtype=np.bool_)  # whether equal to the previous sample
@@ -78,7 +77,7 @@ def find_stuck_runs(time: Floats, values: Floats, paired: Floats | None = None) 
     if not (lengths >= min_run).any():
         return []
     low, high = float(np.nanmin(values)), float(np.nanmax(values))
-    channel = _Channel(time, values, paired, starts, lengths, low, high)
+    channel = _Channel(time, values, pair, starts, lengths=lengths, low=low, high=high)
     if not high > low:
         return []
     long_runs = np.flatnonzero(lengths >= max(min_run, _UNUSUAL_RUN_FACTOR * channel.usual_run))
@@ -95,18 +94,18 @@ def find_stuck_runs(time: Floats, values: Floats, paired: Floats | None = None) 
 
 @dataclass(frozen=True, eq=False)
 class _Channel:
-    """Channel with its usual run length, speed and noise, which are computed on demand.
+    """Channel, with the usual run length, speed and noise, which are computed on demand.
 
     Parameters
     ----------
-    time, values, paired : see `find_stuck_runs`
+    time, values, pair : arguments of `find_stuck_runs`
     starts, lengths : shape (runs,), first samples and lengths of the runs of two or more samples
     low, high : minimum and maximum of the values
     """
 
     time: Floats
     values: Floats
-    paired: Floats | None
+    pair: Floats | None
     starts: Ints
     lengths: Ints
     low: float
@@ -122,13 +121,13 @@ class _Channel:
 
     @cached_property
     def rounding(self) -> float:
-        """Largest size of a step that is a rounding error."""
+        """Size up to which a step is a rounding error, in the unit of the channel."""
         max_rounding_fraction = 1e-7
         return min(max_rounding_fraction, 0.1 / len(self.values)) * (self.high - self.low)
 
     @cached_property
     def steps(self) -> tuple[Floats, Floats]:
-        """Sizes of the steps above the rounding, and their durations, s."""
+        """Sizes of the steps above the rounding error, and durations of these steps, s."""
         steps = np.abs(np.diff(self.values))
         is_moving = steps > self.rounding  # False for NaN
         sizes = steps[is_moving]
@@ -138,7 +137,7 @@ class _Channel:
 
     @cached_property
     def resolution(self) -> float:
-        """Quantisation step of the channel."""
+        """Quantisation step of the channel, in the unit of the channel."""
         return _estimate_resolution(self.values, self.steps[0], self.rounding)
 
     @cached_property
@@ -189,11 +188,11 @@ class _Channel:
         usual_run = max(self.usual_run, self._count_previous_run(start))
         if stop - start <= _UNUSUAL_RUN_FACTOR * usual_run:
             return False
-        if self.paired is None:  # at a failure of the specimen, the force drops to zero
+        if self.pair is None:  # at a failure of the specimen, the force drops to zero
             return stop - start >= _MIN_NOISY_RUN and not self._is_at_rest(stop)
-        steps = np.abs(np.diff(self.paired))
+        steps = np.abs(np.diff(self.pair))
         is_smooth = steps[stop - 1] <= _JUMP_SPEED_FACTOR * float(np.nanquantile(steps, 0.95))
-        return bool(is_smooth) and self._compute_paired_travel(start, stop) > _MIN_JUMP_FRACTION
+        return bool(is_smooth) and self._compute_pair_travel(start, stop) > _MIN_JUMP_FRACTION
 
     def _is_jump(self, sample: int) -> bool:
         """Return whether the step to a sample is much faster than the usual steps."""
@@ -202,12 +201,12 @@ class _Channel:
         min_jump = _MIN_JUMP_FRACTION * (self.high - self.low)
         return jump > min_jump and jump > _JUMP_SPEED_FACTOR * self.speed * duration
 
-    def _compute_paired_travel(self, start: int, stop: int) -> float:
-        """Compute the travel of the other quantity during the run, as a fraction of its range."""
-        if self.paired is None or np.isnan(self.paired[start:stop]).all():
+    def _compute_pair_travel(self, start: int, stop: int) -> float:
+        """Compute the range of the other quantity in the run, as a fraction of the full range."""
+        if self.pair is None or np.isnan(self.pair[start:stop]).all():
             return 0.0
         travel, full_range = (
-            float(np.nanmax(x) - np.nanmin(x)) for x in (self.paired[start:stop], self.paired)
+            float(np.nanmax(x) - np.nanmin(x)) for x in (self.pair[start:stop], self.pair)
         )
         return travel / full_range if full_range > 0.0 else 0.0
 
@@ -215,41 +214,46 @@ class _Channel:
         """Return whether the run has steep sides while the other quantity continues."""
         # Plateaus of measured forces have runs of at most this multiple of the usual run length.
         plateau_factor = 50.0
-        min_travel = 0.3  # fraction of the range of the other quantity
+        min_travel, min_certain_run = 0.3, 8  # fraction of the full range; samples
         sides = [(start, -1)] if start >= 2 else []
         sides += [(stop - 1, 1)] if stop + 1 < len(self.values) else []
-        if self.paired is None or not sides:
+        if self.pair is None or not sides:
             return False
-        continues = [self._paired_keeps_speed(sample, stop - start) for sample, _ in sides]
-        # In a run of fewer than 8 samples, the speed at one of its ends is uncertain.
-        paired_continues = any(continues) if stop - start < 8 else all(continues)
+        keeps_speed = [self._does_pair_keep_speed(sample, stop - start) for sample, _ in sides]
+        # In a shorter run, the speed at one of the ends is uncertain.
+        is_certain = stop - start >= min_certain_run
+        pair_continues = all(keeps_speed) if is_certain else any(keeps_speed)
         usual_run = max(self.usual_run, self._count_previous_run(start))
         is_long = stop - start >= plateau_factor * usual_run
-        travels = self._compute_paired_travel(start, stop) > min_travel
-        if is_long and travels and self._paired_keeps_direction(start, stop):
+        has_travel = self._compute_pair_travel(start, stop) > min_travel
+        if is_long and has_travel and self._does_pair_keep_direction(start, stop):
             return True
         is_steep = (self._leaves_steeply(sample, sign, stop - start) for sample, sign in sides)
-        return paired_continues and (is_long or all(is_steep))
+        return pair_continues and (is_long or all(is_steep))
 
     def _count_previous_run(self, start: int) -> int:
-        """Count the samples of the run before a sample; runs become longer towards a plateau."""
+        """Count the samples of the run that ends before a sample.
+
+        Runs become longer towards a plateau.
+        """
         level = self.values[start - 1] if start else np.nan
         other_samples = np.flatnonzero(self.values[:start] != level)
         return start - 1 - int(other_samples[-1]) if len(other_samples) else start
 
-    def _paired_keeps_direction(self, start: int, stop: int) -> bool:
-        """Return whether the other quantity continues in its direction, unlike in a hold."""
-        paired = self.paired
-        if paired is None:
+    def _does_pair_keep_direction(self, start: int, stop: int) -> bool:
+        """Return whether the other quantity continues in the same direction, unlike in a hold."""
+        pair = self.pair
+        if pair is None:
             return False
-        travel_before = float(paired[start] - paired[max(0, start - (stop - start))])
-        return travel_before * float(paired[start + (stop - start) // 4] - paired[start]) > 0.0
+        travel_before = float(pair[start] - pair[max(0, start - (stop - start))])
+        return travel_before * float(pair[start + (stop - start) // 4] - pair[start]) > 0.0
 
     def _leaves_steeply(self, sample: int, direction: int, length: int) -> bool:
         """Return whether the channel leaves a sample steeply, forwards (1) or backwards (-1)."""
-        # Smallest rise within half the run length, in steps of the resolution (a rounded peak has
-        # 3) and as a fraction of the range, below which missing values do not matter. Smallest
-        # ratio of the slope next to the run to the slope farther away, which a rounded peak lowers.
+        # The rise within half the run length must exceed a number of steps of the resolution (a
+        # rounded peak has 3) and a fraction of the range, below which missing values have no
+        # effect. A rounded peak has a smaller ratio of the slope next to the run to the slope
+        # farther away.
         min_rise_in_steps, min_rise_fraction, min_slope_ratio = 5.0, 0.005, 0.3
         reach = min(max(2, length // 2), sample if direction < 0 else len(self.values) - 1 - sample)
         rise = np.abs(self.values[sample + direction * np.arange(reach + 1)] - self.values[sample])
@@ -257,23 +261,23 @@ class _Channel:
             return False
         half_reach = reach // 2
         far_slope = float(rise[-1] - rise[half_reach]) / (reach - half_reach)
-        # The first step may be smaller, because a part of it may be within the run.
+        # The first step may be smaller, because a part of the change may be within the run.
         near_slope = max(float(rise[half_reach]) / half_reach, float(rise[2] - rise[1]))
         min_rise = min_rise_fraction * (self.high - self.low)
         is_far = rise[-1] > max(min_rise_in_steps * self.resolution, min_rise)
         return bool(is_far) and near_slope >= min_slope_ratio * far_slope
 
-    def _paired_keeps_speed(self, sample: int, length: int) -> bool:
+    def _does_pair_keep_speed(self, sample: int, length: int) -> bool:
         """Return whether the other quantity passes a sample at about constant speed."""
-        min_speed_ratio, max_speed_ratio = 0.4, 2.5  # speed after the sample over that before it
-        noise_factor = 5.0  # standard deviations of the other quantity
-        paired = self.paired
-        if paired is None:
+        min_speed_ratio, max_speed_ratio = 0.4, 2.5  # speed after over speed before the sample
+        noise_factor = 5.0  # smallest travel, in standard deviations of the noise
+        pair = self.pair
+        if pair is None:
             return False
-        min_travel = noise_factor * estimate_noise_level(paired)
-        reach = max(1, min(length // 4, max(8, len(paired) // 50)))
-        samples = [max(0, sample - reach), sample, min(len(paired) - 1, sample + reach)]
-        travel, duration = (np.diff(values[samples]) for values in (paired, self.time))
+        min_travel = noise_factor * estimate_noise_level(pair)
+        reach = max(1, min(length // 4, max(8, len(pair) // 50)))
+        samples = [max(0, sample - reach), sample, min(len(pair) - 1, sample + reach)]
+        travel, duration = (np.diff(values[samples]) for values in (pair, self.time))
         if not (np.abs(travel) > min_travel).all():  # also if a value is NaN
             return False
         speed_before, speed_after = travel / np.maximum(duration, 1e-12)
@@ -283,8 +287,8 @@ class _Channel:
 def _estimate_resolution(values: Floats, steps: Floats, rounding: float) -> float:
     """Estimate the quantisation step of a channel.
 
-    For a short record it is the step of the grid on which all values are, or the rounding error
-    without such a grid. For a long record it is the smallest step between neighbours.
+    If all values of a short record are on a grid, the result is the step of the grid, and otherwise
+    the rounding error. For a long record, the result is the smallest step between neighbours.
     """
     max_grid_check_samples = 5000
     if len(values) > max_grid_check_samples:
@@ -304,17 +308,21 @@ def _compute_longest_noise_run(values: Floats, count: int, resolution: float) ->
     values : values of the channel without gaps and unusual runs
     count : number of samples of the record
     resolution : quantisation step of the channel
+
+    Returns
+    -------
+    The run length in samples.
     """
-    false_alarm_rate, min_differences = 1e-6, 20  # per record; third differences
-    # Smallest median third difference over the noise. White noise has 0.6745 sqrt(20) = 3.0, and a
-    # smooth curve far less than 1.
+    false_alarm_rate, min_differences = 1e-6, 20  # for each record; number of third differences
+    # Smallest ratio of the median third difference to the noise. For white noise, the ratio is
+    # 0.6745 sqrt(20) = 3.0, and for a smooth curve far below 1.
     min_white_ratio = 2.0
-    third, noise = np.diff(values, n=3), estimate_noise_level(values)
-    if len(third) < min_differences:
+    changes, noise = np.diff(values, n=3), estimate_noise_level(values)  # third differences
+    if len(changes) < min_differences:
         return float("inf")
-    if not noise > resolution or median(np.abs(third, out=third)) < min_white_ratio * noise:
-        return float("inf")  # no noise, or a smooth curve
-    # The probability that two neighbours have the same value in spite of noise.
+    if not noise > resolution or median(np.abs(changes, out=changes)) < min_white_ratio * noise:
+        return float("inf")  # the channel has no noise, or is a smooth curve
+    # Two neighbours have the same value with this probability, in spite of noise.
     equal_probability = resolution / (2.0 * sqrt(pi) * noise)
     return max(_MIN_NOISY_RUN, 1.0 + log(false_alarm_rate / count) / log(equal_probability))
 
@@ -328,16 +336,16 @@ def find_spikes(force: Floats) -> Ints:
 
     Returns
     -------
-    The indices of their samples, in order. A spike has at most three consecutive samples.
+    The indices of the samples of spikes, in order. A spike has at most three consecutive samples.
 
     Notes
     -----
     The deviation from the median of seven samples must exceed eight robust standard deviations
-    (1.4826 MAD), 1 % of the range of that median, two steps of a coarse resolution, and four times
+    (1.4826 MAD), 1 % of the range of that median, 2.5 steps of a coarse resolution, and four times
     the largest step between the three neighbours on each side. The medians of the neighbours on
     both sides must differ by less than half the deviation, so that a permanent loss of force is not
     a spike. The first and last three samples have neighbours on one side only. There, the distance
-    of a spike from the range of all other levels must exceed this range.
+    of a spike from the range of all medians must exceed this range.
     """
     mad_factor, resolution_factor = 8.0, 2.5
     max_medians = 20_000  # number of evenly spaced medians for range and deviation
@@ -357,27 +365,28 @@ def find_spikes(force: Floats) -> Ints:
         _MIN_SPIKE_FRACTION * float(np.ptp(levels)),
         resolution_factor * compute_step_quantile(f, 0.1),  # steps of a coarse signal
     )
-    # Only samples near a large range of three blocks may deviate from the median of their window.
+    # Only samples in a block whose range, with both neighbouring blocks, is large may be spikes.
     starts = np.arange(0, len(f), block_size)
-    high = np.pad(np.maximum.reduceat(f, starts), 1, mode="edge")
-    low = np.pad(np.minimum.reduceat(f, starts), 1, mode="edge")
-    highest = np.maximum(np.maximum(high[:-2], high[1:-1]), high[2:])
-    lowest = np.minimum(np.minimum(low[:-2], low[1:-1]), low[2:])
-    is_uneven = np.repeat(highest - lowest > min_deviation, block_size)[: len(f)]
-    uneven = np.flatnonzero(is_uneven)
-    window_rows = np.clip(uneven[:, None] + np.arange(-half_window, half_window + 1), 0, len(f) - 1)
-    deviation = f[uneven] - np.partition(f[window_rows], half_window, axis=1)[:, half_window]
+    maxima = np.pad(np.maximum.reduceat(f, starts), 1, mode="edge")
+    minima = np.pad(np.minimum.reduceat(f, starts), 1, mode="edge")
+    highest = np.maximum(np.maximum(maxima[:-2], maxima[1:-1]), maxima[2:])
+    lowest = np.minimum(np.minimum(minima[:-2], minima[1:-1]), minima[2:])
+    is_candidate = np.repeat(highest - lowest > min_deviation, block_size)[: len(f)]
+    candidates = np.flatnonzero(is_candidate)
+    neighbours = candidates[:, None] + np.arange(-half_window, half_window + 1)
+    candidate_windows = np.partition(f[np.clip(neighbours, 0, len(f) - 1)], half_window, axis=1)
+    deviation = f[candidates] - candidate_windows[:, half_window]
     is_far = np.abs(deviation) > min_deviation
-    indices, sizes = uneven[is_far], np.abs(deviation[is_far])
+    indices, sizes = candidates[is_far], np.abs(deviation[is_far])
     spikes = [indices[:0]]
     for run in np.split(np.arange(len(indices)), np.flatnonzero(np.diff(indices) > 1) + 1):
-        # The spike shifts the medians of its neighbours, which deviate less and are excluded.
+        # A spike shifts the medians of the neighbours, which deviate less and are excluded.
         core = run[sizes[run] > 0.3 * sizes[run].max(initial=0.0)]
         if len(core) and _is_spike(f, indices[core], float(sizes[core].min())):
             spikes.append(indices[core])
-    ends = np.r_[:half_window, len(f) - half_window : len(f)]
-    distance = np.maximum(f[ends] - levels.max(), levels.min() - f[ends])
-    spikes.append(ends[distance > max(float(np.ptp(levels)), min_deviation)])
+    end_samples = np.r_[:half_window, len(f) - half_window : len(f)]
+    distance = np.maximum(f[end_samples] - levels.max(), levels.min() - f[end_samples])
+    spikes.append(end_samples[distance > max(float(np.ptp(levels)), min_deviation)])
     samples = np.sort(np.concatenate(spikes))
     return samples if is_valid.all() else np.flatnonzero(is_valid)[samples]
 
@@ -394,24 +403,22 @@ def bridge_spikes(force: Floats, spikes: Ints) -> Floats:
     -------
     Shape (n,), N, force without spikes, in a new array.
     """
-    valid = np.setdiff1d(np.flatnonzero(~np.isnan(force)), spikes, assume_unique=True)
-    bridged = force.copy()
-    bridged[spikes] = np.interp(spikes, valid, force[valid])
-    return bridged
+    other_samples = np.setdiff1d(np.flatnonzero(~np.isnan(force)), spikes, assume_unique=True)
+    bridged_force = force.copy()
+    bridged_force[spikes] = np.interp(spikes, other_samples, force[other_samples])
+    return bridged_force
 
 
-def _is_spike(f: Floats, run: Ints, deviation: float) -> bool:
+def _is_spike(force: Floats, run: Ints, deviation: float) -> bool:
     """Return whether a run of deviating samples is short, with similar levels on both sides."""
     # The deviation must exceed this multiple of the largest step of the neighbours, so that a sharp
     # turn is not a spike.
     spike_step_factor = 4.0
     first_sample, last_sample = int(run[0]), int(run[-1])
-    values_before = f[max(first_sample - _MAX_SPIKE_SAMPLES, 0) : first_sample]
-    values_after = f[last_sample + 1 : last_sample + 1 + _MAX_SPIKE_SAMPLES]
-    if (
-        last_sample - first_sample >= _MAX_SPIKE_SAMPLES
-        or min(len(values_before), len(values_after)) < _MAX_SPIKE_SAMPLES
-    ):
+    values_before = force[max(first_sample - _MAX_SPIKE_SAMPLES, 0) : first_sample]
+    values_after = force[last_sample + 1 : last_sample + 1 + _MAX_SPIKE_SAMPLES]
+    n_neighbours = min(len(values_before), len(values_after))
+    if last_sample - first_sample >= _MAX_SPIKE_SAMPLES or n_neighbours < _MAX_SPIKE_SAMPLES:
         return False
     step = max(float(np.abs(np.diff(side)).max()) for side in (values_before, values_after))
     level_change = abs(median(values_after) - median(values_before))

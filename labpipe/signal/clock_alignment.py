@@ -1,4 +1,4 @@
-"""Fit offset and drift between two clocks to common events or to a repeated motion."""
+"""Fit the offset and the drift between two clocks to common events or to a repeated motion."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def find_rough_peaks(time: Floats, values: Floats, *, smoothing: float, fall: fl
     ----------
     time, values : shape (n,), times (s) and values (any unit) of the signal
     smoothing : duration of the moving average that is applied first, s
-    fall : smallest decrease of the signal after a turn, as a fraction of its range
+    fall : smallest decrease of the signal after a turn, as a fraction of the range of the signal
 
     Returns
     -------
@@ -36,29 +36,29 @@ def find_rough_peaks(time: Floats, values: Floats, *, smoothing: float, fall: fl
     -----
     On a plateau before a decrease, the largest sample may be anywhere. The turning point is
     therefore the time at which the slope changes most, where 2 y(t) - y(t - h) - y(t + h) is
-    largest. The distance h is four times `smoothing`, or a quarter of the shorter stroke.
+    largest. The distance h is twice `smoothing`, but at most a quarter of the shorter stroke.
     """
     stride = max(1, convert_seconds_to_window(smoothing, time) // 10)
     window = max(1, 2 * (convert_seconds_to_window(smoothing, time) // stride // 2) + 1)
     count = len(values) // stride * stride
-    average = np.nanmean if np.isnan(values).any() else np.mean  # nanmean copies its array
-    coarse = average(values[:count].reshape(-1, stride), axis=1) if count else values
-    smooth = compute_moving_average(coarse, window=min(window, len(coarse) - 1 + len(coarse) % 2))
-    span = float(np.nanmax(smooth) - np.nanmin(smooth)) if len(smooth) else 0.0
-    if not span > 0:
+    average = np.nanmean if np.isnan(values).any() else np.mean  # nanmean copies the values
+    levels = average(values[:count].reshape(-1, stride), axis=1) if count else values
+    smooth = compute_moving_average(levels, window=min(window, len(levels) - 1 + len(levels) % 2))
+    full_range = float(np.nanmax(smooth) - np.nanmin(smooth)) if len(smooth) else 0.0
+    if not full_range > 0:
         return np.empty(0)
-    clock = time[:count].reshape(-1, stride).mean(axis=1)
-    strokes = find_strokes(clock, smooth, min_stroke=fall * span)
-    turns = [
-        clock[_find_sharpest_turn(smooth, first, second, 2 * window)]
+    level_times = time[:count].reshape(-1, stride).mean(axis=1)
+    strokes = find_strokes(level_times, smooth, min_stroke=fall * full_range)
+    peak_times = [
+        level_times[_find_sharpest_turn(smooth, first, second, 2 * window)]
         for first, second in pairwise(strokes)
         if first.sign > 0 > second.sign
     ]
-    return np.array(turns, dtype=np.float64)
+    return np.array(peak_times, dtype=np.float64)
 
 
 def _find_sharpest_turn(values: Floats, rise: Stroke, descent: Stroke, reach: int) -> int:
-    """Find the sample at which a rise turns into a descent, with slopes over `reach` samples."""
+    """Find the sample at which a rise turns into a descent, by the slopes over `reach` samples."""
     reach = min(reach, (rise.stop - rise.start) // 4, (descent.stop - descent.start) // 4)
     start, stop = rise.start + reach, descent.stop - reach
     if reach < 1 or stop <= start:
@@ -69,50 +69,53 @@ def _find_sharpest_turn(values: Floats, rise: Stroke, descent: Stroke, reach: in
     return start + int(np.nanargmax(slope_drops)) if np.isfinite(slope_drops).any() else rise.stop
 
 
-def match_peaks(motion: Floats, force: Floats) -> tuple[Ints, bool]:
+def match_peaks(motion_times: Floats, force_times: Floats) -> tuple[Ints, bool]:
     """Pair the peaks of two records of the same test.
 
     Parameters
     ----------
-    motion, force : shape (p,) and (q,), s, increasing times of the peaks, each on its own clock
+    motion_times, force_times : shapes (p,) and (q,), s, increasing times of the peaks of the motion
+        and of the force, each on its own clock
 
     Returns
     -------
-    pairs : shape (k, 2), indices in `motion` and in `force`; empty if one record has no peak
+    pairs : shape (k, 2), indices in `motion_times` and in `force_times`; empty if one record has no
+        peak
     is_ambiguous : whether another pairing fits as well
 
     Notes
     -----
     Both records contain the same peaks in the same order, except for peaks before the start of one
-    of them. The shift with the most pairs is chosen, and of several such shifts the one with the
-    most constant time difference. If several shifts are equal in both, the choice is ambiguous. The
-    shift with the smallest time difference is then chosen, since both records usually start
-    together.
+    of the records. The shift with the most pairs is chosen, and of several such shifts the one with
+    the most constant time difference. The choice is ambiguous if several shifts are equal in both
+    respects. The shift with the smallest time difference is then chosen, since both records usually
+    start together.
     """
-    if min(len(motion), len(force)) == 0:
+    if min(len(motion_times), len(force_times)) == 0:
         return np.empty((0, 2), dtype=np.int64), False
     candidates = []
-    for shift in range(-len(motion) + 1, len(force)):
-        peaks = np.arange(max(0, -shift), min(len(motion), len(force) - shift))
-        lag = force[peaks + shift] - motion[peaks]
-        spread = round(float(np.ptp(lag)), 1)  # s; smaller differences are errors of the peaks
-        candidates.append((-len(peaks), spread, abs(float(np.median(lag))), shift, peaks))
+    for shift in range(-len(motion_times) + 1, len(force_times)):
+        peaks = np.arange(max(0, -shift), min(len(motion_times), len(force_times) - shift))
+        differences = force_times[peaks + shift] - motion_times[peaks]
+        spread = round(float(np.ptp(differences)), 1)  # s; finer spreads are errors of the peaks
+        candidates.append((-len(peaks), spread, abs(float(np.median(differences))), shift, peaks))
     candidates.sort(key=lambda candidate: candidate[:4])
-    best_match, *other_matches = candidates
-    is_ambiguous = any(candidate[:2] == best_match[:2] for candidate in other_matches)
-    return np.column_stack([best_match[4], best_match[4] + best_match[3]]), is_ambiguous
+    best_candidate, *other_candidates = candidates
+    is_ambiguous = any(candidate[:2] == best_candidate[:2] for candidate in other_candidates)
+    *_, shift, peaks = best_candidate
+    return np.column_stack([peaks, peaks + shift]), is_ambiguous
 
 
 @dataclass(frozen=True, slots=True)
-class Repeat:
+class CycleLag:
     """Lag after which a cycle of the test repeats, on both clocks.
 
     Parameters
     ----------
     motion, force : lag on the clock of the motion and on the clock of the force, s
     error : standard error of the difference of the two lags, s
-    zero_drift_error : error of the lag from a drift of the zero of the force, s; it only widens the
-        intervals, without a change of the weights
+    zero_drift_error : error of the difference from a drift of the zero of the force, s, which
+        widens the intervals but has no effect on the weights
     """
 
     motion: float
@@ -122,7 +125,7 @@ class Repeat:
 
 
 def fit_clocks(
-    motion: Floats, force: Floats, errors: Floats, *, method: str, repeat: Repeat | None = None
+    motion: Floats, force: Floats, errors: Floats, *, method: str, cycle_lag: CycleLag | None = None
 ) -> ClockFit:
     """Fit force time = offset + (1 + drift) x motion time to events on both clocks.
 
@@ -132,7 +135,7 @@ def fit_clocks(
         least one event
     errors : shape (events,), s, standard error of the time difference of each event, positive
     method : description of the search for events
-    repeat : lag of a repeated cycle, which determines the drift but not the offset; None without
+    cycle_lag : lag of a repeated cycle, which determines the drift but not the offset; None without
         such a lag
 
     Returns
@@ -155,20 +158,21 @@ def fit_clocks(
         raise ValueError(format_sentence("signal.no_events", count=len(motion)))
     centre = float(np.average(motion, weights=errors**-2.0))
     design = np.column_stack([np.ones_like(motion), motion - centre])
-    differences, deviations = force - motion, errors
-    if repeat is not None:
-        design = np.vstack([design, [0.0, repeat.motion]])
-        differences = np.append(differences, repeat.force - repeat.motion)
-        deviations = np.append(deviations, repeat.error)
+    differences, difference_errors = force - motion, errors
+    if cycle_lag is not None:
+        design = np.vstack([design, [0.0, cycle_lag.motion]])
+        differences = np.append(differences, cycle_lag.force - cycle_lag.motion)
+        difference_errors = np.append(difference_errors, cycle_lag.error)
     is_single = len(differences) == 1
     design = design[:, : 1 if is_single else 2]
-    solution, covariance = solve_weighted(design, differences, deviations)
-    residuals = (differences - design @ solution) / deviations
-    sensitivity = covariance @ design[-1] / deviations[-1] ** 2  # to the last difference, the lag
+    solution, covariance = solve_weighted(design, differences, difference_errors)
+    residuals = (differences - design @ solution) / difference_errors
+    # Derivatives of the solution with respect to the last difference, which is that of the lags.
+    sensitivity = covariance @ design[-1] / difference_errors[-1] ** 2
     freedom = len(differences) - design.shape[1]
     covariance = covariance * _compute_variance_factor(residuals, freedom=freedom)
-    if repeat is not None:
-        zero_drift_errors = repeat.zero_drift_error * sensitivity
+    if cycle_lag is not None:
+        zero_drift_errors = cycle_lag.zero_drift_error * sensitivity
         covariance += zero_drift_errors[:, None] * zero_drift_errors
     offset_weights = np.array([1.0, -centre])[: len(solution)]
     offset_variance = offset_weights @ covariance @ offset_weights
@@ -187,11 +191,11 @@ def solve_weighted(design: Floats, values: Floats, errors: Floats) -> tuple[Floa
 
     Returns
     -------
-    The unknowns, shape (unknowns,), and their covariance from the errors alone.
+    The unknowns, shape (unknowns,), and their covariance, which follows from the errors alone.
     """
-    weighted = design / errors[:, None]
-    covariance = np.asarray(np.linalg.inv(weighted.T @ weighted), dtype=np.float64)
-    return covariance @ weighted.T @ (values / errors), covariance
+    weighted_design = design / errors[:, None]
+    covariance = np.asarray(np.linalg.inv(weighted_design.T @ weighted_design), dtype=np.float64)
+    return covariance @ weighted_design.T @ (values / errors), covariance
 
 
 def make_clock_fit(
@@ -221,18 +225,18 @@ def make_clock_fit(
 
 
 def _compute_variance_factor(residuals: Floats, *, freedom: int) -> float:
-    """Compute the factor on the variance, which is 1 unless events scatter more than their errors.
+    """Compute the factor on the variance, which is 1 unless events scatter more than expected.
 
-    The residuals are divided by their errors. The 99 % quantile of chi-square is approximated by
-    the method of Wilson and Hilferty (PNAS 17 (1931) 684), with an error of 2 % for one degree of
-    freedom, and less for more.
+    The residuals are divided by their standard errors. The 99 % quantile of chi-square is
+    approximated by the method of Wilson and Hilferty (PNAS 17 (1931) 684). The error of the
+    approximation is 2 % for one degree of freedom, and smaller for more degrees of freedom.
     """
     if freedom < 1:
         return 1.0
-    spread = 2.0 / (9.0 * freedom)
-    limit = freedom * (1.0 - spread + 2.3263 * np.sqrt(spread)) ** 3
+    a, normal_quantile = 2.0 / (9.0 * freedom), 2.3263
+    chi_square_limit = freedom * (1.0 - a + normal_quantile * np.sqrt(a)) ** 3
     chi_square = float(residuals @ residuals)
-    return chi_square / freedom if chi_square > limit else 1.0
+    return chi_square / freedom if chi_square > chi_square_limit else 1.0
 
 
 def fit_lag(
@@ -250,8 +254,8 @@ def fit_lag(
     time, values : shape (n,), increasing times (s) and values (any unit) of the signal
     cycle : times of the beginning, the peak and the end of the earlier cycle, s
     guess : first guess of the lag, accurate to a second, s
-    hysteresis : whether the loop may have shifted along the displacement between the two cycles;
-        False for a motion
+    hysteresis : whether the signal is a force with a hysteresis loop that may have shifted along
+        the displacement between the two cycles; False for a motion
 
     Returns
     -------
@@ -259,29 +263,30 @@ def fit_lag(
 
     Notes
     -----
-    The model is y(t + lag) - y(t) = tau y'(t) + a + b y(t) + c y'(t) sign(turn - t). In it, tau is
+    The model is y(t + lag) - y(t) = tau y'(t) + a + b y(t) + c y'(t) sign(turn - t), where tau is
     the error of the lag, a is a shift and b a change of scale of the later cycle, and c is a shift
     of the loop along the displacement, which has opposite signs in loading and unloading. The slope
     y' is that of the mean of both cycles. The model is fitted by least squares to at most 2000
-    bins, and the fit is repeated until tau is negligible.
+    bins, and the fit is repeated until tau is below 1 % of its standard error.
 
     The standard error follows from the long-run variance of the residuals, so that a cycle that
     repeats poorly has little weight. Noise increases y' and attenuates tau. Therefore tau and its
     error are divided by the fraction of the sum of squares of y' that is not noise (Fuller,
     Measurement Error Models, 1987, sec. 1.2).
     """
+    max_bins, max_fits = 2000, 5
     start, turn, stop = cycle
     n_samples = int(np.searchsorted(time, stop) - np.searchsorted(time, start))
-    count, where = max(0, min(2000, n_samples // 2)), "in the cycle"
+    count, where = max(0, min(max_bins, n_samples // 2)), "in the cycle"
     if count < _MIN_BINS:
         return Failure.of("signal.too_few_bins", count=count, where=where, needed=_MIN_BINS)
     edges = np.linspace(start, stop, count + 1)
-    middle = 0.5 * (edges[1:] + edges[:-1])
-    first = _compute_bin_means(time, values, edges)
+    middles = 0.5 * (edges[1:] + edges[:-1])
+    earlier_means = _compute_bin_means(time, values, edges)
     lag = Estimate(guess, np.nan, 0)
-    for _ in range(5):
-        last = _compute_bin_means(time, values, edges + lag.value)
-        correction = _compute_lag_correction(middle, first, last, turn, hysteresis=hysteresis)
+    for _ in range(max_fits):
+        means = earlier_means, _compute_bin_means(time, values, edges + lag.value)
+        correction = _compute_lag_correction(middles, *means, turn, hysteresis=hysteresis)
         if isinstance(correction, Failure):
             return correction
         lag = replace(correction, value=lag.value + correction.value)
@@ -291,21 +296,21 @@ def fit_lag(
 
 
 def _compute_lag_correction(
-    time: Floats, first_means: Floats, last_means: Floats, turn: float, *, hysteresis: bool
+    time: Floats, earlier_means: Floats, later_means: Floats, turn: float, *, hysteresis: bool
 ) -> Estimate | Failure:
-    """Compute the correction of the lag that aligns the later cycle with the earlier cycle."""
-    mean = 0.5 * (first_means + last_means)
+    """Compute the correction of the lag, s, that aligns the later cycle with the earlier cycle."""
+    mean = 0.5 * (earlier_means + later_means)
     slope = np.gradient(mean, time)
-    valid = ~np.isnan(slope) & (np.abs(time - turn) > 2.0 * (time[1] - time[0]))
-    count = int(valid.sum())
+    is_used = ~np.isnan(slope) & (np.abs(time - turn) > 2.0 * (time[1] - time[0]))
+    count = int(is_used.sum())
     if count < _MIN_BINS:
         where = "in both cycles"
         return Failure.of("signal.too_few_bins", count=count, where=where, needed=_MIN_BINS)
     columns = [slope, np.ones_like(mean), mean]
     if hysteresis:
         columns.append(slope * np.sign(turn - time))
-    design = np.column_stack(columns)[valid]
-    difference = (last_means - first_means)[valid]
+    design = np.column_stack(columns)[is_used]
+    difference = (later_means - earlier_means)[is_used]
     solution = np.linalg.lstsq(design, difference, rcond=None)[0]
     residuals = difference - design @ solution
     variance = estimate_long_run_variance(residuals, parameters=len(columns))
@@ -331,9 +336,9 @@ def _compute_bin_means(time: Floats, values: Floats, edges: Floats) -> Floats:
     rows = slice(int(starts[filled_bins[0]]), int(stops[filled_bins[-1]]))
     sums = np.add.reduceat(values[rows], starts[filled_bins] - rows.start)
     means[filled_bins] = sums / (stops - starts)[filled_bins]
-    # The samples of a bin are not centred in it, so that the mean is shifted to its middle.
+    # The samples of a bin may be off its middle. The mean is therefore extrapolated to the middle.
     offset = np.zeros(len(starts))
     offset[filled_bins] = 0.5 * (time[starts[filled_bins]] + time[stops[filled_bins] - 1])
     offset[filled_bins] -= 0.5 * (edges[1:] + edges[:-1])[filled_bins]
-    centred: Floats = means - offset * np.gradient(means, edges[1] - edges[0])
-    return centred
+    middle_means: Floats = means - offset * np.gradient(means, edges[1] - edges[0])
+    return middle_means

@@ -15,7 +15,7 @@ from labpipe.records.signals import Filter
 
 
 def compute_window(span: float, count: int) -> int:
-    """Convert the span of MATLAB's ``smooth`` to an odd number of samples.
+    """Convert the span of MATLAB's ``smooth`` to a window, an odd number of samples.
 
     Parameters
     ----------
@@ -43,19 +43,19 @@ def compute_window(span: float, count: int) -> int:
     """
     if not span > 0 or count < 1:
         raise ValueError(format_sentence("signal.no_span", span=span, count=count))
-    samples = math.ceil(span * count) if span < 1 else math.floor(span)
-    samples = max(1, min(samples, count))
-    return samples - 1 + samples % 2
+    n_samples = math.ceil(span * count) if span < 1 else math.floor(span)
+    n_samples = max(1, min(n_samples, count))
+    return n_samples - 1 + n_samples % 2
 
 
 def compute_moving_average(values: Floats, *, window: int, has_ends: bool = True) -> Floats:
-    """Compute a centred moving average whose window becomes symmetrically shorter near the ends.
+    """Compute a centred moving average with a window that becomes shorter towards both ends.
 
     Parameters
     ----------
-    values : shape (..., n), averaged along the last axis
+    values : shape (..., n), samples, which are averaged along the last axis
     window : odd number of samples, 1 <= window <= n
-    has_ends : whether the first and last half window are computed; if False, they may be zero
+    has_ends : whether the first and last half window are computed; if False, they have no meaning
 
     Returns
     -------
@@ -69,9 +69,9 @@ def compute_moving_average(values: Floats, *, window: int, has_ends: bool = True
     Notes
     -----
     The result is that of MATLAB's ``smooth(y, span, 'moving')``. Sample i is the mean over
-    i - h ... i + h with h = min((window - 1) / 2, i, n - 1 - i). It is computed from cumulative
-    sums, so that the computing time hardly depends on the window. NaN are ignored; the mean of a
-    window without data is NaN.
+    i - h ... i + h with h = min((window - 1) / 2, i, n - 1 - i). The means are computed from
+    cumulative sums, so that the computing time hardly depends on the window. NaN are ignored; the
+    mean of a window without data is NaN.
 
     Examples
     --------
@@ -90,14 +90,17 @@ def compute_moving_average(values: Floats, *, window: int, has_ends: bool = True
         sums[..., reach : count - reach] /= window
         sums[..., count - reach :] /= lengths[::-1]
         return sums
-    valid = ~np.isnan(values)
-    sums = _compute_window_sums(np.where(valid, values, 0.0), window)
-    counts = _compute_window_sums(valid.astype(np.float64), window)
+    is_valid = ~np.isnan(values)
+    sums = _compute_window_sums(np.where(is_valid, values, 0.0), window)
+    counts = _compute_window_sums(is_valid.astype(np.float64), window)
     return divide(sums, counts)
 
 
 def _compute_window_sums(values: Floats, window: int, *, has_ends: bool = True) -> Floats:
-    """Compute sums over windows that become shorter at the ends; without ends they are zero."""
+    """Compute sums over windows that become shorter towards both ends.
+
+    If `has_ends` is False, the sums of the first and the last half window are 0.
+    """
     block_size = 1 << 16  # number of samples whose cumulative sum stays in the cache
     reach, count = window // 2, values.shape[-1]
     sums = np.zeros_like(values)
@@ -128,42 +131,43 @@ class Smoothing:
     This is the filter of degree one of Savitzky and Golay, Anal. Chem. 36 (1964) 1627. A sample is
     replaced by the mean over the window. The first and the last half window are replaced by the
     least-squares line through the outermost window. A spreadsheet computes the filter with AVERAGE
-    and FORECAST. The line preserves the height of a corner at the end and averages its noise. It is
-    clipped to the values of the outermost window, so that it does not overshoot a rounded peak. NaN
-    are ignored. If the outermost window contains fewer than two samples, `compute_moving_average`
-    replaces the line.
+    and FORECAST. The line preserves the height of a corner at the end and averages the noise. The
+    line is clipped to the range of the values in the outermost window, so that it does not
+    overshoot a rounded peak. NaN are ignored. If the outermost window contains fewer than two
+    samples, the means of `compute_moving_average` replace the line.
     """
 
     window: int
 
     def __call__(self, values: Floats) -> Floats:
-        """Smooth along the last axis; return a new array of shape (..., n), not shifted in time."""
+        """Smooth along the last axis, without a time shift; return a new array of equal shape."""
         count = values.shape[-1]
         window = min(self.window, count - 1 + count % 2)
         if window < 3:
             return values.copy()
-        # Lines replace the ends.
-        mean, reach = compute_moving_average(values, window=window, has_ends=False), window // 2
+        # Lines replace the first and the last half window.
+        smooth, reach = compute_moving_average(values, window=window, has_ends=False), window // 2
         indices = np.arange(float(window))
         ends = ((slice(window), slice(reach)), (slice(-window, None), slice(-reach, None)))
-        for outermost, end in ends:
-            rows = values[..., outermost].reshape(-1, window)
-            valid = ~np.isnan(rows)
-            if valid.all():
+        for outer_window, end in ends:
+            rows = values[..., outer_window].reshape(-1, window)
+            is_valid = ~np.isnan(rows)
+            if is_valid.all():
                 line = _fit_line(rows, indices, indices[end])
-                mean[..., end] = line.reshape(mean[..., end].shape)
+                smooth[..., end] = line.reshape(smooth[..., end].shape)
                 continue
-            means = mean[..., end].reshape(-1, reach)
-            patterns = valid[:1] if (valid == valid[:1]).all() else np.unique(valid, axis=0)
+            means = smooth[..., end].reshape(-1, reach)
+            is_same = (is_valid == is_valid[:1]).all()
+            patterns = is_valid[:1] if is_same else np.unique(is_valid, axis=0)
             for pattern in patterns[patterns.sum(axis=1) > 1]:
-                matches = (valid == pattern).all(axis=1)
+                matches = (is_valid == pattern).all(axis=1)
                 line = _fit_line(rows[matches][:, pattern], indices[pattern], indices[end])
                 means[matches] = np.where(np.isnan(means[matches]), np.nan, line)
-            mean[..., end] = means.reshape(mean[..., end].shape)
-        return mean
+            smooth[..., end] = means.reshape(smooth[..., end].shape)
+        return smooth
 
     def scale_step(self, ratio: float) -> Smoothing:
-        """Return the filter of nearly equal duration for a sampling step `ratio` times as large."""
+        """Return the filter of about equal duration for a sampling step `ratio` times as large."""
         return Smoothing(2 * round(0.5 * (self.window / ratio - 1.0)) + 1)
 
 
@@ -173,8 +177,8 @@ def _fit_line(rows: Floats, indices: Floats, end_indices: Floats) -> Floats:
     The line is clipped to the range of the values of the row.
     """
     centre = indices.mean()
-    centred = indices - centre
-    slopes, levels = rows @ centred / (centred @ centred), rows.mean(axis=1)
+    offsets = indices - centre
+    slopes, levels = rows @ offsets / (offsets @ offsets), rows.mean(axis=1)
     line = levels[:, np.newaxis] + slopes[:, np.newaxis] * (end_indices - centre)
     clipped: Floats = line.clip(rows.min(axis=1)[:, np.newaxis], rows.max(axis=1)[:, np.newaxis])
     return clipped
@@ -187,20 +191,21 @@ def filter_pieces(values: Floats, cuts: Sequence[int], filters: Sequence[Filter]
     ----------
     values : shape (..., n), samples of a signal, in any unit
     cuts : indices of the samples at which a new piece begins
-    filters : functions in the order of application, each with a stride that decimates its output
+    filters : functions in the order of application, each with a stride: of the output of the
+        function, every stride-th sample is kept
 
     Returns
     -------
     Shape (..., m), filtered samples, with m < n if a stride is above one.
     """
     count = values.shape[-1]
-    edges = sorted({0, count, *(cut for cut in cuts if 0 < cut < count)})
+    bounds = sorted({0, count, *(cut for cut in cuts if 0 < cut < count)})
     for function, stride in filters:
         filtered = np.empty_like(values)
-        for start, stop in pairwise(edges):
+        for start, stop in pairwise(bounds):
             filtered[..., start:stop] = function(values[..., start:stop])
         values = filtered[..., ::stride]
-        edges = sorted({-(-edge // stride) for edge in edges})
+        bounds = sorted({-(-bound // stride) for bound in bounds})
     return values
 
 
@@ -210,14 +215,14 @@ class Butterworth:
 
     Parameters
     ----------
-    cutoff : frequency whose amplitude both passes together halve, 1/s
+    cutoff : frequency at which both passes together halve the amplitude, 1/s
     rate : sampling rate, 1/s
     order : order of one pass
 
     Notes
     -----
-    The ends are padded by odd reflection. Within about rate / cutoff samples of an end, the result
-    depends on the padding.
+    The signal is padded at both ends by odd reflection. Within about rate / cutoff samples of an
+    end, the result depends on the padding.
     """
 
     cutoff: float
@@ -225,7 +230,7 @@ class Butterworth:
     order: int
 
     def __call__(self, values: Floats) -> Floats:
-        """Filter along the last axis; return a new array of shape (..., n), not shifted in time.
+        """Filter along the last axis, without a time shift; return a new array of equal shape.
 
         Raises
         ------
@@ -247,7 +252,7 @@ class Butterworth:
     def scale_step(self, ratio: float) -> Butterworth | Smoothing:
         """Return the same filter for a sampling step `ratio` times as large.
 
-        If its cut-off were at or above half the sampling rate, a filter without effect is returned.
+        If the cut-off is at least half the new sampling rate, a filter without effect is returned.
         """
         rate = self.rate / ratio
         if self.cutoff >= rate / 2:
@@ -256,7 +261,7 @@ class Butterworth:
 
 
 def convert_seconds_to_window(span: float, time: Floats) -> int:
-    """Convert a duration to an odd number of samples, by the median step of a clock.
+    """Convert a duration to a window, an odd number of samples, by the median step of a clock.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Split a motion into strokes, and find turns, rests and jumps of signals."""
+"""Split a motion into strokes, and find turning points, rests and jumps of signals."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from labpipe.records.arrays import Floats, compute_median_step, drop_missing, me
 from labpipe.records.curve import Branch, Direction
 
 _BLOCKS_PER_WIDTH = 20
-"""Number of averaged blocks per width.
+"""Number of blocks in a width, over which a slope is computed.
 
-It is large enough for a first guess of a turn, and small enough to reduce noise.
+The number is large enough for a first guess of a turn, and small enough to reduce noise.
 """
 
 
@@ -35,7 +35,7 @@ class Stroke:
 
 
 def goes_down(values: Floats) -> bool:
-    """Return whether a signal departs from its level downwards and returns.
+    """Return whether a signal departs downwards from its level at the ends, and returns.
 
     Parameters
     ----------
@@ -47,13 +47,15 @@ def goes_down(values: Floats) -> bool:
     more than five standard deviations of the noise. An end is the mean of the first or last
     hundredth of the samples. False without any value.
     """
-    valid = drop_missing(values)
-    if not len(valid):
+    noise_factor = 5.0
+    valid_values = drop_missing(values)
+    if not len(valid_values):
         return False
-    n_end = max(1, len(valid) // 100)
-    ends = float(valid[:n_end].mean()), float(valid[-n_end:].mean())
-    rise, fall = float(valid.max()) - max(ends), min(ends) - float(valid.min())
-    return fall > rise and fall - rise > 5.0 * estimate_noise_level(valid)  # last, because slow
+    n_end = max(1, len(valid_values) // 100)
+    levels = float(valid_values[:n_end].mean()), float(valid_values[-n_end:].mean())
+    rise, fall = float(valid_values.max()) - max(levels), min(levels) - float(valid_values.min())
+    # The noise level is computed last, because it is slow.
+    return fall > rise and fall - rise > noise_factor * estimate_noise_level(valid_values)
 
 
 def estimate_noise_level(values: Floats) -> float:
@@ -69,8 +71,8 @@ def estimate_noise_level(values: Floats) -> float:
 
     Notes
     -----
-    It is the median absolute second difference divided by 0.6745 sqrt(6), which is independent of
-    slopes and hardly affected by corners and jumps. NaN are ignored.
+    The result is the median absolute second difference divided by 0.6745 sqrt(6). Slopes have no
+    effect on it, and corners and jumps hardly any. NaN are ignored.
     """
     differences = drop_missing(np.diff(values, n=2))
     if len(differences) < 3:
@@ -79,17 +81,17 @@ def estimate_noise_level(values: Floats) -> float:
 
 
 def compute_step_quantile(values: Floats, quantile: float) -> float:
-    """Compute a quantile of the absolute changes from sample to sample, without zeros.
+    """Compute a quantile of the absolute changes from sample to sample that are not zero.
 
     Parameters
     ----------
-    values : shape (n,), samples in any unit; NaN and changes by rounding errors are ignored
+    values : shape (n,), samples in any unit; NaN and rounding errors are ignored
     quantile : fraction of the changes below the result, from 0 to 1
 
     Returns
     -------
     The quantile in the unit of `values`; 0 for fewer than 20 changes. Of more than 100 000 changes,
-    an evenly spaced part is used.
+    every k-th is used.
     """
     min_steps, max_steps, rounding = 20, 100_000, 1e-7  # rounding as a fraction of the range
     finite_values = drop_missing(values)
@@ -112,9 +114,9 @@ def find_strokes(time: Floats, motion: Floats, *, min_stroke: float) -> tuple[St
 
     Returns
     -------
-    The strokes in order. Successive strokes share their turning sample, but a dwell at the turn
-    belongs to neither. Empty for a motion smaller than `min_stroke`, or for fewer than three
-    samples.
+    The strokes in order. Successive strokes share the sample at the turn between them, but a dwell
+    at the turn belongs to neither. There are no strokes in a motion smaller than `min_stroke`, or
+    of fewer than three samples.
 
     Raises
     ------
@@ -123,29 +125,29 @@ def find_strokes(time: Floats, motion: Floats, *, min_stroke: float) -> tuple[St
 
     Notes
     -----
-    Extremes are found with hysteresis: an extreme counts if the motion returns from it by
-    `min_stroke`. Let t1 and t4 be the times for which the motion is within a tolerance of an
-    extreme, and within four times that tolerance, on both sides together. A corner has t4 = 4 t1, a
-    parabola t4 = 2 t1, and a dwell t4 < 1.5 t1. NaN are replaced by linear interpolation.
+    An extreme is a turning point if the motion returns from it by `min_stroke`. Let t1 and t4 be
+    the durations in which the motion is within a tolerance of an extreme, and within four times
+    that tolerance, on both sides together. A corner has t4 = 4 t1, a parabola t4 = 2 t1, and a
+    dwell t4 < 1.5 t1. NaN are replaced by linear interpolation.
     """
     if not min_stroke > 0:
         raise ValueError(format_sentence("signal.bad_stroke", min_stroke=min_stroke))
-    valid = ~np.isnan(motion)
-    if valid.sum() < 3:
+    is_valid = ~np.isnan(motion)
+    if is_valid.sum() < 3:
         return ()
-    if not valid.all():
-        motion = np.interp(time, time[valid], motion[valid])
+    if not is_valid.all():
+        motion = np.interp(time, time[is_valid], motion[is_valid])
     extremes = _find_extremes(motion, min_stroke)
     if not extremes:
         return ()
     tolerance = 5.0 * estimate_noise_level(motion)
-    dwells = []
+    dwells = []  # durations before and after each extreme
     for turn, *neighbours in zip(extremes, [None, *extremes], [*extremes[1:], None], strict=False):
         sides = [_measure_extreme(time, motion, (turn, other), tolerance) for other in neighbours]
         dwells.append(_compute_dwell_times(*sides))
     return tuple(
-        _trim_dwells(time, motion, pair, (leaving[1], arriving[0]))
-        for pair, (leaving, arriving) in zip(pairwise(extremes), pairwise(dwells), strict=True)
+        _trim_dwells(time, motion, pair, (first[1], second[0]))
+        for pair, (first, second) in zip(pairwise(extremes), pairwise(dwells), strict=True)
     )
 
 
@@ -160,10 +162,10 @@ def _find_extremes(motion: Floats, min_stroke: float) -> list[int]:
     spread = np.maximum.accumulate(values) - np.minimum.accumulate(values)
     if spread[-1] < min_stroke:
         return []
-    begin = int(np.argmax(spread >= min_stroke))
-    sign = 1 if values[begin] == values[: begin + 1].max() else -1
-    extremes = [int(np.argmin(sign * values[: begin + 1]))]
-    return_sample: int | None = begin
+    start = int(np.argmax(spread >= min_stroke))
+    sign = 1 if values[start] == values[: start + 1].max() else -1
+    extremes = [int(np.argmin(sign * values[: start + 1]))]
+    return_sample: int | None = start
     while return_sample is not None:
         extreme, return_sample = _find_next_turn(sign * values, return_sample, min_stroke)
         extremes.append(extreme)
@@ -172,9 +174,10 @@ def _find_extremes(motion: Floats, min_stroke: float) -> list[int]:
 
 
 def _find_next_turn(values: Floats, start: int, min_stroke: float) -> tuple[int, int | None]:
-    """Find the next maximum, and the sample at which the values have returned from it, or None.
+    """Find the next maximum, and the sample at which the values have returned by `min_stroke`.
 
-    Stretches of doubling length make the search time proportional to the length of the record.
+    The second result is None if the values do not return. Searching stretches of doubling length
+    makes the search time proportional to the length of the record.
     """
     length = 1024
     while True:
@@ -191,27 +194,27 @@ def _find_next_turn(values: Floats, start: int, min_stroke: float) -> tuple[int,
 def _trim_dwells(
     time: Floats, motion: Floats, extremes: tuple[int, int], dwells: tuple[float, float]
 ) -> Stroke:
-    """Remove the dwells from both ends of the stretch between two extremes."""
+    """Make the stroke between two extremes, without the dwells, s, at its start and its end."""
     start_extreme, stop_extreme = extremes
     sign = 1 if motion[stop_extreme] > motion[start_extreme] else -1
     step = float(time[stop_extreme] - time[start_extreme]) / (stop_extreme - start_extreme)
     rounding = 1e-6 * step
-    begin = int(np.searchsorted(time, time[start_extreme] + dwells[0] - rounding))
-    end = int(np.searchsorted(time, time[stop_extreme] - dwells[1] - rounding))
-    if begin >= end:  # the dwells of a stroke within noise are unknown
-        begin, end = start_extreme, stop_extreme
-    return Stroke(begin, end, sign)
+    start = int(np.searchsorted(time, time[start_extreme] + dwells[0] - rounding))
+    stop = int(np.searchsorted(time, time[stop_extreme] - dwells[1] - rounding))
+    if start >= stop:  # the dwells of a stroke within noise are unknown
+        start, stop = start_extreme, stop_extreme
+    return Stroke(start, stop, sign)
 
 
 @dataclass(frozen=True, slots=True)
 class _ExtremeSide:
-    """Times of a motion near an extreme, on one side of it.
+    """Durations of a motion near an extreme, on one side of the extreme.
 
     Parameters
     ----------
-    near_time, wide_time : time within a tolerance of the extreme, and within four times that
-        tolerance, s
-    shortest_dwell : shortest dwell that differs from a corner, s
+    near_time : duration within a tolerance of the extreme, s
+    wide_time : duration within four times that tolerance, s
+    shortest_dwell : shortest dwell that can be distinguished from a corner, s
     """
 
     near_time: float
@@ -227,9 +230,12 @@ class _ExtremeSide:
 def _measure_extreme(
     time: Floats, motion: Floats, ends: tuple[int, int | None], tolerance: float
 ) -> _ExtremeSide | None:
-    """Measure the times near an extreme on the side of its neighbour; None without a neighbour."""
-    # The tolerance is at least the first fraction of the travel to the neighbour. A dwell is at
-    # least the second fraction of the time to the neighbour, and at least a number of samples.
+    """Measure the durations near an extreme, between this extreme and the neighbouring one.
+
+    The two ends are the samples of both extremes. Return None without a neighbouring extreme.
+    """
+    # The tolerance is at least a fraction of the travel to the neighbour. A dwell takes at least a
+    # fraction of the time to the neighbour, and at least a number of samples.
     min_tolerance_fraction, min_dwell_fraction, min_dwell_samples = 1e-4, 0.005, 5.0
     turn, neighbour = ends
     if neighbour is None:
@@ -248,8 +254,8 @@ def _compute_dwell_times(
 ) -> tuple[float, float]:
     """Compute the durations, s, of the dwell before and after an extreme.
 
-    The extreme may be anywhere in the dwell. At an end of the motion, which has one side only, any
-    rest is a dwell.
+    The extreme may be anywhere in the dwell. An end of the motion has one side only, and any rest
+    there is a dwell.
     """
     sides = [side for side in (side_before, side_after) if side is not None]
     near_time, wide_time = sum(s.near_time for s in sides), sum(s.wide_time for s in sides)
@@ -275,55 +281,57 @@ def split_branches(
 
     Returns
     -------
-    One branch per stroke. The direction of the first stroke is loading; a cycle is a loading branch
-    and the next unloading branch.
+    One branch for each stroke. The first stroke has the direction of loading. A cycle is a loading
+    branch and the next unloading branch.
     """
     branches = []
     for index, stroke in enumerate(strokes):
-        ends = time[[stroke.start, stroke.stop]]
+        times = time[[stroke.start, stroke.stop]]
         if turning_times is not None:
-            ends = np.where(np.isnan(turning_times[index]), ends, turning_times[index])
+            times = np.where(np.isnan(turning_times[index]), times, turning_times[index])
         direction = Direction.LOADING if stroke.sign == strokes[0].sign else Direction.UNLOADING
-        stop = stroke.stop + (index == len(strokes) - 1)  # the last branch has its last sample
-        branches.append(Branch(stroke.start, stop, index // 2 + 1, direction, *ends.tolist()))
+        stop = stroke.stop + (index == len(strokes) - 1)  # only the last branch ends with its stop
+        ends = {"start_time": float(times[0]), "stop_time": float(times[1])}
+        branches.append(Branch(stroke.start, stop, index // 2 + 1, direction, **ends))
     return tuple(branches)
 
 
 def find_sharpest_turn(time: Floats, values: Floats, *, width: float) -> float | None:
-    """Find the time at which the slope of a signal drops most.
+    """Find the time at which the slope of a signal drops most, and the signal then falls.
 
     Parameters
     ----------
     time, values : shape (n,), times (s) and values (any unit) of the signal; NaN are ignored
-    width : time over which the slopes before and after are computed, s
+    width : time over which the slopes before and after a turn are computed, s
 
     Returns
     -------
-    The time, s; None if the record is shorter than two widths, or if it does not rise above the
-    noise and then fall.
+    The time, s; None if the record is shorter than two widths, or if the signal does not rise above
+    the noise and then fall.
 
     Notes
     -----
-    At this time the mean slopes over `width` before and after differ most, at a level above 0.3 of
-    the range. The time of the largest value is not used, since the largest force of a bundle in
-    large deflection can be before the turn of the motion. A range below ten standard deviations of
-    the noise of the averages contains no turn.
+    The mean slopes over `width` before and after this time differ most among all times at which the
+    signal is higher than 0.3 of its range. The time of the largest value is not used, since the
+    largest force of a bundle in large deflection can be before the turn of the motion. A range
+    below ten standard deviations of the noise of the block means contains no turn.
     """
     # The range of a thousand values of white noise is only seven standard deviations.
     range_noise_factor = 10.0
-    # Turns below this fraction of the range are noise, or the first contact of the load frame.
+    # A turn below this fraction of the range is noise, or the first contact of the load frame.
     min_height_fraction = 0.3
-    levels = _average_blocks_of_width(time, values, width)
-    if levels is None:
+    blocks = _average_blocks_of_width(time, values, width)
+    if blocks is None:
         return None
-    middles, level = levels
-    if np.ptp(level) < range_noise_factor * estimate_noise_level(level):
+    middles, levels = blocks
+    if np.ptp(levels) < range_noise_factor * estimate_noise_level(levels):
         return None
-    drops, rise_after = _compute_slope_drops(level)
-    inner = level[_BLOCKS_PER_WIDTH:-_BLOCKS_PER_WIDTH] - level.min()
-    drop = np.where((rise_after < 0.0) & (inner > min_height_fraction * np.ptp(level)), drops, 0.0)
-    sharpest = int(np.argmax(drop))
-    return float(middles[sharpest + _BLOCKS_PER_WIDTH]) if drop[sharpest] > 0.0 else None
+    slope_drops, rises_after = _compute_slope_drops(levels)
+    heights = levels[_BLOCKS_PER_WIDTH:-_BLOCKS_PER_WIDTH] - levels.min()
+    is_turn = (rises_after < 0.0) & (heights > min_height_fraction * np.ptp(levels))
+    slope_drops = np.where(is_turn, slope_drops, 0.0)
+    sharpest = int(np.argmax(slope_drops))
+    return float(middles[sharpest + _BLOCKS_PER_WIDTH]) if slope_drops[sharpest] > 0.0 else None
 
 
 def find_turn_near(
@@ -345,19 +353,20 @@ def find_turn_near(
 
     Notes
     -----
-    At this time, the sum of the drops of slope at both corners is largest. One corner alone could
-    be mistaken for the other, since the slope drops more at the beginning of a steep fall than at
-    the end of a rise. Slopes are computed over at most the dwell, but at least 0.3 of the width.
+    At this time, the sum of the drops of slope at both corners is largest. With only one corner,
+    the second could be mistaken for the first, since the slope drops more at the beginning of a
+    steep fall than at the end of a rise. Slopes are computed over the dwell if it is shorter than
+    `width`, but over at least 0.3 of `width`.
     """
     min_width_fraction = 0.3
     width = width * min(1.0, max(min_width_fraction, dwell / width)) if dwell > 0.0 else width
-    in_reach = slice(*np.searchsorted(time, [middle - reach - width, middle + reach + width]))
-    levels = _average_blocks_of_width(time[in_reach], values[in_reach], width)
-    if levels is None:
+    samples = slice(*np.searchsorted(time, [middle - reach - width, middle + reach + width]))
+    blocks = _average_blocks_of_width(time[samples], values[samples], width)
+    if blocks is None:
         return None
-    middles, level = levels
-    times, (drops, _) = middles[_BLOCKS_PER_WIDTH:-_BLOCKS_PER_WIDTH], _compute_slope_drops(level)
-    sums = drops + np.interp(times + dwell, times, drops, right=-np.inf)
+    times, (slope_drops, _) = blocks[0], _compute_slope_drops(blocks[1])
+    times = times[_BLOCKS_PER_WIDTH:-_BLOCKS_PER_WIDTH]
+    sums = slope_drops + np.interp(times + dwell, times, slope_drops, right=-np.inf)
     return float(times[int(np.argmax(sums))]) if np.isfinite(sums).any() else None
 
 
@@ -366,25 +375,29 @@ def _average_blocks_of_width(
 ) -> tuple[Floats, Floats] | None:
     """Average blocks of a twentieth of a width; return their middle times, s, and their means.
 
-    Return None for a record shorter than two widths.
+    The means of empty blocks are interpolated. Return None for a record shorter than two widths.
     """
-    valid = ~np.isnan(values)
-    edges = np.arange(time[0], time[-1], width / _BLOCKS_PER_WIDTH) if valid.any() else np.zeros(0)
+    is_valid, block_width = ~np.isnan(values), width / _BLOCKS_PER_WIDTH
+    edges = np.arange(time[0], time[-1], block_width) if is_valid.any() else np.zeros(0)
     if len(edges) < 2 * _BLOCKS_PER_WIDTH + 2:
         return None
-    blocks = np.searchsorted(edges, time[valid], side="right") - 1
+    blocks = np.searchsorted(edges, time[is_valid], side="right") - 1
     counts = np.bincount(blocks, minlength=len(edges)).astype(np.float64)
     is_filled = counts > 0
-    sums = np.bincount(blocks, values[valid], minlength=len(edges))
-    middles = edges + 0.5 * width / _BLOCKS_PER_WIDTH
+    sums = np.bincount(blocks, values[is_valid], minlength=len(edges))
+    middles = edges + 0.5 * block_width
     return middles, np.interp(middles, middles[is_filled], sums[is_filled] / counts[is_filled])
 
 
-def _compute_slope_drops(level: Floats) -> tuple[Floats, Floats]:
-    """Compute the rise over a width before each inner level minus that after it, and the latter."""
-    rise_before = level[_BLOCKS_PER_WIDTH:-_BLOCKS_PER_WIDTH] - level[: -2 * _BLOCKS_PER_WIDTH]
-    rise_after = level[2 * _BLOCKS_PER_WIDTH :] - level[_BLOCKS_PER_WIDTH:-_BLOCKS_PER_WIDTH]
-    return rise_before - rise_after, rise_after
+def _compute_slope_drops(levels: Floats) -> tuple[Floats, Floats]:
+    """Compute the drop of slope at each level that is a width or more from both ends.
+
+    The drop is the rise over the width before the level minus the rise over the width after it.
+    Return the drops and the rises after the levels.
+    """
+    rises = levels[_BLOCKS_PER_WIDTH:] - levels[:-_BLOCKS_PER_WIDTH]
+    rises_after = rises[_BLOCKS_PER_WIDTH:]
+    return rises[:-_BLOCKS_PER_WIDTH] - rises_after, rises_after
 
 
 def moves_at_end(time: Floats, positions: Floats) -> bool:
@@ -397,30 +410,28 @@ def moves_at_end(time: Floats, positions: Floats) -> bool:
     Returns
     -------
     Whether a straight line through the last samples has the direction of the motion, and at least
-    half of its mean speed. False for fewer than three samples, or equal first and last positions.
+    half of the mean speed. False for fewer than three samples, or equal first and last positions.
 
     Notes
     -----
     The line is fitted to as few samples as noise and resolution allow, but to at least three, and
     at most to about a third of all samples.
     """
-    min_end_speed, max_error = 0.5, 0.15  # of the speed at the end; fractions of the mean speed
+    # Limits of the speed at the end, and of its standard error, as fractions of the mean speed.
+    min_end_speed, max_error = 0.5, 0.15
     travel = float(positions[-1] - positions[0])
     duration = float(time[-1] - time[0])
     if len(positions) < 3 or travel == 0.0 or not duration > 0.0:
         return False
     mean_speed, steps = abs(travel) / duration, np.abs(np.diff(positions))
     resolution = float(steps[steps > 1e-9 * abs(travel)].min())
-    noise_level = max(estimate_noise_level(positions), resolution / sqrt(12.0))
+    noise = max(estimate_noise_level(positions), resolution / sqrt(12.0))
     time_step = compute_median_step(time)
-    fit_samples, max_fit_samples = 3, len(positions) // 3
-    while (
-        fit_samples < max_fit_samples
-        and noise_level * sqrt(12.0 / fit_samples**3) / time_step > max_error * mean_speed
-    ):
-        fit_samples += max(1, fit_samples // 4)
-    centred_time = time[-fit_samples:] - time[-fit_samples:].mean()
-    end_speed = float(centred_time @ positions[-fit_samples:]) / float(centred_time @ centred_time)
+    n_fit, max_fit = 3, len(positions) // 3  # numbers of samples to which the line is fitted
+    while n_fit < max_fit and noise * sqrt(12.0 / n_fit**3) / time_step > max_error * mean_speed:
+        n_fit += max(1, n_fit // 4)
+    centred_time = time[-n_fit:] - time[-n_fit:].mean()
+    end_speed = float(centred_time @ positions[-n_fit:]) / float(centred_time @ centred_time)
     return end_speed * float(np.sign(travel)) >= min_end_speed * mean_speed
 
 
@@ -429,7 +440,7 @@ def count_rest_samples(values: Floats) -> int:
 
     Parameters
     ----------
-    values : shape (n,), evenly sampled, without NaN; a rest can only be at the beginning
+    values : shape (n,), values in any unit, evenly sampled, without NaN
 
     Returns
     -------
@@ -438,9 +449,9 @@ def count_rest_samples(values: Floats) -> int:
 
     Notes
     -----
-    The corner is that with the smallest sum of squares of up to 200 candidates. It is accepted if
-    it reduces the sum of squares of one straight line by more than 25 variances of the residuals.
-    Since noise may be autocorrelated, it must also reduce this sum by more than half.
+    Of up to 200 candidates, the corner with the smallest sum of squares is chosen. The corner is
+    accepted if its sum of squares is below that of one straight line by more than 25 variances of
+    the residuals and, since noise may be autocorrelated, by more than half.
     """
     max_corners = 200
     min_gain_in_variances, min_gain_fraction = 25.0, 0.5
@@ -449,8 +460,8 @@ def count_rest_samples(values: Floats) -> int:
         return 0
     indices = np.arange(count, dtype=np.float64)
     centred = values - values.mean()
-    line = indices - indices.mean()
-    line_squares = float(centred @ centred) - float(line @ centred) ** 2 / float(line @ line)
+    ramp = indices - indices.mean()
+    line_squares = float(centred @ centred) - float(ramp @ centred) ** 2 / float(ramp @ ramp)
     corners = np.unique(np.linspace(1, count - 2, min(count - 2, max_corners)).astype(np.int64))
     ramps = np.clip(indices - corners[:, None], 0.0, None)
     ramps -= ramps.mean(axis=1, keepdims=True)
@@ -465,12 +476,12 @@ def count_rest_samples(values: Floats) -> int:
 def find_level_jumps(
     time: Floats, values: Floats, *, min_fraction: float = 0.02
 ) -> tuple[tuple[int, float], ...]:
-    """Find the jumps of a signal, which are changes unlike the four changes on each side.
+    """Find the jumps of a signal, which are changes unlike the four changes before and after.
 
     Parameters
     ----------
     time, values : shape (n,), times (s, or row numbers) and values (any unit) of the signal; NaN
-        are ignored, and a change across a gap at the usual speed is not a jump
+        are ignored, and a change across NaN at the usual speed is not a jump
     min_fraction : smallest jump as a fraction of the range of the values
 
     Returns
@@ -481,11 +492,12 @@ def find_level_jumps(
 
     Notes
     -----
-    The size of a jump is the change without the usual change, which is the median of the changes
-    nearby. A corner is not a jump, because the changes after it are as fast. The loss of force at a
-    failure is a jump, which the caller has to exclude.
+    The size of a jump is the difference between the change and the usual change, which is computed
+    from the median speed of the changes nearby. A corner is not a jump, because the changes after
+    it are as fast. The loss of force at a failure is a jump, which the caller has to exclude.
     """
-    # Multiples of the usual speed, of the largest deviation from it, and of the noise.
+    # A jump exceeds these multiples of the usual speed, of the largest deviation from the usual
+    # speed, and of the noise.
     speed_factor, deviation_factor, noise_factor = 2.0, 5.0, 8.0
     compared_steps = 4  # on each side of a jump
     finite_samples = np.flatnonzero(~np.isnan(values))
@@ -496,11 +508,11 @@ def find_level_jumps(
     speeds = np.diff(finite_values) / durations
     min_jump = min_fraction * float(np.ptp(finite_values))
     min_jump = max(min_jump, noise_factor * estimate_noise_level(finite_values))
-    # The neighbours deviate from the usual speed by at most a fifth of a jump, so that they differ
-    # from the jump by at least 0.8 of its size.
+    # The changes next to a jump deviate from the usual speed by at most a fifth of the jump. They
+    # therefore differ from the jump by at least 0.8 of its size.
     differences = np.abs(np.diff(speeds))
-    least_differences = np.minimum(differences[:-1], differences[1:])
-    steps = np.flatnonzero(least_differences * durations[1:-1] > 0.8 * min_jump) + 1
+    min_differences = np.minimum(differences[:-1], differences[1:])
+    steps = np.flatnonzero(min_differences * durations[1:-1] > 0.8 * min_jump) + 1
     steps = steps[(steps >= compared_steps) & (steps < len(speeds) - compared_steps)]
     offsets = [offset for offset in range(-compared_steps, compared_steps + 1) if offset]
     nearby_speeds = speeds[steps[:, None] + offsets]

@@ -23,7 +23,7 @@ from labpipe.records.arrays import Flags, Floats
 from labpipe.records.curve import ClockFit
 from labpipe.records.quality import Findings
 from labpipe.records.signals import Signal
-from labpipe.signal.clock_alignment import Repeat
+from labpipe.signal.clock_alignment import CycleLag
 from labpipe.signal.turning_points import find_strokes
 from tests.approved import Approve
 from tests.builders.reasons import doubted
@@ -322,7 +322,7 @@ def test_what_is_doubted(name: str, approved: Approve) -> None:
 def test_cycles_that_are_not_alike_are_joined_by_their_turns_alone(
     monkeypatch: pytest.MonkeyPatch, lag: float, is_used: bool
 ) -> None:
-    repeat = Repeat(20.0, lag * (1.0 + DRIFT), 1e-3)
+    repeat = CycleLag(20.0, lag * (1.0 + DRIFT), 1e-3)
     monkeypatch.setattr("labpipe.process.motion._measure_repeat", lambda *_: repeat)
     match = aligned(seen(3), window=ALIGN.motion_window)
     assert match.fit is not None

@@ -10,7 +10,7 @@ import pytest
 from labpipe.records.arrays import Floats
 from labpipe.records.estimates import Estimate, Failure
 from labpipe.signal.clock_alignment import (
-    Repeat,
+    CycleLag,
     find_rough_peaks,
     fit_clocks,
     fit_lag,
@@ -125,9 +125,9 @@ def test_nothing_to_compare() -> None:
 def test_what_a_wandering_zero_does_to_the_lag_is_in_intervals_alone() -> None:
     """Of events that say nothing on the drift: the wander over the lag, and the offset with it."""
     events = np.array([10.0, 20.0]), np.array([11.0, 21.0]), np.full(2, 10.0)
-    sure = Repeat(100.0, 100.02, 1e-4)
+    sure = CycleLag(100.0, 100.02, 1e-4)
     still, moved = (
-        fit_clocks(*events, method="by hand", repeat=repeat)
+        fit_clocks(*events, method="by hand", cycle_lag=repeat)
         for repeat in (sure, replace(sure, zero_drift_error=0.05))
     )
     assert (moved.drift, moved.offset) == (still.drift, still.offset)
