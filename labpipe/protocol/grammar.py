@@ -240,8 +240,8 @@ class QuantityText:
         if unit == "1" and _RATIO_TEXT.fullmatch(str(text)) is None:  # pint converts deg to a ratio
             raise build_refusal("protocol.no_ratio", found=text, kind=self._kind, example=example)
         is_above_bound = self.quantity.lower_bound is None or value > self.quantity.lower_bound
-        in_range = is_above_bound and self.quantity.minimum <= value <= self.quantity.maximum
-        if not in_range or math.isinf(value):
+        is_in_range = is_above_bound and self.quantity.minimum <= value <= self.quantity.maximum
+        if not is_in_range or math.isinf(value):
             kind, range_text = self._kind, self._range_text
             raise build_refusal("protocol.out_of_range", found=text, kind=kind, range=range_text)
         return value
@@ -321,14 +321,14 @@ def _parse_span(text: object) -> Span:
     """Parse the length of a filter's window: ``0.1 s``, ``2 mm``, ``5 %`` or ``51 samples``."""
     if isinstance(text, Span):
         return text
-    stripped = str(text).strip()
-    if match := re.fullmatch(r"([0-9]{1,9})\s*samples", stripped):
+    stripped_text = str(text).strip()
+    if match := re.fullmatch(r"([0-9]{1,9})\s*samples", stripped_text):
         if int(match[1]) < 1:
             raise build_refusal("protocol.no_sample", found=text)
         return Span("samples", float(match[1]))
     for kind, quantity_text in _SPAN_TEXTS.items():
-        is_percentage = kind == "branch" and stripped.endswith("%")
-        has_unit = try_parse_quantity(stripped, quantity_text.quantity.unit) is not None
+        is_percentage = kind == "branch" and stripped_text.endswith("%")
+        has_unit = try_parse_quantity(stripped_text, quantity_text.quantity.unit) is not None
         if is_percentage or (kind != "branch" and has_unit):
             return Span(kind, quantity_text.parse(text))
     raise build_refusal("protocol.no_span", found=text, remedy=suggest_quantity(text, "s", "0.1 s"))
@@ -654,20 +654,20 @@ def build_pydantic_type(hint: Any) -> Any:
     return Annotated[hint, _BlockAnnotation(hint)] if is_dataclass(hint) else hint
 
 
-def _replace_markers(inner: Any, markers: tuple[Any, ...]) -> Any:
+def _replace_markers(inner_type: Any, markers: tuple[Any, ...]) -> Any:
     """Convert an annotated type to one with validators in place of its markers."""
     for marker in markers:
         if isinstance(marker, TaggedChoice):
-            choice = _ChoiceAnnotation(get_args(inner), marker.key)
-            return Annotated[inner, choice, WrapValidator(_validate_choice)]
-    inner = build_pydantic_type(inner)
+            choice = _ChoiceAnnotation(get_args(inner_type), marker.key)
+            return Annotated[inner_type, choice, WrapValidator(_validate_choice)]
+    inner_type = build_pydantic_type(inner_type)
     annotations: list[Any] = []
     for marker in markers:
-        annotations += _convert_marker(marker, inner, markers)
-    return Annotated[(inner, *annotations)]
+        annotations += _convert_marker(marker, inner_type, markers)
+    return Annotated[(inner_type, *annotations)]
 
 
-def _convert_marker(marker: object, inner: Any, markers: tuple[Any, ...]) -> list[Any]:
+def _convert_marker(marker: object, inner_type: Any, markers: tuple[Any, ...]) -> list[Any]:
     """Convert a marker to annotations for pydantic; a text becomes the description of the field."""
     match marker:
         case Quantity():
@@ -680,7 +680,7 @@ def _convert_marker(marker: object, inner: Any, markers: tuple[Any, ...]) -> lis
         case PatternText():
             annotation: Any = BeforeValidator(partial(_parse_pattern_text, marker))
         case ShippedCard():
-            annotation = BeforeValidator(read_limit_card, json_schema_input_type=inner | str)
+            annotation = BeforeValidator(read_limit_card, json_schema_input_type=inner_type | str)
         case LargerThan():
             quantity = next(item for item in markers if isinstance(item, Quantity))
             annotation = AfterValidator(partial(_check_larger, marker, QuantityText(quantity)))

@@ -67,8 +67,8 @@ def list_protocol_folders(protocols: Path | None = None) -> tuple[Path, ...]:
     """
     lab_folder = Path("protocols") if protocols is None else protocols
     folders = (find_shipped_folder("protocols"), lab_folder)
-    unique = {folder.resolve(): folder for folder in folders if folder.is_dir()}
-    return tuple(reversed(unique.values()))
+    unique_folders = {folder.resolve(): folder for folder in folders if folder.is_dir()}
+    return tuple(reversed(unique_folders.values()))
 
 
 def find_shipped_folder(name: str) -> Path:
@@ -83,8 +83,8 @@ def find_shipped_folder(name: str) -> Path:
     The folder: in the installed package, or beside the package in a checkout.
     """
     package = Path(__file__).resolve().parents[1]
-    installed = package / "shipped" / name
-    return installed if installed.is_dir() else package.parent / name
+    installed_folder = package / "shipped" / name
+    return installed_folder if installed_folder.is_dir() else package.parent / name
 
 
 def list_protocols(protocols: Path | None = None) -> dict[str, Path]:
@@ -357,13 +357,13 @@ def find_export_error(sheet: TestSheet, sheet_path: Path) -> ProtocolError | Non
     """
     folder = sheet_path.parent
     exports = [(role, name) for role, names in sheet.files.items() for name in names]
-    missing = [(role, name) for role, name in exports if not path_exists(folder / name)]
-    if not missing:
+    missing_exports = [(role, name) for role, name in exports if not path_exists(folder / name)]
+    if not missing_exports:
         return None
     document = parse_yaml(read_text(sheet_path), str(sheet_path))
     other_files = [path.name for path in folder.iterdir() if path.name != SHEET_NAME]
     placed_faults = []
-    for role, name in missing:
+    for role, name in missing_exports:
         similar = ", ".join(map(repr, sort_by_likeness(name, other_files, limit=3))) or "no files"
         fault = Fault.of("protocol.no_such_export", ("files", role), name=name, similar=similar)
         placed_faults.append(document.place(fault))
@@ -433,9 +433,9 @@ def _place_merged_faults(
             yield merged.place(fault, remark)
 
 
-def _find_removed_main_results(merged: Document, protocol: Protocol, sheet: str) -> set[str]:
+def _find_removed_main_results(merged: Document, protocol: Protocol, sheet_name: str) -> set[str]:
     """Find the main results of a protocol that the overrides of a sheet remove from the results."""
-    if merged.find_location(("results",))[0].file == sheet:
+    if merged.find_location(("results",))[0].file == sheet_name:
         return set()  # the sheet has replaced the list
     merged_results = get_block(merged.data).get("results")
     indices = range(len(merged_results) if isinstance(merged_results, list) else 0)
@@ -572,8 +572,8 @@ def _find_key(node: object, word: str) -> Any:
     index = parse_count(word)
     if index is not None:
         # Earlier overrides may have removed items; the other items keep their numbers.
-        numbers = [location.name for location in node.locations]
-        return numbers.index(index) if index in numbers else None
+        written_indices = [location.name for location in node.locations]
+        return written_indices.index(index) if index in written_indices else None
     # Names precede kinds: of several stiffnesses, one may have the name `stiffness`.
     for list_labels in (_list_names, _list_kinds):
         matches = [i for i, item in enumerate(node) if word in list_labels(item)]
@@ -600,8 +600,8 @@ def _build_key_fault(node: object, word: str, path: KeyPath) -> Fault:
         return Fault.of("protocol.below_a_value", path, is_key=True, key=word)
     labels = [label for item in node for label in {*_list_kinds(item), *_list_names(item)}]
     remedy = "Use its number." if labels.count(word) > 1 else suggest_word(word, labels)
-    last = len(node) - 1
-    return Fault.of("protocol.no_item", path, is_key=True, key=word, last=last, remedy=remedy)
+    last_index = len(node) - 1
+    return Fault.of("protocol.no_item", path, is_key=True, key=word, last=last_index, remedy=remedy)
 
 
 def remove_absent_sources(protocol: Protocol, roles: Collection[str]) -> Protocol:
@@ -638,9 +638,9 @@ def remove_absent_sources(protocol: Protocol, roles: Collection[str]) -> Protoco
     reduced = reduced.model_copy(update={"results": kept_results})
     unmet_paths = {path for path, *_ in list_unmet_needs(reduced)}
     unmet_paths |= {fault.path for fault in find_unknown_main_results(reduced)}
-    figures, main = enumerate(reduced.report.figures), enumerate(reduced.groups.main)
+    figures, main_results = enumerate(reduced.report.figures), enumerate(reduced.groups.main)
     kept_figures = tuple(x for i, x in figures if ("report", "figures", i) not in unmet_paths)
-    kept_main = tuple(name for i, name in main if ("groups", "main", i) not in unmet_paths)
+    kept_main = tuple(name for i, name in main_results if ("groups", "main", i) not in unmet_paths)
     report = reduced.report.model_copy(update={"figures": kept_figures})
     groups = reduced.groups.model_copy(update={"main": kept_main})
     return reduced.model_copy(update={"report": report, "groups": groups})

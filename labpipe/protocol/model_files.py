@@ -429,9 +429,9 @@ def _find_release_faults(harness: HarnessFile) -> Iterator[Fault]:
     has_weight = section.bending_stiffness is None or section.mass_per_length
     has_support = any(not isinstance(x, (Holder, Load)) for x in harness.boundaries)
     if has_weight and any(harness.gravity) and not has_support and all(release_steps.values()):
-        last_index = max(release_steps, key=lambda index: release_steps[index])
-        path = ("boundaries", last_index, "release")
-        yield Fault.of("protocol.falls", path, step=release_steps[last_index])
+        last_released = max(release_steps, key=lambda index: release_steps[index])
+        path = ("boundaries", last_released, "release")
+        yield Fault.of("protocol.falls", path, step=release_steps[last_released])
 
 
 def _compute_arrival_step(harness: HarnessFile, holder: Holder) -> int:

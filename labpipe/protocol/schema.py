@@ -529,10 +529,10 @@ def list_summary_names(result: Kind) -> tuple[str, ...]:
 def _find_repeated_channels(protocol: Protocol) -> Faults:
     """Find channels with the same name; a step may replace the channel of an optional source."""
     owners = dict.fromkeys(protocol.list_added_channels(*protocol.steps), "a step")
-    from_speed = {step.channel for step in protocol.steps if isinstance(step, TravelFromSpeed)}
+    speed_channels = {step.channel for step in protocol.steps if isinstance(step, TravelFromSpeed)}
     for role, source in protocol.sources.items():
         for name, channel in source.all_channels.items():
-            if name in from_speed and source.optional:
+            if name in speed_channels and source.optional:
                 continue
             if name in owners:
                 path: KeyPath = ("sources", role)
@@ -625,9 +625,9 @@ def _find_step_faults(protocol: Protocol) -> Faults:
         kind_path = (*path, "step")
         if step.uses_markers and step.step in earlier_steps:
             yield Fault.of("protocol.step_again", kind_path, step=step.step)
-        needed = step.required_step
-        if needed and needed not in earlier_steps:
-            yield Fault.of("protocol.step_before", kind_path, step=step.step, needed=needed)
+        required_step = step.required_step
+        if required_step and required_step not in earlier_steps:
+            yield Fault.of("protocol.step_before", kind_path, step=step.step, needed=required_step)
         for key in list_references(STEPS[step.step], "channel"):
             name = getattr(step, key)
             yield from _find_channel_faults(name, (*path, key), channels, later_channels)

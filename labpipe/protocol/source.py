@@ -151,8 +151,8 @@ def _complete_ranges(data: object) -> Any:
     """Fill in the shipped ranges and ends of ranges that a file leaves out."""
     if not isinstance(data, Mapping):
         return data
-    shipped = PLAUSIBLE_RANGES.items()
-    ranges: Any = {kind: {"from": start, "to": stop} for kind, (_, start, stop) in shipped}
+    shipped_ranges = PLAUSIBLE_RANGES.items()
+    ranges: Any = {kind: {"from": start, "to": stop} for kind, (_, start, stop) in shipped_ranges}
     for kind, ends in data.items():
         ranges[kind] = {**ranges.get(kind, {}), **ends} if isinstance(ends, Mapping) else ends
     return ranges

@@ -102,8 +102,8 @@ class Column:
             remedy = suggest_number(text) or "Correct the cell; is the unit right?"
             if self.is_list and "," in text and ";" not in cell:
                 remedy = f"Separate numbers by ';': {text.replace(',', ';')}."
-            allowed = self.valid_content
-            raise build_refusal("protocol.no_number", found=cell, allowed=allowed, remedy=remedy)
+            content = self.valid_content
+            raise build_refusal("protocol.no_number", found=cell, allowed=content, remedy=remedy)
         value = math.fmod(float(text), self.period)
         return int(value) if self.is_integer else value
 

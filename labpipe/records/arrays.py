@@ -121,11 +121,11 @@ def median(values: Floats) -> float:
     if len(values) == 0:
         return float("nan")
     middle = len(values) // 2
-    ordered = np.partition(values, middle)
-    if np.isnan(ordered[middle:].max()):
+    partition = np.partition(values, middle)
+    if np.isnan(partition[middle:].max()):
         return float("nan")
-    upper = float(ordered[middle])
-    return upper if len(values) % 2 else 0.5 * (float(ordered[:middle].max()) + upper)
+    upper = float(partition[middle])
+    return upper if len(values) % 2 else 0.5 * (float(partition[:middle].max()) + upper)
 
 
 def drop_missing(values: Floats) -> Floats:

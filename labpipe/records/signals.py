@@ -244,16 +244,16 @@ class Clocks:
         -------
         Shape (n,), in the unit of the signal; NaN outside the times of its samples.
         """
-        time = self.from_curve(time, signal.clock)
-        if len(time) == len(signal.time) and np.array_equal(time, signal.time):
+        signal_time = self.from_curve(time, signal.clock)
+        if len(time) == len(signal.time) and np.array_equal(signal_time, signal.time):
             return signal.values
         # `interp` copies its arrays; only the samples next to these times are passed to it.
-        right = np.searchsorted(signal.time, time, side="right")
-        nearest: Ints = np.sort(np.clip([right - 1, right], 0, len(signal.time) - 1), axis=None)
-        if not len(nearest):  # `interp` refuses an empty record
+        stops = np.searchsorted(signal.time, signal_time, side="right")
+        indices: Ints = np.sort(np.clip([stops - 1, stops], 0, len(signal.time) - 1), axis=None)
+        if not len(indices):  # `interp` refuses an empty record
             return np.zeros(0)
-        times, values = signal.time[nearest], signal.values[nearest]
-        return np.interp(time, times, values, left=np.nan, right=np.nan)
+        times, values = signal.time[indices], signal.values[indices]
+        return np.interp(signal_time, times, values, left=np.nan, right=np.nan)
 
     def to_force_times(self, time: Floats) -> Floats:
         """Convert times of the curve to the clock of the force, shape (n,), s."""
