@@ -1,4 +1,4 @@
-"""Draw uncertainty budgets: the shares of causes in the variance of numbers, as bars."""
+"""Make the bars of uncertainty budgets: the shares of causes in the variance of numbers."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ from labpipe.statistics.means import sort_causes
 MAX_BARS = 20
 """Largest number of bars in a panel."""
 SMALL_CAUSES = "causes under 2 % in every bar"
-"""Name of the sum of the shares of small causes."""
+"""Name of the sum of the shares of small causes in a bar."""
 
 
 class BudgetBar(NamedTuple):
-    """The uncertainty budget of one number, drawn as a bar.
+    """The uncertainty budget of one number, which is drawn as a bar.
 
     Parameters
     ----------
-    name : text left of the bar
-    shares : share of the variance that each cause contributes, keyed by cause; the sum is one.
-        Empty for a row without a bar
-    text : text right of the bar
+    name : label of the number, to the left of the bar
+    shares : share of the variance that each cause contributes, keyed by cause; the sum is one. A
+        row without a bar has no shares
+    text : text to the right of the bar
     """
 
     name: str
@@ -41,7 +41,7 @@ class BudgetBar(NamedTuple):
 
 
 def has_budget_bar(name: str) -> bool:
-    """Return whether a result has a bar: not of later cycles, slips, clocks or the force limit."""
+    """Return whether a result is of the first cycle, and not of a slip, the clocks or a limit."""
     return wording.is_main(name) and wording.is_first_cycle(name)
 
 
@@ -51,11 +51,11 @@ def make_budget_bar(
     interval: Interval | None,
     display: Mapping[str, str],
 ) -> BudgetBar:
-    """Make the bar of a number, with half the width of its interval as text.
+    """Make the bar of a number; its text is half the width of the interval.
 
     Parameters
     ----------
-    number : number of a test or of a group. The label omits the cycle, because all bars show the
+    number : number of a test or of a group. Its label omits the cycle, because all bars show the
         first cycle
     shares : share of the variance that each cause contributes, keyed by cause
     interval : interval of the number, SI; None without an interval
@@ -70,7 +70,7 @@ def make_budget_bar(
 
 
 def make_budget_plot(bars: Sequence[BudgetBar]) -> Plot:
-    """Make the plot of bars, the first on top; causes common to all tests of a rig are hatched.
+    """Make the plot of bars; the first is on top, and causes common to all tests are hatched.
 
     Parameters
     ----------
@@ -78,19 +78,19 @@ def make_budget_plot(bars: Sequence[BudgetBar]) -> Plot:
     """
     sorted_shares = sort_shares([bar.shares for bar in bars])
     causes = list_drawn_causes(sorted_shares)
-    parts: dict[str, list[tuple[float, float, int]]] = {cause: [] for cause in causes}
+    segments: dict[str, list[tuple[float, float, int]]] = {cause: [] for cause in causes}
     labels = [Label("95 %", np.inf, 0.8, (6.0, 0.0), {"color": GREY})]
     for row, (bar, shares) in enumerate(zip(bars, sorted_shares, strict=True)):
         labels.append(Label(bar.text, np.inf, -row, (6.0, 0.0)))
         ends = np.cumsum([0.0, *shares.values()])
         for cause, start, stop in zip(shares, ends[:-1], ends[1:], strict=True):
-            parts[cause].append((start, stop, row))
-            labels += _label_share(cause, start, stop, row)
+            segments[cause].append((start, stop, row))
+            labels += _make_share_label(cause, start, stop, row)
     lines = []
     for cause in causes:
         look = "common_cause" if IS_COMMON.get(cause, False) else "cause"
         settings = {"label": cause, "facecolor": get_cause_colour(cause)}
-        left, right, rows = np.array(parts[cause]).T
+        left, right, rows = np.array(segments[cause]).T
         lines.append(plots.make_bars(look, left, right, rows, height=0.74, **settings))
     if any(IS_COMMON.get(cause, False) for cause in causes):
         lines.append(plots.make_legend_line("common_cause", is_closed=True))
@@ -100,8 +100,11 @@ def make_budget_plot(bars: Sequence[BudgetBar]) -> Plot:
     return Plot(share_axis, row_axis, lines, labels=labels, reason=reason)
 
 
-def _label_share(cause: str, start: float, stop: float, row: int) -> Iterator[Label]:
-    """Label a segment of a bar with its share; on a hatched segment, with a plain background."""
+def _make_share_label(cause: str, start: float, stop: float, row: int) -> Iterator[Label]:
+    """Yield the label of a segment of a bar, its share in per cent, if the segment is wide enough.
+
+    On a hatched segment, the label has a plain background.
+    """
     min_labelled_share = 0.10  # a smaller segment is too narrow for its number
     max_dark_brightness = 0.45  # on a darker segment, white text is easier to read than black
     if stop - start < min_labelled_share:
@@ -130,8 +133,8 @@ def sort_shares(bar_shares: Sequence[Mapping[str, float]]) -> list[dict[str, flo
 
     Returns
     -------
-    Sorted shares of each bar. The last one, `SMALL_CAUSES`, is the sum of the causes that have less
-    than 2 % in every bar.
+    Sorted shares of each bar, keyed by cause. The last share, that of `SMALL_CAUSES`, is the sum of
+    the causes that have less than 2 % in every bar; it is omitted if it is zero.
     """
     min_share = 0.02
     items = (item for shares in bar_shares for item in shares.items())

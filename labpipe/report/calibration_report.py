@@ -159,9 +159,9 @@ class BentShape(ArrayRecord):
     Parameters
     ----------
     deflection : deflection of the tip, m
-    markers : measured markers, shape (n_markers, 2); NaN where a marker was not tracked
-    fit : curve fitted to the markers, shape (n, 2); empty without a fit
-    model : axis of the wire in the model, shape (n, 2); empty without a model
+    markers : measured positions of the markers, shape (n_markers, 2); NaN where not tracked
+    fit : points of the curve fitted to the markers, shape (n, 2); empty without a fit
+    model : points of the axis of the wire in the model, shape (n, 2); empty without a model
     """
 
     deflection: float
@@ -205,7 +205,7 @@ _REPEATED_CODES = frozenset({"at_bound", "not_identified", "prior_contradicts_da
 def format_parameter(parameter: CalibratedParameter) -> str:
     """Format the name, value, unit, 95 % interval and verdict of a parameter in one line.
 
-    The value has two significant digits if its interval is open on one side.
+    The value has two significant digits if its interval is open on either side.
 
     Parameters
     ----------
@@ -279,14 +279,12 @@ def describe_calibration(calibration: Calibration) -> list[str]:
         counts=" of ".join(format_count(count, noun) for noun, count in counts.items()),
     )
     levels = calibration.levels
-    scatter = f"The force scatters by {format_percent(levels.scatter)} between samples"
+    scatter_text = f"The force scatters by {format_percent(levels.scatter)} between samples"
     if levels.scatter_freedom == 0.0:
-        scatter = "The scatter of the samples is not known"
-    gain = format_percent(levels.gain)
+        scatter_text = "The scatter of the samples is not known"
+    facts = {"scatter": scatter_text, "gain": format_percent(levels.gain), "levels": levels}
     sentences.append(agreement)
-    sentences.append(
-        format_sentence("report.noise_of_calibration", scatter=scatter, gain=gain, levels=levels)
-    )
+    sentences.append(format_sentence("report.noise_of_calibration", **facts))
     if np.isfinite(calibration.get_parameter(RADIAL_FRICTION).value):
         sentences.append(typeset("mu_s, mu_p and F_rad are not identified separately, only phi"))
     if not all(calibration.separability.are_identified.values()):
@@ -321,8 +319,8 @@ def list_calibration_figures(report: CalibrationReport) -> Iterator[Page]:
     for index, panels in enumerate(group_external_curves(report), start=1):
         name = "external-curves" if index == 1 else f"external-curves-{index}"
         yield make_external_page(name, panels)
-    for index, (name, shapes) in enumerate(report.shapes.items(), start=1):
-        yield make_bent_shapes_page(f"shapes-{index}", name, shapes)
+    for index, (test, shapes) in enumerate(report.shapes.items(), start=1):
+        yield make_bent_shapes_page(f"shapes-{index}", test, shapes)
 
 
 def make_bent_shapes_page(name: str, test: str, shapes: Sequence[BentShape]) -> Page:

@@ -21,21 +21,17 @@ from labpipe.report.figure_page import N_COLOURS, split_pages
 from labpipe.report.page_tables import make_stems
 from labpipe.report.plot_records import Axis, LegendEntry, Line, Page, Plot
 from labpipe.report.table_records import Cell, Record, Table, tabulate
-from labpipe.statistics.group_samples import (
-    BORE,
-    SECTION_SIZES,
-    find_varying_fields,
-    make_field_sort_key,
-)
+from labpipe.statistics import group_samples
+from labpipe.statistics.group_samples import find_varying_fields, make_field_sort_key
 
 MAX_COMPARED_GROUPS = 6
-"""Largest number of groups in a figure whose curves a reader can distinguish."""
+"""Largest number of groups in a figure; a reader could not distinguish more curves."""
 
 _BUNDLE_FIELDS = (
     "type", "spool", "composition", "wire", "number", "arrangement", "tape", "taping", "conduit",
-    BORE,
+    group_samples.BORE,
 )  # fmt: skip
-"""Fields of bundles whose values are written without the name of the field, or not at all."""
+"""Fields of bundles that a context omits, or lists by value without the name of the field."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,7 +41,7 @@ class Pair:
     Parameters
     ----------
     first, second : the groups
-    differences : at least one; the comparison of the second group with the first in each number
+    differences : difference of the second group from the first in each number, at least one
     """
 
     first: Group
@@ -54,13 +50,13 @@ class Pair:
 
     @property
     def field(self) -> str:
-        """Name of the field in which the groups differ; empty if it is not exactly one."""
+        """Name of the field in which the groups differ; empty if they differ in several fields."""
         return self.differences[0].single_field
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Family:
-    """Groups that differ from each other in one and the same field.
+    """Groups that differ from each other in a single field, which is the same for all.
 
     Parameters
     ----------
@@ -86,7 +82,7 @@ def list_single_field_pairs(campaign: Campaign) -> list[Pair]:
 
 
 class Question(NamedTuple):
-    """The comparisons of groups that differ in one and the same field.
+    """Comparisons of groups that differ in a single field, which is the same for all.
 
     Parameters
     ----------
@@ -103,11 +99,12 @@ class Question(NamedTuple):
     def answers(self) -> Table:
         """Table of the verdicts, a row per pair."""
         heads = ("Comparison", "Verdict", "Difference (95 %, corrected)", "n")
-        return Table(f"Verdicts: {name_field(self.field)}", heads, [*map(make_answer, self.pairs)])
+        rows = list(map(make_answer_cells, self.pairs))
+        return Table(f"Verdicts: {name_field(self.field)}", heads, rows)
 
     @property
     def tables(self) -> list[Table]:
-        """Table of each pair."""
+        """Table of each pair, with a row per number."""
         return list(map(make_pair_table, self.pairs))
 
     @property
@@ -118,19 +115,20 @@ class Question(NamedTuple):
         of each verdict.
         """
         pairs = self.pairs
-        question, verdict, difference, counts = make_answer(max(pairs, key=_rank_pair))
+        question, verdict, difference, counts = make_answer_cells(max(pairs, key=_rank_pair))
         if len(pairs) == 1:
             return question.text, verdict.text, difference, counts
         values = {value for pair in pairs for value in pair.differences[0].fields[self.field]}
         sorted_values = sorted(values, key=lambda value: make_field_sort_key(self.field, value))
-        text = f"{name_field(self.field)}: {', '.join(sorted_values)}"
+        question_text = f"{name_field(self.field)}: {', '.join(sorted_values)}"
         n_pairs = Counter(pair.differences[0].verdict for pair in pairs)
         verdicts = [f"{str(kind).upper()} {n_pairs[kind]}" for kind in Verdict if n_pairs[kind]]
-        return text, ", ".join(verdicts), f"{difference}, largest of {len(pairs)} pairs", counts
+        difference_text = f"{difference}, largest of {len(pairs)} pairs"
+        return question_text, ", ".join(verdicts), difference_text, counts
 
 
 def _rank_pair(pair: Pair) -> tuple[bool, float]:
-    """Rank a pair: different groups are higher, then a larger difference."""
+    """Return the rank of a pair: whether it is different, then the size of its difference."""
     difference = pair.differences[0]
     size = difference.change if difference.change is not None else difference.difference.mean
     return difference.verdict is Verdict.DIFFERENT, abs(size) if isfinite(size) else 0.0
@@ -155,30 +153,40 @@ def list_questions(campaign: Campaign) -> list[Question]:
         values = {name: group.fields.get(field, "") for name, group in groups.items()}
         sorted_names = sorted(groups, key=lambda name: make_field_sort_key(field, values[name]))
         linked_pairs = {frozenset((pair.first.name, pair.second.name)) for pair in pairs}
-        for names in _find_cliques(sorted_names, linked_pairs):
+        for names in _collect_linked_sets(sorted_names, linked_pairs):
             reference, *other_groups = (groups[name] for name in names)
-            parts = split_pages(other_groups, MAX_COMPARED_GROUPS - 1)
-            families += [Family(field, (reference, *part)) for part in parts]
+            subsets = split_pages(other_groups, MAX_COMPARED_GROUPS - 1)
+            families += [Family(field, (reference, *subset)) for subset in subsets]
         questions.append(Question(field, pairs, families))
     return questions
 
 
-def _find_cliques(names: Sequence[str], linked_pairs: set[frozenset[str]]) -> Iterator[list[str]]:
-    """Collect large sets of linked groups greedily; each linked pair is in at least one set."""
+def _collect_linked_sets(names: Sequence[str], links: set[frozenset[str]]) -> Iterator[list[str]]:
+    """Yield sets of groups that are linked with each other; each pair is in at least one set.
+
+    Parameters
+    ----------
+    names : names of all groups, in the order of the sets
+    links : pairs of names of groups that are compared with each other
+
+    Notes
+    -----
+    The algorithm is greedy: it extends each pair that is not in any set yet to a large set.
+    """
     covered_pairs: set[frozenset[str]] = set()
     for pair in combinations(names, 2):
-        if frozenset(pair) not in linked_pairs - covered_pairs:
+        if frozenset(pair) not in links - covered_pairs:
             continue
         members = set(pair)
         for name in names:
-            if all(frozenset((name, member)) in linked_pairs for member in members - {name}):
+            if all(frozenset((name, member)) in links for member in members - {name}):
                 members.add(name)
         covered_pairs |= set(map(frozenset, combinations(members, 2)))
         yield [name for name in names if name in members]
 
 
 def name_field(field: str) -> str:
-    """Write the name of a field as a heading, such as ``Taping``."""
+    """Format the name of a field as a heading, such as ``Taping``."""
     return field.replace("_", " ").capitalize()
 
 
@@ -189,7 +197,7 @@ def name_comparison(pair: Pair) -> str:
 
 
 def describe_equal_fields(groups: Sequence[Group], field: str) -> str:
-    """Describe the common fields of groups, and name the fields that vary within a group."""
+    """Describe the fields that are equal in all groups, and name those that vary within a group."""
     varying_fields = dict.fromkeys(
         name
         for group in groups
@@ -206,13 +214,14 @@ def describe_equal_fields(groups: Sequence[Group], field: str) -> str:
 
 
 def _collect_field_names(group: Group) -> set[str]:
+    """Collect the names of the fields of all samples of a group."""
     return {name for sample in group.samples for name in sample.specimen.fields}
 
 
 def describe_context(groups: Sequence[Group], field: str) -> str:
-    """List the common fields of groups, such as ``19 B2, half-lap PVC, corrugated-tube``.
+    """Describe the common fields of groups, such as ``19 B2, half-lap PVC, corrugated-tube``.
 
-    The list omits the spool, and the sizes of section and bore, which follow from other fields.
+    The text omits the spool, and the sizes of section and bore, which follow from other fields.
     """
     common_fields = {
         name: value
@@ -222,13 +231,13 @@ def describe_context(groups: Sequence[Group], field: str) -> str:
     named_fields = [
         f"{name.replace('_', ' ')} {value}"
         for name, value in common_fields.items()
-        if name not in _BUNDLE_FIELDS and name not in SECTION_SIZES
+        if name not in _BUNDLE_FIELDS and name not in group_samples.SECTION_SIZES
     ]
     if "composition" not in _collect_field_names(groups[0]):
         return ", ".join(filter(None, [common_fields.get("type", ""), *named_fields]))
     stated_fields = {name: value for name, value in common_fields.items() if value != NONE}
-    number = f"{stated_fields['number']} wires" if "number" in stated_fields else ""
-    wires = stated_fields.get("composition") or stated_fields.get("wire") or number
+    wire_count = f"{stated_fields['number']} wires" if "number" in stated_fields else ""
+    wires = stated_fields.get("composition") or stated_fields.get("wire") or wire_count
     mixed_groups = [group for group in groups if "&" in group.fields.get("wire", "")]
     arrangements = sorted({group.fields.get("arrangement", "") for group in mixed_groups})
     tape = f"{stated_fields.get('taping', '')} {stated_fields.get('tape', '')}".strip()
@@ -266,12 +275,16 @@ def make_pair_table(pair: Pair) -> Table:
     return tabulate(f"{name_comparison(pair)}, {equal_fields}", rows, notes=notes)
 
 
-def make_answer(pair: Pair) -> tuple[Cell, Cell, str, str]:
-    """Make the cells of a pair: comparison, and verdict, difference and counts of the first number.
+def make_answer_cells(pair: Pair) -> tuple[Cell, Cell, str, str]:
+    """Make the cells of the comparison of a pair in its first number.
 
     Parameters
     ----------
     pair : groups that differ in one field
+
+    Returns
+    -------
+    Name of the comparison, verdict, difference, and the counts of the values.
     """
     difference = pair.differences[0]
     difference_text = _format_difference(difference, wording.get_display(pair.first))
@@ -292,31 +305,31 @@ def count_values(pair: Pair) -> list[int]:
 
 
 def _format_difference(difference: Difference, display: Mapping[str, str]) -> str:
-    """Write a difference in per cent or in its unit, with its corrected interval, if any."""
-    max_shown_ratio = 10.0  # a larger upper end is written as "more than +1000 %"
+    """Format a difference in per cent or in its unit, with its corrected interval, if any."""
+    max_shown_ratio = 10.0  # the text of a larger upper end is "more than +1000 %"
     ends, mean_difference, bound_text = difference.interval, difference.difference, ""
     if difference.change is None:
         scale = wording.choose_scale(difference.name, difference.unit, display)
         estimate = mean_difference.distinct_estimate
-        number = wording.format_number(mean_difference.mean, ends, scale.factor, estimate=estimate)
+        texts = wording.format_number(mean_difference.mean, ends, scale.factor, estimate=estimate)
         unit = f" {scale.unit}".rstrip()
     else:
         if ends is not None and ends.upper > max_shown_ratio:
             ends = Interval(min(ends.lower, max_shown_ratio), max_shown_ratio, ends.level)
             bound_text = "more than "
-        number, unit = wording.format_number(difference.change, ends, 100.0), " %"
+        texts, unit = wording.format_number(difference.change, ends, 100.0), " %"
     interval_text = wording.join_sentences([mean_difference.reason])
-    if number.lower:
-        lower, upper = map(_add_plus_sign, (number.lower, number.upper))
+    if texts.lower:
+        lower, upper = map(_add_plus_sign, (texts.lower, texts.upper))
         lower_text = "" if lower == upper and bound_text else f"{lower}{unit} to "
         interval_text = f"({lower_text}{bound_text}{upper}{unit})"
-    return f"{_add_plus_sign(number.value)}{unit} {interval_text}".strip()
+    return f"{_add_plus_sign(texts.value)}{unit} {interval_text}".strip()
 
 
-def _add_plus_sign(number: str) -> str:
-    """Write a plus before a positive difference."""
-    is_zero = not number.strip("0.")
-    return number if is_zero or number.startswith(("-", "\u2013")) else f"+{number}"
+def _add_plus_sign(text: str) -> str:
+    """Add a plus before the text of a positive number."""
+    is_zero = not text.strip("0.")
+    return text if is_zero or text.startswith(("-", "\u2013")) else f"+{text}"
 
 
 def list_pair_remarks(campaign: Campaign) -> list[str]:
@@ -326,18 +339,19 @@ def list_pair_remarks(campaign: Campaign) -> list[str]:
         name = campaign.compared_field.replace("_", " ")
         if not campaign.differences:
             remarks.append(format_sentence("report.no_pair_differs", field=name))
-        option, pairs = campaign.compared_field, _count_pairs(campaign.pairs_not_shown)
+        option, pairs = campaign.compared_field, _format_pair_count(campaign.pairs_not_shown)
         text = format_sentence("report.pairs_left_out", field=name, option=option, pairs=pairs)
         remarks.append(text)
-    # only pairs that differ in one single field belong to a family
-    unjudged = {(pair.first, pair.second) for pair in campaign.differences if not pair.family}
-    if unjudged:
-        pairs = _count_pairs(len(unjudged))
+    # a difference belongs to a family only if the groups differ in a single field
+    unjudged_pairs = {(item.first, item.second) for item in campaign.differences if not item.family}
+    if unjudged_pairs:
+        pairs = _format_pair_count(len(unjudged_pairs))
         remarks.append(format_sentence("report.pairs_without_verdict", pairs=pairs))
     return remarks
 
 
-def _count_pairs(count: int) -> str:
+def _format_pair_count(count: int) -> str:
+    """Format a count of pairs with its verb, such as ``3 pairs are``."""
     return f"{wording.format_count(count, 'pair')} {'is' if count == 1 else 'are'}"
 
 
@@ -350,9 +364,9 @@ def list_family_figures(campaign: Campaign) -> Iterator[Page]:
     """
     families = [family for question in list_questions(campaign) for family in question.families]
     contexts = [describe_context(family.groups, family.field) for family in families]
-    pairs = list(zip(families, contexts, strict=True))
+    pairs = zip(families, contexts, strict=True)
     names = make_stems(f"difference {family.field}: {context}" for family, context in pairs)
-    for (family, context), name in zip(pairs, names, strict=True):
+    for family, context, name in zip(families, contexts, names, strict=True):
         panels = make_family_plots(family, has_scaled=True)
         if panels:
             field, labels = name_field(family.field), ", ".join(family.labels)
@@ -372,9 +386,9 @@ def make_family_plots(
     stems : stem of the links of each group, keyed by its name; None for files
     has_scaled : whether a plot of force over peak force is included
     """
-    names = stems or {group.name: group.name for group in family.groups}
-    scaled_plots = _make_curve_plots(family, names, is_scaled=True) if has_scaled else ()
-    return [*_make_curve_plots(family, names), *scaled_plots, *_make_mean_plots(family, names)]
+    stems = stems or {group.name: group.name for group in family.groups}
+    scaled_plots = _make_curve_plots(family, stems, is_scaled=True) if has_scaled else ()
+    return [*_make_curve_plots(family, stems), *scaled_plots, *_make_mean_plots(family, stems)]
 
 
 def _make_curve_plots(
@@ -383,36 +397,36 @@ def _make_curve_plots(
     """Yield the plot of the mean first loadings of the groups with their bands, if any."""
     display = wording.get_display(family.groups[0])
     x_scale, y_scale = wording.get_scales(display, "displacement", "force")
-    name, heading = "Force", "First loading"
+    y_name, heading = "Force", "First loading"
     if is_scaled:
-        y_scale, name, heading = plots.PLAIN_NUMBER, "Force / peak force", "Force / peak force"
+        y_scale, y_name, heading = plots.PLAIN_NUMBER, "Force / peak force", "Force / peak force"
     lines: list[Line] = []
     legend, bands = [], []
-    count = wording.format_count(len(family.groups), "group")
+    group_count = wording.format_count(len(family.groups), "group")
     for index, (group, label) in enumerate(zip(family.groups, family.labels, strict=True)):
         band = group.scaled_band if is_scaled else group.band
         if band is not None:
-            look, stem = f"c{index % N_COLOURS}", stems[group.name]
+            colour, stem = f"c{index % N_COLOURS}", stems[group.name]
             bands.append(band)
-            lines += group_plots.make_band_lines(band, look, stem)
-            lines += group_plots.make_mean_lines(band, look, stem)
+            lines += group_plots.make_band_lines(band, colour, stem)
+            lines += group_plots.make_mean_lines(band, colour, stem)
             text = f"{label} (n = {group.band.n})"
-            legend.append(LegendEntry(f"mean {look}", text, "group", stem))
+            legend.append(LegendEntry(f"mean {colour}", text, "group", stem))
     if not lines:
         return
     max_extension = 0.4  # wide intervals are cut off so that the means remain distinct
     means = np.concatenate([band.mean for band in bands])
     edges = np.concatenate([edge for band in bands for edge in (band.lower, band.upper)])
-    ends = np.array(plots.clip_range(means, edges, max_extension))
+    y_ends = np.array(plots.clip_range(means, edges, max_extension))
     x = plots.make_axis("Displacement", x_scale, [line.x for line in lines])
-    y = plots.make_axis(name, y_scale, [ends])
+    y = plots.make_axis(y_name, y_scale, [y_ends])
     legend += group_plots.list_legend_entries(lines, hidden=("mean",))
-    title, size = f"Mean force against displacement of {count}.", (392, 200)
+    title, size = f"Mean force against displacement of {group_count}.", (392, 200)
     yield Plot(x, y, lines, heading, legend=legend, kind="means", title=title, size=size)
 
 
 def choose_main_number(family: Family) -> str:
-    """Choose the number by which groups are compared: bending stiffness, or the first in common.
+    """Choose the number by which the groups of a family are compared.
 
     Parameters
     ----------
@@ -420,7 +434,8 @@ def choose_main_number(family: Family) -> str:
 
     Returns
     -------
-    Name of the number; empty if the groups have none in common.
+    Name of the bending stiffness or, if not all groups have it, of the first number that all groups
+    have; empty if there is no such number.
     """
     groups = family.groups
     names_by_group = [
@@ -445,12 +460,12 @@ def _make_mean_plots(family: Family, stems: Mapping[str, str]) -> Iterator[Plot]
     sample_shift = 0.22  # of a row, from the mean to its samples
     lines: list[Line] = []
     for row, (number, group) in enumerate(zip(numbers, groups, strict=True)):
-        values = [value.value for value in number.values.values() if value.value is not None]
+        values = [result.value for result in number.values.values() if result.value is not None]
         x = plots.join_with_gaps(np.array(values))
-        look, stem = f"c{row % N_COLOURS}", stems[group.name]
-        lines.append(Line(f"sample {look}", x, np.full(len(x), -row - sample_shift), group=stem))
+        colour, stem = f"c{row % N_COLOURS}", stems[group.name]
+        lines.append(Line(f"sample {colour}", x, np.full(len(x), -row - sample_shift), group=stem))
         mean = number.mean.chosen
-        lines += group_plots.make_dot_lines(f"dot {look}", mean.mean, mean.interval, -row, stem)
+        lines += group_plots.make_dot_lines(f"dot {colour}", mean.mean, mean.interval, -row, stem)
     label, count = wording.format_label(name), wording.format_count(len(numbers), "group")
     x_axis = group_plots.make_dot_axis(name, scale, lines)
     y_axis = Axis(low=0.5 - len(numbers), high=0.5, row_names=family.labels)

@@ -80,6 +80,7 @@ Up to this number, the cycles of a test have the colours of the style; otherwise
 a colour map.
 """
 _LINE_STYLES: dict[Direction, Any] = {Direction.LOADING: "-", Direction.UNLOADING: DASHED}
+"""Dash of a branch, keyed by its direction."""
 
 
 def make_force_displacement_page(result: TestResult) -> Page:
@@ -133,14 +134,15 @@ def _make_curve_lines(result: TestResult) -> Iterator[Line]:
             yield plots.make_legend_line("branch", label=str(direction), **settings)
     _, cycle_numbers = curve.assign_samples()
     for cycle, colour in enumerate(colours, start=1):
-        samples = np.flatnonzero((cycle_numbers == cycle) & ~np.isnan(y))
-        if len(samples):
-            peak = samples[np.argmax(y[samples])]
-            yield make_line("peak", x[peak], y[peak], color=colour)
+        indices = np.flatnonzero((cycle_numbers == cycle) & ~np.isnan(y))
+        if len(indices):
+            peak_index = indices[np.argmax(y[indices])]
+            yield make_line("peak", x[peak_index], y[peak_index], color=colour)
     yield plots.make_legend_line("peak", label="peak", color=legend_colour)
 
 
 def _get_branches(result: TestResult) -> tuple[Branch, ...]:
+    """Get the branches of the curve of a test; none without a curve."""
     return result.curve.branches if result.curve is not None else ()
 
 
@@ -246,14 +248,14 @@ def _compute_stress_strain(result: TestResult) -> _StressStrainCurve | None:
     x, force = curve.displacement[rows], curve.force[rows]
     x, force = compute_loading_sign(x) * x, compute_loading_sign(force) * force
     first_displacement = float(x[np.isfinite(x)][:1].sum())  # 0 if no displacement is finite
-    modulus, toe, window = np.nan, first_displacement, np.zeros(0)
+    modulus, toe, ends = np.nan, first_displacement, np.zeros(0)
     for fit in result.lines:
         if fit.result == "elastic_modulus":
-            window = np.sort(np.abs([fit.start, fit.stop]))
-            modulus, toe = fit.slope * length / area, window[0] - fit.level / fit.slope
+            ends = np.sort(np.abs([fit.start, fit.stop]))
+            modulus, toe = fit.slope * length / area, ends[0] - fit.level / fit.slope
     requests = protocol.results
     offsets = {proof.name: proof.offset for proof in requests if isinstance(proof, ProofStress)}
-    strain, window = (x - toe) / length, (window - toe) / length
+    strain, window = (x - toe) / length, (ends - toe) / length
     return _StressStrainCurve(strain, force / area, modulus, window=window, offsets=offsets)
 
 
@@ -735,7 +737,7 @@ def make_flag_plot(result: TestResult, time: Axis) -> Plot:
 def _make_tracking_plot(result: TestResult, time: Axis) -> Plot:
     """Make the panel of the mean marker error of each body, or of the number of visible markers.
 
-    The first recording with marker tracks is drawn; without any, the panel states the reason.
+    The first recording with marker tracks is drawn. If there is none, the panel states the reason.
     """
     takes = (recording.markers for recording in result.recordings.values())
     tracks = next(filter(None, takes), None)

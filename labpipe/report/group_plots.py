@@ -24,10 +24,11 @@ from labpipe.report.plot_records import Axis, LegendEntry, Line, Page, Plot, joi
 from labpipe.statistics.lots import FORCE_LIMIT, PEAK_OVER_LIMIT
 
 MAX_DOT_NUMBERS, MAX_DOT_ROWS = 6, 24
-"""Largest number of panels of numbers, and of samples with a row each in a panel."""
+"""Largest number of panels with dots, one for each number, and of samples with rows in a panel."""
 
 
 _SMALL_PLOT_SIZE = (262, 150)
+"""Width and height of the area between the axes of a small plot, points."""
 
 
 def make_group_plots(view: GroupView) -> list[Plot]:
@@ -46,18 +47,13 @@ def make_group_plots(view: GroupView) -> list[Plot]:
 
 
 def _choose_point_count(view: GroupView) -> int:
-    """Choose the number of points of a first loading: on the page, a test takes under 3 kB.
+    """Choose the number of points of a first loading; on the page, a test has less than 3 kB.
 
-    All other branches together have a third of this number, but at least 8 points each.
+    The other branches have a third of this number together, but at least eight points each.
     """
     if not view.stem:
         return 240
     return 90 if view.is_detailed else 43
-
-
-def _choose_shape_count(view: GroupView) -> int:
-    """Choose the number of shapes that are drawn for a test."""
-    return 6 if view.is_detailed or not view.stem else 2
 
 
 def _make_plot(
@@ -111,8 +107,8 @@ def make_file_plots(group: Group) -> dict[str, list[Plot]]:
 
     Returns
     -------
-    Plots by the name of their figure: ``curves``, ``scaled`` (force over peak force), ``shapes``,
-    ``moment`` and ``numbers``.
+    Plots of each figure, keyed by its name: ``curves``, ``shapes``, ``moment``, ``scaled`` (force
+    over peak force) and ``numbers``.
     """
     all_plots = [*make_group_plots(make_figure_view(group)), *_make_number_plots(group)]
     plots_by_kind = groupby(all_plots, key=lambda plot: plot.kind)
@@ -124,7 +120,7 @@ def make_page(name: str, title: str, panels: Sequence[Plot], columns: int, capti
 
     Parameters
     ----------
-    name : file name without the ending
+    name : file name without its extension
     title, columns, caption : see `Page`
     panels : plots with a size, at least one
     """
@@ -136,7 +132,8 @@ def make_page(name: str, title: str, panels: Sequence[Plot], columns: int, capti
         panel_height = (width - frame_mm) * panel.size[1] / panel.size[0]
     note = " ".join(dict.fromkeys(panel.caption for panel in panels))
     height = math.ceil(len(panels) / columns) * (frame_mm + panel_height)
-    return Page(name, title, panels, note, height, width, columns, caption=caption, alt=panel.title)
+    size: dict[str, Any] = {"height": height, "width": width, "columns": columns}
+    return Page(name, title, panels, note, caption=caption, alt=panel.title, **size)
 
 
 def list_group_figures(group: Group) -> Iterator[Page]:
@@ -148,8 +145,8 @@ def list_group_figures(group: Group) -> Iterator[Page]:
 
     Yields
     ------
-    The figures of `make_file_plots`; their names do not include the group. Without curves, the
-    figure ``curves`` states the reason.
+    A page for each figure of `make_file_plots`; its name does not include the group. If there is no
+    curve, the page ``curves`` states the reason.
     """
     figures, counts = make_file_plots(group), wording.describe_counts(group)
     title = f"{group.name}  \u00b7  {group.protocol}  \u00b7  {counts}"
@@ -172,10 +169,10 @@ def _make_curve_plots(view: GroupView) -> Iterator[Plot]:
             lines.append(
                 _make_curve_line("rejected", curve, curve.force, test.number, n_points // 3)
             )
-    lines += [line for test in view.tests for line in _plot_sample(test, n_points)]
-    lines += [line for test in view.tests for line in _plot_fitted_lines(test)]
+    lines += [line for test in view.tests for line in _make_sample_lines(test, n_points)]
+    lines += [line for test in view.tests for line in _make_fit_lines(test)]
     lines += make_mean_lines(band)
-    lines += [line for test in view.tests for line in _plot_events(test)]
+    lines += [line for test in view.tests for line in _make_event_lines(test)]
     x = plots.make_axis("Displacement", view.get_scale("displacement"), [line.x for line in lines])
     limit_values = (test.find_value(FORCE_LIMIT) for test in view.tests)
     limits = sorted(set(filter(None, limit_values)))
@@ -195,22 +192,26 @@ def _make_force_axis(name: str, scale: wording.Scale, forces: Sequence[Floats], 
     For the pointwise band, the axis extends beyond the curves by at most half their range. It
     includes the whole simultaneous band if this extends the axis by at most a quarter.
     """
-    joined = np.concatenate([np.zeros(0), *forces])
-    low, high = plots.clip_range(joined, [*band.lower, *band.upper], 0.5)
+    max_extension, max_widening = 0.5, 1.25
+    all_forces = np.concatenate([np.zeros(0), *forces])
+    low, high = plots.clip_range(all_forces, [*band.lower, *band.upper], max_extension)
     wide_low, wide_high = plots.clip_range([low, high], [*band.lower_all, *band.upper_all], inf)
-    if wide_high - wide_low <= 1.25 * (high - low):
+    if wide_high - wide_low <= max_widening * (high - low):
         low, high = wide_low, wide_high
     return plots.make_axis(name, scale, [np.array([low, high])], margin=0.04)
 
 
-def _plot_sample(test: PageTest, n_points: int) -> Iterator[Line]:
-    """Yield the other branches and the first loading, also as measured if slips were repaired."""
+def _make_sample_lines(test: PageTest, n_points: int) -> Iterator[Line]:
+    """Yield the branches of a test; the first loading is the last, and on top.
+
+    The first loading before the repair of slips is also yielded if any slip was repaired.
+    """
     sample, curve, colour = test.sample, test.first_loading, test.colour
     branches = [branch for branch in (*sample.loading, *sample.unloading) if branch is not curve]
     other_branches = [branch for branch in branches if len(branch.displacement)]
     for branch in other_branches:
-        n_branch = max(n_points // 3 // len(other_branches), 8)
-        yield _make_curve_line(f"unloading {colour}", branch, branch.force, test.number, n_branch)
+        max_points = max(n_points // 3 // len(other_branches), 8)
+        yield _make_curve_line(f"unloading {colour}", branch, branch.force, test.number, max_points)
     if curve is None:
         return
     if any(slip.decision is SlipDecision.REPAIRED for slip in sample.slips):
@@ -222,55 +223,56 @@ def _plot_sample(test: PageTest, n_points: int) -> Iterator[Line]:
 def _make_curve_line(
     look: str, curve: SampleCurve, y: Floats, test: int | None, max_points: int
 ) -> Line:
-    """Make a line of `y` over the displacement of a curve, thinned to a number of points."""
+    """Make a line of `y` over the displacement of a curve, thinned to at most `max_points`."""
     x = curve.displacement
     rows = plots.find_shape_samples(x, y, max_points=max_points, tolerance=0.001)
     return Line(look, x[rows], y[rows], test)
 
 
-def _plot_fitted_lines(test: PageTest) -> Iterator[Line]:
+def _make_fit_lines(test: PageTest) -> Iterator[Line]:
     """Yield the fitted lines over their windows."""
     fits_by_look: dict[str, list[FittedLine]] = {}
     for fit in test.sample.lines:
         look = "segment" if fit.result.startswith("segment") else "window"
         fits_by_look.setdefault(look, []).append(fit)
     for look, fits in fits_by_look.items():
-        numbers = np.array([(fit.start, fit.stop, fit.slope, fit.level) for fit in fits])
-        start, stop, slope, height = numbers.T
-        heights = join_with_gaps(height, height + slope * (stop - start))
-        yield Line(look, join_with_gaps(start, stop), heights, test.number)
+        parameters = np.array([(fit.start, fit.stop, fit.slope, fit.level) for fit in fits])
+        start, stop, slope, level = parameters.T
+        y = join_with_gaps(level, level + slope * (stop - start))
+        yield Line(look, join_with_gaps(start, stop), y, test.number)
 
 
-def _plot_events(test: PageTest) -> Iterator[Line]:
+def _make_event_lines(test: PageTest) -> Iterator[Line]:
     """Yield slips and failure of a test as dots on its curve."""
     sample, curve, number = test.sample, test.first_loading, test.number
     if curve is None:
         return
     is_finite = np.isfinite(curve.displacement) & np.isfinite(curve.force)
-    slips = np.array([slip.position for slip in sample.slips])
-    if len(slips) and is_finite.any():
-        heights = np.interp(slips, curve.displacement[is_finite], curve.force[is_finite])
-        yield Line("slip", join_with_gaps(slips), join_with_gaps(heights), number)
+    positions = np.array([slip.position for slip in sample.slips])
+    if len(positions) and is_finite.any():
+        forces = np.interp(positions, curve.displacement[is_finite], curve.force[is_finite])
+        yield Line("slip", join_with_gaps(positions), join_with_gaps(forces), number)
     position, force = (test.find_value(f"failure_{name}") for name in ("displacement", "force"))
     if position is not None and force is not None:
         yield Line("failure", np.array([position, nan]), np.array([force, nan]), number)
 
 
-def make_band_lines(band: Band, look: str = "", group: str = "") -> Iterator[Line]:
+def make_band_lines(band: Band, colour: str = "", group: str = "") -> Iterator[Line]:
     """Yield the pointwise band of a mean curve as an area, and the edges of the simultaneous band.
 
     Parameters
     ----------
-    band : a band of fewer than two curves, or without an area, is not drawn
-    look : class of the colour of the band
-    group : stem of the group in a plot of several groups, which shows only the pointwise band
+    band : mean curve with its bands; no line is yielded for fewer than two curves or without a band
+    colour : class of the colour of the band, such as ``c2``; empty for black
+    group : stem of the group in a plot of several groups, which shows only the pointwise band;
+        otherwise empty
     """
     if band.n < 2 or not band.has_band:
         return
     rows = _choose_band_rows(band, band.upper)
     x = band.displacement[rows]
-    pointwise = plots.make_area(f"band {look}".strip(), x, band.lower[rows], band.upper[rows])
-    yield replace(pointwise, group=group)
+    area = plots.make_area(f"band {colour}".strip(), x, band.lower[rows], band.upper[rows])
+    yield replace(area, group=group)
     for edge in () if group else (band.lower_all, band.upper_all):
         if np.isfinite(edge).any():
             yield Line("whole", x, edge[rows])
@@ -281,21 +283,22 @@ def _choose_band_rows(band: Band, values: Floats) -> Ints:
     return plots.find_shape_samples(band.displacement, values, max_points=28, tolerance=0.001)
 
 
-def make_mean_lines(band: Band, look: str = "", group: str = "") -> Iterator[Line]:
+def make_mean_lines(band: Band, colour: str = "", group: str = "") -> Iterator[Line]:
     """Yield a mean curve, and its intervals at single displacements if the band has no area.
 
     Parameters
     ----------
-    band, look, group : as for `make_band_lines`
+    band, colour, group : see `make_band_lines`. The mean of a single sample, which is this sample,
+        is yielded only in a plot of several groups
     """
     if not len(band.displacement) or (band.n < 2 and not group):
-        return  # the mean of one sample is that sample
+        return
     rows, marks = _choose_band_rows(band, band.mean), band.interval_indices
-    yield Line(f"mean {look}".strip(), band.displacement[rows], band.mean[rows], group=group)
+    yield Line(f"mean {colour}".strip(), band.displacement[rows], band.mean[rows], group=group)
     if len(marks):
         x = join_with_gaps(band.displacement[marks], band.displacement[marks])
         ends = join_with_gaps(band.lower[marks], band.upper[marks])
-        yield Line(f"interval {look}".strip(), x, ends, group=group)
+        yield Line(f"interval {colour}".strip(), x, ends, group=group)
 
 
 def list_legend_entries(
@@ -322,25 +325,26 @@ def list_legend_entries(
 
 def _make_shape_plots(view: GroupView) -> Iterator[Plot]:
     """Yield the plot of the markers at equal steps of the first loading, with equal axis scales."""
-    lines, point_sets, steps, n_shapes = [], [], np.zeros(0), _choose_shape_count(view)
+    lines, point_arrays, steps = [], [], np.zeros(0)
+    n_shapes = 6 if view.is_detailed or not view.stem else 2  # of each test
     for test in view.tests:
         shapes = test.sample.shapes
         if shapes is not None and np.isfinite(shapes.positions).any():
             positions = shapes.positions[-n_shapes:]
             x, y = (join_with_gaps(*positions[:, :, axis].T) for axis in (0, 1))
             lines.append(Line(f"shape {test.colour}", x, y, test.number))
-            point_sets.append(np.column_stack([x, y]))
+            point_arrays.append(np.column_stack([x, y]))
             steps = max(steps, shapes.deflection, key=len)
     if not lines:
         return
     scale, width = view.get_scale("displacement"), _SMALL_PLOT_SIZE[0]
-    names, points = ("Along the specimen", "Deflection"), np.vstack(point_sets)
+    names, points = ("Along the specimen", "Deflection"), np.vstack(point_arrays)
     x_axis, y_axis = plots.make_axes_to_scale(names, scale, points, min_aspect=0.3, margin=0.03)
-    length_per_point = (x_axis.high - x_axis.low) / width
-    height = math.ceil((y_axis.high - y_axis.low) / length_per_point)
-    axes = x_axis, replace(y_axis, high=y_axis.low + length_per_point * height)
-    plotted_steps = np.round(steps[-n_shapes:], 4) + 0.0
-    deflections = ", ".join(f"{deflection * scale.factor:.2g}" for deflection in plotted_steps)
+    metres_per_point = (x_axis.high - x_axis.low) / width
+    height = math.ceil((y_axis.high - y_axis.low) / metres_per_point)
+    axes = x_axis, replace(y_axis, high=y_axis.low + metres_per_point * height)
+    rounded_steps = np.round(steps[-n_shapes:], 4) + 0.0  # + 0.0 removes the sign of a zero
+    deflections = ", ".join(f"{deflection * scale.factor:.2g}" for deflection in rounded_steps)
     caption = f"Markers at {deflections} {scale.unit} of the first loading, at equal axis scale."
     title = f"Shapes of {wording.format_count(len(lines), 'sample')} of"
     layout: dict[str, Any] = {"size": (width, height), "is_to_scale": True}
@@ -348,7 +352,7 @@ def _make_shape_plots(view: GroupView) -> Iterator[Plot]:
 
 
 def _make_moment_plots(view: GroupView) -> Iterator[Plot]:
-    """Yield the plot of the measured laws; with few samples, areas show their 95 % intervals."""
+    """Yield the plot of the measured laws; for few laws, with their 95 % intervals as areas."""
     areas, lines, max_detailed_laws = [], [], 6
     n_laws = sum(test.sample.law is not None for test in view.tests)
     for test in view.tests:
@@ -407,7 +411,7 @@ def _make_number_plots(group: Group) -> Iterator[Plot]:
     caption = f"In the tables only: {'; '.join(map(wording.format_label, table_only_names))}."
     for number in numbers:
         rows: dict[str, int] = {}
-        lines = list(_plot_dots(group, number, rows))
+        lines = list(_make_row_lines(group, number, rows))
         if group.lot is not None and number.name in (PEAK_OVER_LIMIT, "peak_force.1"):
             limit = 1.0 if number.name == PEAK_OVER_LIMIT else group.lot.limit
             lines.append(plots.make_vertical_line("limit", nan if limit is None else limit))
@@ -424,25 +428,32 @@ def _make_number_plots(group: Group) -> Iterator[Plot]:
 
 
 def make_dot_axis(name: str, scale: wording.Scale, lines: Sequence[Line]) -> Axis:
-    """Make an axis that includes all dots; clip wide intervals so that the dots stay distinct."""
+    """Make an axis that includes all dots; clip wide intervals so that the dots remain distinct.
+
+    Parameters
+    ----------
+    name : name of the result that the axis shows
+    scale : display unit of the result
+    lines : dots, and bars of intervals, from `make_dot_lines`
+    """
     values = [line.x for line in lines if not line.look.startswith("interval")]
     ends = np.concatenate([line.x for line in lines])
-    low, high = plots.clip_range(np.concatenate(values), ends, 1.0)
+    low, high = plots.clip_range(np.concatenate(values), ends, max_extension=1.0)
     return plots.make_axis(wording.format_label(name), scale, [np.array([low, high])])
 
 
 def make_dot_lines(
     look: str, value: float, interval: Interval | None, row: float, group: str = ""
 ) -> Iterator[Line]:
-    """Yield the bar of the interval of a number, if any, and its dot.
+    """Yield the bar of the interval of a value, if any, and the dot of the value.
 
     Parameters
     ----------
-    look : class of the dot with its colour
-    value : number, SI
-    interval : 95 % interval of the number, SI; None without an interval
-    row : vertical position
-    group : stem of the group in a plot of several groups
+    look : look of the dot and class of its colour, such as ``sample c2``
+    value : value, SI
+    interval : 95 % interval of the value, SI; None without an interval
+    row : vertical position; row 1 is at -1
+    group : stem of the group in a plot of several groups; otherwise empty
     """
     if interval is not None and np.isfinite(interval.upper - interval.lower):
         bar_look = " ".join(["interval", *look.split()[1:]])
@@ -451,8 +462,8 @@ def make_dot_lines(
     yield Line(look, np.array([value]), np.array([row]), group=group)
 
 
-def _plot_dots(group: Group, number: GroupNumber, rows: dict[str, int]) -> Iterator[Line]:
-    """Yield the dots and bars of samples and means; add the names and numbers of rows to `rows`."""
+def _make_row_lines(group: Group, number: GroupNumber, rows: dict[str, int]) -> Iterator[Line]:
+    """Yield dots and bars of samples and means; add the index of each row to `rows`, by name."""
     used_height = 0.7  # of a row that many samples share
     spools = list(dict.fromkeys(sample.specimen.spool for sample in group.samples))
     is_crowded = len(group.samples) > MAX_DOT_ROWS
@@ -464,7 +475,7 @@ def _plot_dots(group: Group, number: GroupNumber, rows: dict[str, int]) -> Itera
             name = f"{len(tests)} samples of {spool}" if is_crowded else test
             shift = (index_in_spool / len(tests) - 0.5) * used_height if is_crowded else 0.0
             row = -rows.setdefault(name, len(rows)) - shift
-            yield from _plot_sample_dot(number, test, colour, row, has_bar=not is_crowded)
+            yield from _make_sample_dot(number, test, colour, row, has_bar=not is_crowded)
         if len(spools) > 1 and spool in means:
             row = -rows.setdefault(f"mean of {spool}", len(rows))
             mean = means[spool]
@@ -474,9 +485,10 @@ def _plot_dots(group: Group, number: GroupNumber, rows: dict[str, int]) -> Itera
         yield from make_dot_lines("dot", chosen.mean, chosen.interval, row)
 
 
-def _plot_sample_dot(
+def _make_sample_dot(
     number: GroupNumber, test: str, colour: str, row: float, *, has_bar: bool
 ) -> Iterator[Line]:
+    """Yield the dot of a test, if it has a value, and a ring around it if it is an outlier."""
     result = number.values.get(test)
     if result is None or result.value is None:
         return

@@ -20,12 +20,12 @@ from labpipe.report.wire_report import MOMENT_SCALE, STIFFNESS_SCALE, make_curva
 from labpipe.report.wording import FORCE_SCALE, LENGTH_SCALE, format_number, join_sentences
 
 FIGURE, SWEEP_FIGURE = "harness", "harness-sweep"
-"""Names of the figures and their files, without the ending."""
+"""Names of the figures of a harness and their files, without extension."""
 
-_KINDS_OF_MARKS = ("clip", "pin", "grip", "ring", "string", "load")
+_BOUNDARY_KINDS = ("clip", "pin", "grip", "ring", "string", "load")
 """Kinds of boundaries, in the order of the legend."""
 _VIEWS = {"side": (0, 2), "end": (1, 2), "top": (0, 1)}
-"""Numbers of the coordinates that point to the right and upwards in each view."""
+"""Indices of the coordinates that point to the right and upwards in each view."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,11 +50,11 @@ class DrawnShape:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DrawnMark:
-    """A boundary that holds or pulls the line.
+    """A boundary that holds or pulls the line of a harness.
 
     Parameters
     ----------
-    name, kind : name and kind of the boundary
+    name, kind : name and kind of the boundary; the kind is one of `_BOUNDARY_KINDS`
     position : shape (3,), position at the last step, m
     path : shape (k, 3), positions of a grip at each step or ends of a string, m; empty for other
         kinds
@@ -81,7 +81,7 @@ class DrawnHarness:
     note : footnote
     arc_length : shape (n + 1,), distance of the nodes from the start along the line, m
     shapes : shape at each step; the last is drawn with its band and colours, others as thin lines
-    marks : clips, grips and other boundaries
+    marks : clips, grips and other boundaries of the line
     planes : a point (m) and the unit normal of each plane that the line may touch
     allowed_radius : smallest allowed bend radius, m
     """
@@ -107,18 +107,18 @@ def list_harness_figures(harness: DrawnHarness, sweep: DrawnSweep | None) -> lis
 
 
 def make_harness_page(harness: DrawnHarness) -> Page:
-    """Make the page of the line of a harness from three sides, and its bend radius along the line.
+    """Make the page of the line of a harness from three sides, and of its bend radius.
 
     Parameters
     ----------
     harness : contents of the figure
     """
-    straight_radius_ratio = 40.0  # larger radii, relative to the allowed radius, have one colour
-    ends = harness.allowed_radius, straight_radius_ratio * harness.allowed_radius
-    colours = Axis("Bend radius", LENGTH_SCALE, *ends, is_log=True)
+    max_radius_ratio = 40.0  # larger radii, relative to the allowed radius, have one colour
+    low, high = harness.allowed_radius, max_radius_ratio * harness.allowed_radius
+    colours = Axis("Bend radius", LENGTH_SCALE, low, high, is_log=True)
     panels = [*(make_view(harness, view) for view in _VIEWS), _make_radius_plot(harness)]
     title, widths = f"{harness.name}  ·  shape", (1.35, 1.0)
-    return Page(FIGURE, title, panels, harness.note, 118.0, widths=widths, colours=colours)
+    return Page(FIGURE, title, panels, harness.note, height=118.0, widths=widths, colours=colours)
 
 
 def make_view(harness: DrawnHarness, view: str) -> Plot:
@@ -133,41 +133,42 @@ def make_view(harness: DrawnHarness, view: str) -> Plot:
     -------
     A plot in which the line of the last step is coloured by its bend radius.
     """
-    axes, marks, (*earlier_shapes, last_shape) = list(_VIEWS[view]), harness.marks, harness.shapes
+    axes, marks = list(_VIEWS[view]), harness.marks
+    *earlier_shapes, last_shape = harness.shapes
     positions = np.vstack([shape.positions for shape in harness.shapes])
     extent = float(np.max(np.ptp(positions, axis=0)))
-    lines = [line for plane in harness.planes for line in _plot_plane(plane, extent, axes)]
+    lines = [line for plane in harness.planes for line in _make_plane(plane, extent, axes)]
     step_label = f"step {', '.join(str(shape.step) for shape in earlier_shapes)}"
     for shape in earlier_shapes:
         lines.append(make_line("earlier_step", *shape.positions[:, axes].T, label=step_label))
     if last_shape.band is not None:
-        lines.append(_make_band(*(end[:, axes] for end in last_shape.band)))
+        lines.append(_make_band(*(edge[:, axes] for edge in last_shape.band)))
     harness_line = make_line("harness_line", *last_shape.positions[:, axes].T)
     lines.append(replace(harness_line, values=last_shape.radius))
-    for kind in _KINDS_OF_MARKS:
+    for kind in _BOUNDARY_KINDS:
         marks_of_kind = [mark for mark in marks if mark.kind == kind]
         label = f"{kind} {', '.join(mark.name for mark in marks_of_kind)}"
         for mark in marks_of_kind:
-            lines += _plot_mark(mark, extent, axes, label)
+            lines += _make_mark(mark, extent, axes, label)
     mark_points = [points for mark in marks for points in (mark.position[None], mark.path)]
-    shown_points = np.vstack([positions, *mark_points])[:, axes]
+    all_points = np.vstack([positions, *mark_points])[:, axes]
     names = ["xyz"[axis] for axis in axes]
-    x, y = plots.make_axes_to_scale(names, LENGTH_SCALE, shown_points, min_aspect=0.24)
+    x, y = plots.make_axes_to_scale(names, LENGTH_SCALE, all_points, min_aspect=0.24)
     return Plot(x, y, lines, f"From the {view}", is_to_scale=True)
 
 
-def _make_band(low: Floats, high: Floats) -> Line:
-    """Make the area of a band between neighbouring nodes; it has gaps where its width is zero.
+def _make_band(lower: Floats, upper: Floats) -> Line:
+    """Make the area of a band between neighbouring nodes, with gaps where the band has no area.
 
     Parameters
     ----------
-    low, high : shape (n + 1, 2), ends of the positions of the nodes in the view, m
+    lower, upper : shape (n + 1, 2), ends of the positions of the nodes in the view, m
     """
     from scipy.spatial import ConvexHull, QhullError
 
-    outlines = [np.full((1, 2), np.nan)]
-    corners = [np.stack([a[:, 0], b[:, 1]], axis=1) for a in (low, high) for b in (low, high)]
-    for node in range(len(low) - 1):
+    outlines, edges = [np.full((1, 2), np.nan)], (lower, upper)
+    corners = [np.stack([x[:, 0], y[:, 1]], axis=1) for x in edges for y in edges]
+    for node in range(len(lower) - 1):
         points = np.vstack([corner[node : node + 2] for corner in corners])
         try:
             outlines += [points[ConvexHull(points).vertices], outlines[0]]
@@ -176,18 +177,25 @@ def _make_band(low: Floats, high: Floats) -> Line:
     return make_line("harness_band", *np.vstack(outlines).T, is_closed=True)
 
 
-def _plot_plane(plane: tuple[Floats, Floats], extent: float, axes: list[int]) -> Iterator[Line]:
-    """Yield the line in which a plane appears, unless it faces the reader."""
-    min_normal = 0.5  # of the unit normal, in the view
+def _make_plane(plane: tuple[Floats, Floats], extent: float, axes: list[int]) -> Iterator[Line]:
+    """Yield the line of a plane that is seen from the side; none if the plane faces the reader.
+
+    Parameters
+    ----------
+    plane : a point of the plane, m, and its unit normal
+    extent : largest extent of the line of the harness along an axis, m
+    axes : indices of the coordinates in the view
+    """
+    min_normal = 0.5  # length of the projection of the unit normal onto the view
     point, normal = (vector[axes] for vector in plane)
-    normal_size = np.hypot(*normal)
-    if normal_size >= min_normal:
-        reach = 10.0 * extent / normal_size * np.array([-normal[1], normal[0]])
+    normal_length = np.hypot(*normal)
+    if normal_length >= min_normal:
+        reach = 10.0 * extent / normal_length * np.array([-normal[1], normal[0]])
         yield make_line("plane", *np.stack([point - reach, point + reach]).T)
 
 
-def _plot_mark(mark: DrawnMark, extent: float, axes: list[int], label: str) -> Iterator[Line]:
-    """Yield a boundary with its path and its direction."""
+def _make_mark(mark: DrawnMark, extent: float, axes: list[int], label: str) -> Iterator[Line]:
+    """Yield a boundary with its path and its direction; see `_make_plane`."""
     position, colour = mark.position[axes], "black" if mark.is_holding else "#bbbbbb"
     yield make_line(f"mark_{mark.kind}", *position, color=colour, label=label)
     if len(mark.path):
@@ -200,7 +208,7 @@ def _plot_mark(mark: DrawnMark, extent: float, axes: list[int], label: str) -> I
 
 
 def _make_radius_plot(harness: DrawnHarness) -> Plot:
-    """Make the panel of the bend radius along the line, with the allowed radius."""
+    """Make the panel of the bend radius along the line, and of the allowed radius."""
     x, allowed_radius = harness.arc_length, harness.allowed_radius
     *earlier_shapes, last_shape = harness.shapes
     lines = [make_line("earlier_step", x, _mask_straight(shape.radius)) for shape in earlier_shapes]
@@ -213,8 +221,8 @@ def _make_radius_plot(harness: DrawnHarness) -> Plot:
     low = 0.7 * min(allowed_radius, float(radii.min()))
     high = max([100.0 * allowed_radius, *(3.0 * radii[np.isfinite(radii)])])
     x_axis = Axis("From the start", LENGTH_SCALE, float(x[0]), float(x[-1]))
-    y = Axis("Bend radius", LENGTH_SCALE, low, high, is_log=True)
-    return Plot(x_axis, y, lines, "Along the line")
+    y_axis = Axis("Bend radius", LENGTH_SCALE, low, high, is_log=True)
+    return Plot(x_axis, y_axis, lines, "Along the line")
 
 
 def _mask_straight(radius: Floats) -> Floats:
@@ -224,7 +232,7 @@ def _mask_straight(radius: Floats) -> Floats:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DrawnSweep:
-    """Several lengths of one harness.
+    """Results for several lengths of the line of one harness.
 
     Parameters
     ----------
@@ -268,29 +276,29 @@ def make_sweep_page(sweep: DrawnSweep) -> Page:
     ):
         if len(positions):
             label = f"{LENGTH_SCALE.factor * length:.6g} {LENGTH_SCALE.unit}"
-            look: dict[str, Any] = {"color": colour, "linestyle": DASHED if is_doubtful else "-"}
-            lines.append(make_line("line_of_length", *positions[:, axes].T, label=label, **look))
+            style: dict[str, Any] = {"color": colour, "linestyle": DASHED if is_doubtful else "-"}
+            lines.append(make_line("line_of_length", *positions[:, axes].T, label=label, **style))
     x, y = (Axis("xyz"[axis], LENGTH_SCALE) for axis in axes)
     reason = "No line was found for any length."
     shape_plot = Plot(x, y, lines, f"From the {view}, by length", reason=reason, is_to_scale=True)
     title = f"{sweep.name}  ·  length against bend radius"
     panels = [shape_plot, _make_sweep_plot(sweep)]
-    return Page(SWEEP_FIGURE, title, panels, sweep.note, 76.0, widths=(1.2, 1.0))
+    return Page(SWEEP_FIGURE, title, panels, sweep.note, height=76.0, widths=(1.2, 1.0))
 
 
 def _make_sweep_plot(sweep: DrawnSweep) -> Plot:
     """Make the panel of the smallest bend radius against the length."""
     length, is_doubtful, lines = sweep.length, sweep.is_doubtful, []
-    for label, radii, kind in (
+    for label, radii, look in (
         ("during installation", sweep.radius_over_steps, "earlier_step"),
         ("installed", sweep.radius, "last_step"),
     ):
-        dots: dict[str, Any] = {"marker": "o", "markersize": 3.0}
+        settings: dict[str, Any] = {"marker": "o", "markersize": 3.0}
         y = _mask_straight(radii)
-        lines.append(make_line(kind, length, y, label=label, **dots))
+        lines.append(make_line(look, length, y, label=label, **settings))
         if is_doubtful.any():
-            dots = {**dots, "linestyle": "", "markerfacecolor": "white", "label": "doubtful"}
-            lines.append(make_line(kind, length[is_doubtful], y[is_doubtful], **dots))
+            settings |= {"linestyle": "", "markerfacecolor": "white", "label": "doubtful"}
+            lines.append(make_line(look, length[is_doubtful], y[is_doubtful], **settings))
     lines.append(plots.make_horizontal_line("allowed_radius", sweep.allowed_radius))
     if sweep.radius_band is not None:
         edges = map(_mask_straight, sweep.radius_band)
@@ -301,11 +309,11 @@ def _make_sweep_plot(sweep: DrawnSweep) -> Plot:
 
 
 BUNDLE_FIGURE, LOOP_FIGURE = "bundle", "bundle-loop"
-"""Names of the figures of bundles and their files, without the ending."""
+"""Names of the figures of bundles and their files, without extension."""
 
 
 def make_bundle_page(model: BundleModel) -> Page:
-    """Make the page of (a) the section of a bundle, (b) the bounds of its moment by curvature.
+    """Make the page of (a) the section of a bundle, (b) the bounds of its moment over curvature.
 
     Parameters
     ----------
@@ -313,8 +321,9 @@ def make_bundle_page(model: BundleModel) -> Page:
 
     Returns
     -------
-    A page. In (a), two lines through the neutral point show the directions of the largest and the
-    smallest stiffness; in (b), the bundle is bent along y, and both axes are logarithmic.
+    A page. In (a), two lines through the neutral point show the directions of bending with the
+    largest and the smallest stiffness. In (b), the bundle is bent along y, and both axes are
+    logarithmic.
     """
     panels = [_make_section_plot(model), _make_moment_plot(model)]
     title = f"{model.bundle.composition}  ·  bundle model  ·  {model.layout.arrangement}"
@@ -323,15 +332,15 @@ def make_bundle_page(model: BundleModel) -> Page:
         title += f"  ·  packing fraction {model.packing_fraction:.2f}"
         title += f" in {bore:.3g} {LENGTH_SCALE.unit}"
     limiting_codes = ("copper_yields", "insulation_doubtful")
-    limits = join_sentences(note for note in model.notes if note.code in limiting_codes)
-    note = f"{describe_stiffness(model)} {limits.replace('N mm^2', STIFFNESS_SCALE.unit)}"
-    return Page(BUNDLE_FIGURE, title, panels, note.strip(), 84.0, widths=(0.8, 1.0))
+    limit_text = join_sentences(note for note in model.notes if note.code in limiting_codes)
+    note = f"{describe_stiffness(model)} {limit_text.replace('N mm^2', STIFFNESS_SCALE.unit)}"
+    return Page(BUNDLE_FIGURE, title, panels, note.strip(), height=84.0, widths=(0.8, 1.0))
 
 
 def _make_section_plot(model: BundleModel) -> Plot:
-    """Make the panel of the wires and the bore of the conduit, and the principal directions.
+    """Make the panel of the wires, the bore of the conduit and the principal directions.
 
-    If the stiffness is equal in all directions, the lines of the directions are along y and x.
+    If the stiffness is equal in all directions, y and x are drawn as the principal directions.
     """
     margin_factor = 1.12  # half-width of the panel, as a multiple of the largest radius
     colours = ("#8ec3e6", "#f3d38a", "#93d5c0", "#e2b5cd")  # light, since lines are drawn over them
@@ -340,8 +349,8 @@ def _make_section_plot(model: BundleModel) -> Plot:
     for kind in range(len(model.bundle.wires)):
         rows = layout.kind == kind
         x, y, radius = layout.x[rows], layout.y[rows], layout.diameter[rows] / 2.0
-        fill = {"facecolor": colours[kind % len(colours)], "label": model.bundle.wires[kind].type}
-        lines.append(plots.make_circles("wire_of_bundle", x, y, radius, **fill))
+        style = {"facecolor": colours[kind % len(colours)], "label": model.bundle.wires[kind].type}
+        lines.append(plots.make_circles("wire_of_bundle", x, y, radius, **style))
     if bore:
         lines.append(plots.make_circles("bore_of_conduit", *model.middle, bore / 2.0))
     looks: dict[str, dict[str, Any]] = {"stiffest_direction": {}, "most_flexible_direction": {}}
@@ -370,12 +379,12 @@ def _make_moment_plot(model: BundleModel) -> Plot:
         (stick_moment, "wires_stick", model.is_doubtful_stick[is_bent]),
         (slip_moment, "wires_slip", model.is_doubtful[is_bent]),
     ):
-        for part, opacity in plots.split_doubtful(~is_doubtful):
-            lines.append(make_line(look, x[part], moment[part], alpha=opacity))
+        for rows, opacity in plots.split_doubtful(~is_doubtful):
+            lines.append(make_line(look, x[rows], moment[rows], alpha=opacity))
     for stiffness in (model.low, model.high):
         lines.append(make_line("bundle_without_yielding", x, stiffness * x))
-    y = Axis("Bending moment", MOMENT_SCALE, is_log=True)
-    return Plot(make_curvature_axis(x), y, lines, "First loading, bent along y")
+    y_axis = Axis("Bending moment", MOMENT_SCALE, is_log=True)
+    return Plot(make_curvature_axis(x), y_axis, lines, "First loading, bent along y")
 
 
 def describe_stiffness(model: BundleModel) -> str:
@@ -392,13 +401,14 @@ def describe_stiffness(model: BundleModel) -> str:
 
 
 def _is_isotropic(model: BundleModel) -> bool:
+    """Return whether the bending stiffness of a bundle is equal in all directions."""
     relative_tolerance = 1e-6
     smallest, largest = model.principal
     return largest - smallest <= relative_tolerance * largest
 
 
 def make_loop_page(name: str, fit: FrictionFit) -> Page:
-    """Make the page of the fitted force (a) and the predicted force (b), with the measured force.
+    """Make the page of the measured force with (a) the fitted force, (b) the predicted force.
 
     Parameters
     ----------
@@ -411,16 +421,15 @@ def make_loop_page(name: str, fit: FrictionFit) -> Page:
         (~fit.is_held_out, "fitted (one parameter)", "C0", "Fitted", fit.error_fitted),
         (fit.is_held_out, "predicted", "C1", "Left out", fit.error_held_out),
     ):
-        deflection = fit.loop.deflection[rows]
-        look: dict[str, Any] = {"color": colour, "label": label}
+        deflection, model_force = fit.loop.deflection[rows], fit.predicted[rows]
         lines = [
             make_line("measured_cycles", deflection, fit.loop.force[rows]),
-            make_line("modelled_cycles", deflection, fit.predicted[rows], **look),
+            make_line("modelled_cycles", deflection, model_force, color=colour, label=label),
             plots.make_horizontal_line("zero", 0.0),
         ]
         panels.append(Plot(x, y, lines, f"{heading}, error {_format_percent(error)} of the peak"))
     title = f"{name}  ·  friction between the wires"
-    return Page(LOOP_FIGURE, title, panels, describe_friction(fit), 82.0, shared_axes="xy")
+    return Page(LOOP_FIGURE, title, panels, describe_friction(fit), height=82.0, shared_axes="xy")
 
 
 def describe_friction(fit: FrictionFit) -> str:
@@ -442,4 +451,5 @@ def describe_friction(fit: FrictionFit) -> str:
 
 
 def _format_percent(ratio: float) -> str:
+    """Format a ratio in per cent with two significant digits."""
     return f"{100.0 * ratio:.2g} %"

@@ -1,8 +1,8 @@
 """Find the issues of a campaign, group them by cause and rank the causes by their effect.
 
 One camera that loses markers in thirty tests is one cause with many issues. The effect of a cause
-is the shift of a mean when the affected tests are left out, or the widening of its interval because
-tests are missing. It is measured on the number with the largest effect.
+is the shift of a mean when the affected tests are left out, or the widening of the interval of a
+mean because tests are missing. It is computed for the number on which the effect is largest.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class Kind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Issue:
-    """Something to check before the numbers of a test or of a group are used.
+    """Issue that a person checks before the numbers of a test or of a group are used.
 
     Parameters
     ----------
@@ -78,11 +78,11 @@ def find_issues(campaign: Campaign) -> tuple[Issue, ...]:
     Issues in the order of `Kind`, then of groups and samples. Numbers of a test with the same
     reasons are one issue.
     """
-    excluded = {Kind.UNREADABLE: campaign.failures, Kind.REJECTED: campaign.rejected}
+    excluded_files = {Kind.UNREADABLE: campaign.failures, Kind.REJECTED: campaign.rejected}
     order = [*Kind]
     issues = [
-        Issue(kind, "", (file,), "", reason)
-        for kind, reasons in excluded.items()
+        Issue(kind, "", (file,), "", reason=reason)
+        for kind, reasons in excluded_files.items()
         for file, reason in reasons.items()
     ]
     for group in campaign.groups:
@@ -91,13 +91,14 @@ def find_issues(campaign: Campaign) -> tuple[Issue, ...]:
         issues += _list_number_issues(group)
         if not group.samples and not group.notes:
             reason = group.band.reason or Reason("empty_group", "no sample in this group")
-            text, topic = wording.make_sentence(reason.message), "empty group"
-            issues.append(Issue(Kind.WARNING, group.name, (), topic, text, reason.code))
+            issue = Issue(Kind.WARNING, group.name, (), "empty group", reason="", code=reason.code)
+            issues.append(replace(issue, reason=wording.make_sentence(reason.message)))
         issues += _list_note_issues(group.name, (), group.notes)
     return tuple(sorted(issues, key=lambda issue: order.index(issue.kind)))
 
 
 def _join_codes(reasons: Iterable[Reason]) -> str:
+    """Join the codes of reasons, each once, by commas."""
     return ", ".join(dict.fromkeys(reason.code for reason in reasons))
 
 
@@ -110,7 +111,10 @@ DECISIONS = {
 
 
 def _list_sample_issues(group: Group, sample: Sample) -> Iterator[Issue]:
-    """Yield the issues of the results, slips and notes of a sample; skip notes of results."""
+    """Yield the issues of the results, slips and notes of a sample.
+
+    Notes with the code of a reason of a result are skipped, because the result has an issue.
+    """
     tests = (sample.test,)
     results_by_reason: dict[tuple[Kind, tuple[Reason, ...]], list[Result]] = {}
     for result in sample.results:
@@ -122,15 +126,15 @@ def _list_sample_issues(group: Group, sample: Sample) -> Iterator[Issue]:
     for (kind, reasons), results in results_by_reason.items():
         names = tuple(result.name for result in results)
         labels = "; ".join(map(wording.format_label, names))
-        reason = wording.join_sentences(reasons)
-        yield Issue(kind, group.name, tests, labels, reason, _join_codes(reasons), names)
+        reason, code = wording.join_sentences(reasons), _join_codes(reasons)
+        yield Issue(kind, group.name, tests, labels, reason=reason, code=code, numbers=names)
     length, force = wording.get_scales(wording.get_display(group), "displacement", "force")
     for slip in sample.slips:
         position = wording.format_number(slip.position, slip.position_interval, length.factor)
         drop = wording.format_number(slip.drop, slip.drop_interval, force.factor)
         drop_text = f"{drop.value} {force.unit} ({drop.interval})"
-        text = f"{drop_text} lost at {position.value} {length.unit} ({position.interval})"
-        yield Issue(Kind.SLIP, group.name, tests, text, DECISIONS[slip.decision])
+        topic = f"{drop_text} lost at {position.value} {length.unit} ({position.interval})"
+        yield Issue(Kind.SLIP, group.name, tests, topic, reason=DECISIONS[slip.decision])
     codes = {reason.code for result in sample.results for reason in result.reasons}
     notes = [note for note in sample.quality if note.code not in codes]
     yield from _list_note_issues(group.name, tests, notes)
@@ -148,16 +152,16 @@ def _list_number_issues(group: Group) -> Iterator[Issue]:
         label, names = wording.format_label(number.name), (number.name,)
         for test, reasons in number.exclusions.items():
             if (test, number.name) not in failed_results:
-                reason, codes = wording.join_sentences(reasons), _join_codes(reasons)
-                yield Issue(Kind.LEFT_OUT, group.name, (test,), label, reason, codes, names)
+                reason, code = wording.join_sentences(reasons), _join_codes(reasons)
+                issue = Issue(Kind.LEFT_OUT, group.name, (test,), label, reason=reason, code=code)
+                yield replace(issue, numbers=names)
         scale = wording.choose_number_scale(group, number)
         for outlier in number.outliers:
-            value = wording.format_number(outlier.value, None, scale.factor).value
-            reason = f"{value} {scale.unit}".strip() + (
-                f" differs from the other samples by {outlier.method} (p = {outlier.p:.2g})."
-            )
+            value_text = wording.format_number(outlier.value, None, scale.factor).value
+            quantity, test_text = f"{value_text} {scale.unit}".strip(), f"(p = {outlier.p:.2g})"
+            reason = f"{quantity} differs from the other samples by {outlier.method} {test_text}."
             tests = (outlier.sample,)
-            yield Issue(Kind.OUTLIER, group.name, tests, label, reason, numbers=names)
+            yield Issue(Kind.OUTLIER, group.name, tests, label, reason=reason, numbers=names)
 
 
 _REPEATED_CODES = {"doubtful_in_mean", *(f"slip_{decision}" for decision in SlipDecision)}
@@ -184,13 +188,14 @@ def _list_note_issues(
     for (code, _), members in notes_by_code.items():
         is_note = tests and members[0].severity is not Severity.ERROR
         kind = Kind.NOTE if is_note else Kind.WARNING
+        sentences = dict.fromkeys(wording.make_sentence(note.message) for note in members)
         yield Issue(
-            Kind.PROCESSING if code == PROTOCOLS_DIFFER else kind,
-            group,
-            tests or tuple(dict.fromkeys(test for note in members for test in note.tests)),
-            "; ".join(wording.replace_names(note.where) for note in members),
-            " ".join(dict.fromkeys(wording.make_sentence(note.message) for note in members)),
-            code,
+            kind=Kind.PROCESSING if code == PROTOCOLS_DIFFER else kind,
+            group=group,
+            tests=tests or tuple(dict.fromkeys(test for note in members for test in note.tests)),
+            topic="; ".join(wording.replace_names(note.where) for note in members),
+            reason=" ".join(sentences),
+            code=code,
         )
 
 
@@ -233,7 +238,7 @@ class Cause:
 
     @property
     def heading(self) -> str:
-        """Kind in one or two words."""
+        """Name of the kind in one or two words."""
         names = {Kind.UNREADABLE: "Not read", Kind.PROCESSING: "Other processing"}
         names[Kind.SLIP] = "Slips"
         return names.get(self.kind, self.kind.name.capitalize().replace("_", " "))
@@ -249,12 +254,12 @@ class Cause:
         group_text = groups[0] if len(groups) == 1 else wording.format_count(len(groups), "group")
         if not tests:
             return group_text
-        count = wording.format_count(len(tests), "test")
-        return f"{count} {'of' if len(groups) == 1 else 'in'} {group_text}"
+        test_text = wording.format_count(len(tests), "test")
+        return f"{test_text} {'of' if len(groups) == 1 else 'in'} {group_text}"
 
     @property
     def sentence(self) -> str:
-        """First reason and number of others, or the settings that were processed differently."""
+        """First reason and the number of other reasons, or the settings that differ in a group."""
         if self.kind is Kind.PROCESSING:
             settings = [setting for issue in self.issues for setting in issue.topic.split("; ")]
             text = ", ".join(dict.fromkeys(settings))
@@ -305,15 +310,15 @@ def _group_by_cause(issues: Iterable[Issue]) -> list[Cause]:
 
 
 def _find_effect(cause: Cause, groups: Mapping[str, Group]) -> Effect | None:
-    """Find the largest effect of a cause on a number of a group."""
+    """Find the largest effect of a cause on a number of a group; None if there is none."""
     if cause.kind is Kind.UNREADABLE:
         return Effect(inf, format_sentence("report.effect_unreadable"))
     if cause.kind is Kind.REJECTED:
         return Effect(0.0, format_sentence("report.effect_rejected"))
     effects = []
-    for name in dict.fromkeys(issue.group for issue in cause.issues):
-        issues = [issue for issue in cause.issues if issue.group == name]
-        for number in groups[name].numbers:
+    for group_name in dict.fromkeys(issue.group for issue in cause.issues):
+        issues = [issue for issue in cause.issues if issue.group == group_name]
+        for number in groups[group_name].numbers:
             tests = {
                 test
                 for issue in issues
@@ -321,13 +326,17 @@ def _find_effect(cause: Cause, groups: Mapping[str, Group]) -> Effect | None:
                 for test in issue.tests
             }
             if not number.is_set_by_rig:
-                effects.append(_compute_effect(groups[name], number, tests))
+                effects.append(_compute_effect(groups[group_name], number, tests))
     return max(filter(None, effects), key=lambda effect: effect.size, default=None)
 
 
 def _compute_effect(group: Group, number: GroupNumber, tests: set[str]) -> Effect | None:
-    """Compute the effect of tests on the mean of a number, which includes or lacks them."""
-    lost_interval_size = 10.0  # rank of a mean of a single value, which has no interval
+    """Compute the effect of tests on the mean of a number; None if they do not affect the mean.
+
+    If any of the tests has no value, the effect is that of the missing values. Otherwise, it is the
+    shift of the mean when the values of the tests are left out.
+    """
+    lost_interval_size = 10.0  # size for a mean of a single value, which has no interval
     label, n = f"{wording.format_label(number.name)} of {group.name}", number.mean.chosen.n
     n_missing = len(tests & number.exclusions.keys())
     if n_missing and not number.values:
@@ -345,8 +354,16 @@ def _compute_effect(group: Group, number: GroupNumber, tests: set[str]) -> Effec
 
 
 def _compute_shift(group: Group, number: GroupNumber, tests: set[str], label: str) -> Effect:
-    """Compute the shift of the mean of a number when the values of tests are left out."""
-    all_values_size = 5.0  # rank of a cause that affects all values
+    """Compute the shift of the mean of a number when the values of tests are left out.
+
+    Parameters
+    ----------
+    group : group of the tests
+    number : number of the group
+    tests : names of the tests whose values are left out
+    label : text that names number and group
+    """
+    all_values_size = 5.0  # size of a cause that affects all values
     spools = {sample.test: sample.specimen.spool for sample in group.samples}
     values_by_spool: dict[str, list[float]] = {}
     for test, result in number.values.items():

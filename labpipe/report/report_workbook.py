@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from labpipe.records.causes import IS_COMMON
@@ -59,31 +59,31 @@ def save_workbook(campaign: Campaign, path: Path) -> None:
 def _list_facts(campaign: Campaign) -> Iterator[str]:
     """Yield counts, days, operators, instruments and the identifier of the report."""
     samples, n_rejected = page_tables.list_samples(campaign), len(campaign.rejected)
-    counts = {"test": len(samples), "group": len(campaign.groups)}
-    tests, groups = (wording.format_count(count, noun) for noun, count in counts.items())
-    rejected_tests = wording.format_count(n_rejected, "test")
-    yield f"{tests} in {groups}{f', {rejected_tests} rejected' if n_rejected else ''}."
+    test_count = wording.format_count(len(samples), "test")
+    group_count = wording.format_count(len(campaign.groups), "group")
+    rejected_text = f", {wording.format_count(n_rejected, 'test')} rejected" if n_rejected else ""
+    yield f"{test_count} in {group_count}{rejected_text}."
     if samples:
         yield f"Tested {page_tables.describe_testing(samples)}."
     for instrument in page_tables.list_instruments(samples):
         yield f"{instrument.name}: {instrument.calibration}."
-    date = f" on {campaign.date}" if campaign.date is not None else ""
-    version = f"labpipe {campaign.labpipe_version}".strip()
-    yield f"Report {page_tables.compute_report_id(campaign)}, made{date} by {version}."
+    date_text = f" on {campaign.date}" if campaign.date is not None else ""
+    program_text = f"labpipe {campaign.labpipe_version}".strip()
+    yield f"Report {page_tables.compute_report_id(campaign)}, made{date_text} by {program_text}."
 
 
 def _list_tables(campaign: Campaign) -> Iterator[Table | None]:
-    """Yield the sheets in order, or None for a sheet that is omitted because it has no rows."""
+    """Yield the sheets in order; None instead of a sheet that is omitted because it has no rows."""
     pairs = comparisons.list_single_field_pairs(campaign)
     sorted_groups = sorted(campaign.groups, key=lambda group: group.protocol)
     displays = {group.name: wording.get_display(group) for group in campaign.groups}
-    # differences in a single field are first
+    # differences of groups that differ in a single field are first
     differences = sorted(campaign.differences, key=lambda difference: not difference.family)
     first_displays = (displays[difference.first] for difference in differences)
-    records = map(_make_difference_record, differences, first_displays)
+    difference_records = map(_make_difference_record, differences, first_displays)
     has_scaled = any(group.scaled_band is not None for group in campaign.groups)
-    lots = (_make_lot_record(group, group.lot) for group in campaign.groups if group.lot)
-    yield _tabulate_unless_empty("lots", lots)
+    lot_records = (_make_lot_record(group, group.lot) for group in campaign.groups if group.lot)
+    yield _tabulate_unless_empty("lots", lot_records)
     yield _tabulate_unless_empty("answers", map(_make_answer_record, pairs))
     yield tabulate("key numbers", map(_make_key_record, sorted_groups))
     yield tabulate("means", _list_means(campaign))
@@ -91,18 +91,20 @@ def _list_tables(campaign: Campaign) -> Iterator[Table | None]:
     yield tabulate("results", _list_results(campaign))
     yield _tabulate_curves(campaign, is_scaled=False)
     yield _tabulate_curves(campaign, is_scaled=True) if has_scaled else None
-    yield tabulate("comparisons", records)
+    yield tabulate("comparisons", difference_records)
     yield _tabulate_unless_empty("budgets", _list_budgets(campaign))
     yield _tabulate_unless_empty("slipping and sticking", _list_bounds(campaign))
     yield tabulate("needs a look", _list_issues(campaign))
 
 
 def _tabulate_unless_empty(title: str, records: Iterator[Record]) -> Table | None:
-    rows = list(records)
-    return tabulate(title, rows) if rows else None
+    """Make the sheet of records; None without records."""
+    record_list = list(records)
+    return tabulate(title, record_list) if record_list else None
 
 
 def _make_lot_record(group: Group, lot: Lot) -> Record:
+    """Make the record of the acceptance of a lot."""
     scale = page_tables.choose_lot_scale(group, lot)
     forces = {
         "limit": 1.0, "mean": lot.mean, "standard deviation": lot.deviation,
@@ -233,17 +235,17 @@ def _make_test_record(group: str, sample: Sample, lot: Lot | None) -> Record:
     main_results = [result for result in sample.results if wording.is_main(result.name)]
     answers = {name.replace("_", " "): answer for name, answer in specimen.observed.items()}
     verdict = None if lot is None else lot.verdicts.get(sample.test)
-    verdicts: Record = {}
+    verdict_cells: Record = {}
     if verdict is not None:
-        verdicts["verdict"] = str(verdict.value_answer)
-        verdicts["verdict with interval"] = str(verdict.interval_answer)
+        verdict_cells["verdict"] = str(verdict.value_answer)
+        verdict_cells["verdict with interval"] = str(verdict.interval_answer)
     sizes = {f"{name.replace('_', ' ')} (mm)": 1e3 * size
              for name, size in specimen.dimensions.items()}  # fmt: skip
-    numbers: Record = {}
+    number_cells: Record = {}
     for result in main_results:
         scale = wording.choose_scale(result.name, result.unit, sample.display)
         cell = make_number_cell(result.value, result.interval, scale.factor)
-        numbers[wording.format_heading(result.name, scale)] = cell
+        number_cells[wording.format_heading(result.name, scale)] = cell
     return {
         "test": sample.test,
         "group": group,
@@ -254,18 +256,19 @@ def _make_test_record(group: str, sample: Sample, lot: Lot | None) -> Record:
         "protocol": sample.protocol,
         "day": str(sample.date or ""),
         "operator": sample.operator,
-        **verdicts,
+        **verdict_cells,
         **answers,
         **sizes,
         "doubtful numbers": sum(result.status is Status.DOUBTFUL for result in main_results),
         "failed numbers": sum(result.status is Status.FAILED for result in main_results),
-        **numbers,
+        **number_cells,
         "decision": sample.decision,
         "key of the run": sample.run,
     }
 
 
 def _list_results(campaign: Campaign) -> Iterator[Record]:
+    """Yield a record for each result of each test."""
     for group in campaign.groups:
         for sample in group.samples:
             for result in sample.results:
@@ -288,44 +291,52 @@ _BAND_COLUMNS = {
     "mean": "mean", "lower": "lower", "upper": "upper",
     "lower, whole curve": "lower_all", "upper, whole curve": "upper_all",
 }  # fmt: skip
-"""Field of a band, keyed by the name of its column."""
+"""Field of a band, keyed by the name of the column that shows this field."""
 
 
 def _tabulate_curves(campaign: Campaign, *, is_scaled: bool) -> Table:
-    """Make the sheet of the mean curves of all groups in common units; charts are per protocol."""
+    """Make the sheet of the mean curves of all groups, in common units; a chart per protocol."""
     display = next((wording.get_display(group) for group in campaign.groups if group.samples), {})
-    x, y = wording.get_scales(display, "displacement", "force")
+    x_scale, y_scale = wording.get_scales(display, "displacement", "force")
     title = "Mean force"
     if is_scaled:
-        y, title = wording.Scale(1.0, ""), "Mean force over peak force"
+        y_scale, title = wording.Scale(1.0, ""), "Mean force over peak force"
     charts: dict[str, dict[str, list[Record]]] = {}
     for group in campaign.groups:
         band = group.scaled_band if is_scaled else group.band
         if band is not None:
-            name = f"{title} on first loading ({group.protocol})"
-            charts.setdefault(name, {})[group.name] = _list_band_records(group.name, band, x, y)
-    columns = list(map(y.label, _BAND_COLUMNS))
-    heads = ["group", x.label("displacement"), *columns, "n", "mean over", "reason"]
+            chart_title = f"{title} on first loading ({group.protocol})"
+            records = _list_band_records(group.name, band, (x_scale, y_scale))
+            charts.setdefault(chart_title, {})[group.name] = records
+    columns = list(map(y_scale.label, _BAND_COLUMNS))
+    heads = ["group", x_scale.label("displacement"), *columns, "n", "mean over", "reason"]
     name = "scaled curves" if is_scaled else "curves"
     return tabulate_curves(name, charts.items(), *heads[1:3], heads=heads)
 
 
-def _list_band_records(group: str, band: Band, x: wording.Scale, y: wording.Scale) -> list[Record]:
-    """List a record per point of a mean curve, at least one; the first gives the reason."""
-    columns = {x.label("displacement"): x.factor * band.displacement}
+def _list_band_records(group: str, band: Band, scales: Sequence[wording.Scale]) -> list[Record]:
+    """List a record per point of a mean curve, or one record for a curve without points.
+
+    The first record gives the reason why a band is missing; `scales` are those of displacement and
+    force.
+    """
+    x_scale, y_scale = scales
+    columns = {x_scale.label("displacement"): x_scale.factor * band.displacement}
     for name, field in _BAND_COLUMNS.items():
-        columns[y.label(name)] = y.factor * getattr(band, field)
-    points = make_records({"group": group, "n": band.n, "mean over": band.members}, columns)
-    first_point, *later_points = points or [{"group": group}]
-    return [first_point | {"reason": str(band.reason or "")}, *later_points]
+        columns[y_scale.label(name)] = y_scale.factor * getattr(band, field)
+    records = make_records({"group": group, "n": band.n, "mean over": band.members}, columns)
+    first_record, *later_records = records or [{"group": group}]
+    return [first_record | {"reason": str(band.reason or "")}, *later_records]
 
 
 def _make_difference_record(difference: Difference, display: Mapping[str, str]) -> Record:
     """Make the record of the difference of two groups in one number."""
-    mean_difference, ends = difference.difference, difference.interval
+    mean_difference, interval = difference.difference, difference.interval
     scale = wording.choose_scale(difference.name, difference.unit, display)
-    interval_in_unit, relative_ends = (ends, None) if difference.change is None else (None, ends)
-    corrected = make_interval_cells(mean_difference.mean, interval_in_unit, scale.factor)
+    # the corrected interval is that of the relative change if there is one
+    relative_interval = None if difference.change is None else interval
+    absolute_interval = interval if difference.change is None else None
+    corrected = make_interval_cells(mean_difference.mean, absolute_interval, scale.factor)
     differing_fields = (
         f"{name.replace('_', ' ')}: {second} against {first}"
         for name, (first, second) in difference.fields.items()
@@ -339,14 +350,14 @@ def _make_difference_record(difference: Difference, display: Mapping[str, str]) 
             mean_difference.mean, mean_difference.interval, scale.factor, name="second minus first"
         ),
         "share (%)": make_percent_cell(difference.change),
-        "corrected lower (%)": make_percent_cell(relative_ends, "lower"),
-        "corrected upper (%)": make_percent_cell(relative_ends, "upper"),
+        "corrected lower (%)": make_percent_cell(relative_interval, "lower"),
+        "corrected upper (%)": make_percent_cell(relative_interval, "upper"),
         "corrected lower": corrected["lower"],
         "corrected upper": corrected["upper"],
         "verdict": str(difference.verdict),
         "question": difference.single_field,
         "differ in": "; ".join(differing_fields),
-        "level (%)": make_percent_cell(ends, "level"),
+        "level (%)": make_percent_cell(interval, "level"),
         "irrelevant below": make_number_cell(difference.margin, None, scale.factor),
         "different, p": make_number_cell(difference.p),
         "equivalent, p": make_number_cell(difference.p_equivalent),

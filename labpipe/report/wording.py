@@ -1,4 +1,4 @@
-"""Write the texts of reports: labels of results, units, counts and rounded numbers."""
+"""Format the texts of reports: labels of results, units, counts and rounded numbers."""
 
 from __future__ import annotations
 
@@ -23,13 +23,19 @@ if TYPE_CHECKING:
 
 
 class Scale(NamedTuple):
-    """Display unit of a quantity: `factor` times a number in SI is the number in `unit`."""
+    """Display unit of a quantity.
+
+    Parameters
+    ----------
+    factor : factor from SI to the unit
+    unit : name of the unit, such as ``mm``; empty for a pure number
+    """
 
     factor: float
     unit: str
 
     def label(self, quantity: str) -> str:
-        """Write the label of an axis or a column, such as ``Displacement (mm)``."""
+        """Return the label of an axis or a column, such as ``Displacement (mm)``."""
         return f"{quantity} ({self.unit})" if self.unit else quantity
 
 
@@ -39,6 +45,7 @@ LENGTH_SCALE, FORCE_SCALE = Scale(1e3, "mm"), Scale(1.0, "N")
 _UNPRINTABLE = re.compile(
     r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\ud800-\udfff\ufffe\uffff]"
 )
+"""Pattern of a character that `replace_unprintable` replaces."""
 
 
 def replace_unprintable(text: str) -> str:
@@ -56,8 +63,8 @@ def shorten(name: str, max_length: int) -> str:
 
     Parameters
     ----------
-    name : any text
-    max_length : largest number of characters, at least 1
+    name : name or other text
+    max_length : largest number of characters of the result, at least 1
 
     Examples
     --------
@@ -66,17 +73,17 @@ def shorten(name: str, max_length: int) -> str:
     """
     if len(name) <= max_length:
         return name
-    end = (max_length - 1) // 2
-    return f"{name[: max_length - 1 - end]}…{name[len(name) - end :]}"
+    tail_length = (max_length - 1) // 2
+    return f"{name[: max_length - 1 - tail_length]}…{name[len(name) - tail_length :]}"
 
 
 def format_count(count: int, noun: str) -> str:
-    """Write a count, such as ``1 sample`` or ``3 samples``."""
+    """Format a count with its noun, such as ``1 sample`` or ``3 samples``."""
     return f"{count} {noun}{'s' * (count != 1)}"
 
 
 def describe_counts(group: Group) -> str:
-    """Write the numbers of samples and spools, such as ``6 samples from 2 spools``."""
+    """Describe a group by its numbers of samples and spools: ``6 samples from 2 spools``."""
     spools = {sample.specimen.spool for sample in group.samples}
     return f"{format_count(len(group.samples), 'sample')} from {format_count(len(spools), 'spool')}"
 
@@ -94,27 +101,30 @@ _RESULT_LABELS: Mapping[str, str] = {
 }
 """Labels of results: those of the kinds of results, and of names in the shipped protocols."""
 _QUANTITIES = {unit: quantity for quantity, unit in SI_UNITS.items()} | {"m": "displacement"}
-"""Quantity that sets the display unit, keyed by SI unit."""
+"""Quantity whose display unit applies to results with an SI unit, keyed by this unit."""
 _PER_PEAK = "_per_peak_force"
+"""End of the names of results that are divided by the peak force."""
 _AT_CURVATURE = re.compile(r"(bending_stiffness)_at_(\d+)")
 """Name of a stiffness at a curvature in the shipped protocols."""
 _SLIP_RESULTS = ("slip_position", "slip_drop")
+"""Names of results that are numbered by slip, not by cycle."""
 _DEFAULT_DIGITS = 4
+"""Significant digits of a number without an interval."""
 SUPERSCRIPTS = str.maketrans(
     "-0123456789", "\u207b\u2070\u00b9\u00b2\u00b3\u2074\u2075\u2076\u2077\u2078\u2079"
 )
 
 
 def format_label(name: str) -> str:
-    """Write the label of a result.
+    """Format the label of a result.
 
     Parameters
     ----------
-    name : name in snake case, with the number of a cycle or a slip after a dot
+    name : name in snake case; the number of a cycle or a slip may follow after a dot
 
     Returns
     -------
-    The label; an unknown name is split into its words.
+    The label. That of an unknown name consists of the words of the name.
 
     Examples
     --------
@@ -127,21 +137,22 @@ def format_label(name: str) -> str:
     >>> format_label("slip_drop.1")
     'Force lost in slip 1'
     """
-    stem, _, number = name.partition(".")
+    stem, _, suffix = name.partition(".")
     if stem.endswith(_PER_PEAK):
-        name_text = f"{format_label(stem.removesuffix(_PER_PEAK))}, per peak force"
+        stem_label = f"{format_label(stem.removesuffix(_PER_PEAK))}, per peak force"
     elif match := _AT_CURVATURE.fullmatch(stem):
-        name_text = f"{format_label(match[1])} at {match[2]} 1/m"
+        stem_label = f"{format_label(match[1])} at {match[2]} 1/m"
     else:
-        name_text = _RESULT_LABELS.get(stem) or stem.replace("_", " ").capitalize()
-    if not number:
-        return name_text
-    return f"{name_text} {number}" if stem in _SLIP_RESULTS else f"{name_text}, cycle {number}"
+        stem_label = _RESULT_LABELS.get(stem) or stem.replace("_", " ").capitalize()
+    if not suffix:
+        return stem_label
+    return f"{stem_label} {suffix}" if stem in _SLIP_RESULTS else f"{stem_label}, cycle {suffix}"
 
 
 _RESULT_NAME = re.compile(r"(?<![\w./-])[a-z]+(?:_[a-z0-9]+)+(?:\.\d+)?(?![\w/]|\.\w)")
+"""Pattern of a word in a sentence that may be the name of a result."""
 _PROTOCOL_PREFIXES = ("stiffness_", "modulus_")
-"""Prefixes of names whose suffixes a protocol chooses."""
+"""Beginnings of names of results whose ends a protocol chooses."""
 
 
 def replace_names(sentence: str) -> str:
@@ -168,7 +179,7 @@ def replace_names(sentence: str) -> str:
 
 
 def make_sentence(message: str) -> str:
-    """Turn a message into a sentence; the labels of results replace their names.
+    """Make a sentence of a message; the labels of results replace their names.
 
     Examples
     --------
@@ -186,7 +197,7 @@ def join_sentences(reasons: Iterable[Reason | QualityNote | None]) -> str:
 
 
 def is_main(name: str) -> bool:
-    """Return whether a result describes the specimen, not a slip, the clocks or a limit."""
+    """Return whether a result describes the specimen, and not a slip, the clocks or a limit."""
     return not name.startswith(("slip_", "clock_", FORCE_LIMIT))
 
 
@@ -284,13 +295,20 @@ def typeset_unit(unit: str) -> str:
 
 
 def format_heading(name: str, scale: Scale) -> str:
-    """Write the label of a result with its unit in brackets, for a column or an axis."""
+    """Format the label of a result with its unit in brackets, for a column or an axis."""
     return scale.label(format_label(name))
 
 
 @dataclass(frozen=True, slots=True)
 class FormattedNumber:
-    """Text of a number, of the ends of its interval, and of an estimate that differs from it."""
+    """Texts of a number, of its interval and of its estimate.
+
+    Parameters
+    ----------
+    value : text of the number
+    lower, upper : texts of the ends of its interval; empty without an interval
+    estimate : text of an estimate that differs from the number; empty if there is none
+    """
 
     value: str
     lower: str = ""
@@ -299,7 +317,7 @@ class FormattedNumber:
 
     @property
     def interval(self) -> str:
-        """Estimate and interval as text, such as ``46.3 to 58.3``; empty without an interval."""
+        """Estimate, if any, and interval, such as ``46.3 to 58.3``; empty without an interval."""
         estimate_text = f"estimate {self.estimate}, " if self.estimate else ""
         return f"{estimate_text}{self.lower} to {self.upper}" if self.lower else ""
 
@@ -317,11 +335,11 @@ def format_number(
     digits: int = _DEFAULT_DIGITS,
     estimate: float | None = None,
 ) -> FormattedNumber:
-    """Write a number with as many digits as its interval supports.
+    """Format a number with as many digits as its interval supports.
 
     Parameters
     ----------
-    value : number, SI; a number that is not finite is written as a dash
+    value : number, SI; the text of a number that is not finite is a dash
     interval : interval of the number, SI; None without an interval
     factor : factor from SI to the display unit
     digits : significant digits of a number without an interval, or with an interval of zero width
@@ -329,8 +347,8 @@ def format_number(
 
     Returns
     -------
-    The rounded numbers: with an interval, to the second significant digit of its half-width [1]_;
-    without an interval, to `digits` significant digits.
+    The texts of all numbers, which are rounded to the second significant digit of the half-width of
+    the interval [1]_. Without an interval, the number has `digits` significant digits.
 
     References
     ----------
@@ -354,7 +372,7 @@ def format_number(
 def compute_last_place(
     value: float, interval: Interval | None, factor: float = 1.0, digits: int = _DEFAULT_DIGITS
 ) -> int:
-    """Compute the power of ten of the last digit with which a number is written.
+    """Compute the power of ten of the last digit of a formatted number.
 
     Parameters
     ----------
@@ -379,17 +397,17 @@ def compute_last_place(
 
 
 def _compute_digit_place(size: float, digits: int) -> int:
-    """Compute the power of ten of the last significant digit of a positive number."""
+    """Compute the power of ten of the last significant digit of a number that is not negative."""
     if size == 0.0 or not math.isfinite(size):
         return -digits
-    # the number is rounded first: 9.96 to two digits is 10, not 10.0
+    # the number is rounded first: 9.96 has the text 10 with two digits, not 10.0
     exponent = int(f"{size:.{digits - 1}e}".partition("e")[2])
     return exponent - digits + 1
 
 
 def _round_together(numbers: Sequence[float], last_place: int) -> list[str]:
-    """Write numbers to the same last place, very large or small ones with a common factor."""
-    min_plain, max_plain = 1e-3, 1e6  # a factor is used if the largest number is outside
+    """Format numbers to the same last place; very large or small ones have a common factor."""
+    min_plain, max_plain = 1e-3, 1e6  # range of the largest number for texts without a factor
     largest = max(map(abs, numbers))
     if min_plain <= largest < max_plain or largest == 0.0 or not math.isfinite(largest):
         return [_round_to_place(number, last_place) for number in numbers]
@@ -400,7 +418,7 @@ def _round_together(numbers: Sequence[float], last_place: int) -> list[str]:
 
 
 def _round_to_place(number: float, last_place: int) -> str:
-    """Write a number down to a power of ten, such as ``52.3`` for the power -1."""
+    """Format a number down to a power of ten, such as ``52.3`` for the power -1."""
     rounded = round(number, -last_place)
     return f"{rounded + 0.0:.{max(-last_place, 0)}f}"  # + 0.0 removes the sign of a zero
 
@@ -408,7 +426,7 @@ def _round_to_place(number: float, last_place: int) -> str:
 def format_with_interval(
     value: float, interval: Interval | None, factor: float = 1.0, *, estimate: float | None = None
 ) -> str:
-    """Write a number with its interval in one line.
+    """Format a number with its interval in one line.
 
     Parameters
     ----------
@@ -419,8 +437,9 @@ def format_with_interval(
 
     Returns
     -------
-    ``value ± half-width`` if there is no estimate and the two sides of the interval differ by at
-    most a tenth, else ``value (lower to upper)``; only the value without an interval.
+    ``value ± half-width`` if there is no estimate and the distances of the value from the two ends
+    of the interval differ by at most a tenth; otherwise ``value (lower to upper)``. Without an
+    interval, the text is the value.
 
     Examples
     --------
@@ -429,25 +448,25 @@ def format_with_interval(
     >>> format_with_interval(1.26, Interval(1.15, 1.44))
     '1.26 (1.15 to 1.44)'
     """
-    max_asymmetry = 0.1  # largest difference of the two sides, relative to the longer one
-    written = format_number(value, interval, factor, estimate=estimate)
-    if interval is None or not written.lower:
-        return written.value
+    max_asymmetry = 0.1  # largest difference of the two distances, relative to the longer one
+    texts = format_number(value, interval, factor, estimate=estimate)
+    if interval is None or not texts.lower:
+        return texts.value
     above, below = interval.upper - value, value - interval.lower
-    longer, asymmetry = max(above, below), abs(above - below)
-    if estimate is not None or not isfinite(longer) or asymmetry > max_asymmetry * longer:
-        return f"{written.value} ({written.interval})"
-    half_width = float(f"{abs(factor) * longer:.1e}")  # two digits
+    longer, difference = max(above, below), abs(above - below)
+    if estimate is not None or not isfinite(longer) or difference > max_asymmetry * longer:
+        return f"{texts.value} ({texts.interval})"
+    half_width = float(f"{abs(factor) * longer:.1e}")  # two significant digits
     numbers = [factor * number for number in (value, interval.lower, interval.upper)]
     last_place = compute_last_place(value, interval, factor)
-    number, *_, half_text = _round_together([*numbers, half_width], last_place)
-    number, times, power = number.partition(" \u00d7 ")
-    text = f"{number} \u00b1 {half_text.partition(times)[0] if times else half_text}"
+    value_text, *_, half_text = _round_together([*numbers, half_width], last_place)
+    value_text, times, power = value_text.partition(" \u00d7 ")
+    text = f"{value_text} \u00b1 {half_text.partition(times)[0] if times else half_text}"
     return f"({text}){times}{power}" if times else text
 
 
 def format_mean(mean: MeanInterval, factor: float = 1.0) -> str:
-    """Write a mean with its interval as `format_with_interval` does.
+    """Format a mean with its interval as `format_with_interval` does.
 
     Parameters
     ----------
@@ -458,7 +477,7 @@ def format_mean(mean: MeanInterval, factor: float = 1.0) -> str:
 
 
 def format_result(result: Result, factor: float = 1.0) -> str:
-    """Write a result with its interval as `format_with_interval` does, or a dash without a value.
+    """Format a result with its interval as `format_with_interval` does; a dash without a value.
 
     Parameters
     ----------
