@@ -154,9 +154,7 @@ def test_draws_have_the_quantiles_of_the_mixture(calibration: Calibration, one_m
         direction = dict(zip(belief.names, weights, strict=False)) | {LOG_MOMENT_FACTOR: one_more}
         ends = np.quantile(drawn(belief, direction), [0.025, 0.975])
         directions = np.array([[*weights, 0.0]])
-        expected = np.ravel(
-            compute_quantiles(solutions[0].mixture, directions, np.array([one_more]))
-        )
+        expected = compute_quantiles(solutions[0].mixture, directions, np.array([one_more])).ravel()
         assert ends == pytest.approx(expected, rel=0.02)
 
 
