@@ -1,7 +1,6 @@
-"""The API for Python and notebooks: open, process, table, groups, inspect.
+"""Provide the API for Python and notebooks: open, process, table, groups, inspect.
 
-Values are in SI units, except those of `Test.display`. Input that is not valid raises a
-`LabpipeError`.
+Values are in SI units, except those of `Test.display`. Invalid input raises a `LabpipeError`.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ def open(path: PathLike) -> Test:
 
     Returns
     -------
-    The test. Results and curve are read at once, shapes and recordings on first use.
+    The test. Results and curve are read immediately, shapes and recordings on first use.
 
     Raises
     ------
@@ -41,12 +40,12 @@ def open(path: PathLike) -> Test:
     --------
     >>> labpipe.open("processed/A2/A2-085-1").results  # doctest: +SKIP
     """
-    file = _find_single(parse_path(path), find_results, "labpipe.table(path) reads many tests.")
+    file = _find_test(parse_path(path), find_results, "labpipe.table(path) reads many tests.")
     return Test(read_outcome(file), read_full=lambda: read_result(file), folder=file.parent)
 
 
 def process(source: PathLike, *, follow_links: bool = False) -> Test:
-    """Process a test in memory; nothing is written.
+    """Process a test in memory, without writing files.
 
     Parameters
     ----------
@@ -69,24 +68,21 @@ def process(source: PathLike, *, follow_links: bool = False) -> Test:
     """
     from labpipe.process.run import read_source, reduce_test  # imports all of processing
 
-    file = _find_single(parse_path(source), _find_sources, "Name the folder of one test.")
-    result = reduce_test(*read_source(file, follow_links=follow_links))
-    return Test(result)
+    file = _find_test(parse_path(source), _find_sources, "Name the folder of one test.")
+    return Test(reduce_test(*read_source(file, follow_links=follow_links)))
 
 
 def _find_sources(targets: Sequence[Path]) -> list[Path]:
     """Find the tests to process. A folder with a result but no test sheet gives the result."""
     (target,) = targets
-    is_result = target.is_dir() and (target / RESULT_FILE).is_file()
-    if is_result and not (target / SHEET_NAME).is_file():
+    has_result = target.is_dir() and (target / RESULT_FILE).is_file()
+    if has_result and not (target / SHEET_NAME).is_file():
         return [target / RESULT_FILE]
     return find_tests([target])
 
 
-def _find_single(
-    path: Path, find_files: Callable[[Sequence[Path]], list[Path]], remedy: str
-) -> Path:
-    """Find the file of one test; refuse a path with several tests."""
+def _find_test(path: Path, find_files: Callable[[Sequence[Path]], list[Path]], remedy: str) -> Path:
+    """Find the file of the only test at a path; refuse several tests, with a remedy as text."""
     files = find_files([path])
     if len(files) > 1:
         raise UsageError.about("api.many_tests", path, count=len(files), remedy=remedy)

@@ -53,35 +53,38 @@ class Units:
 
     display: Mapping[str, str] | None = None
 
-    def scale_result(self, name: str, unit: str) -> Scale:
-        """Choose factor and unit of a result, or of a change of it."""
+    def choose_result_scale(self, name: str, unit: str) -> Scale:
+        """Choose factor and unit of a result in an SI unit, or of a change of the result."""
         if self.display is None:
             return Scale(1.0, unit)
         return choose_unit(name, unit, self.display)
 
-    def scale_quantity(self, quantity: str, unit: str) -> Scale:
-        """Choose factor and unit of a quantity, such as ``force``."""
+    def choose_quantity_scale(self, quantity: str, unit: str) -> Scale:
+        """Choose factor and unit of a quantity in an SI unit, such as ``force`` in N."""
         target = unit if self.display is None else self.display.get(quantity, unit)
         return Scale(1.0 / get_conversion_factor(target, unit), target)
 
 
-def _make_frame(columns: Mapping[str, str], rows: Iterable[Sequence[object]]) -> pd.DataFrame:
+def _make_frame(types: Mapping[str, str], rows: Iterable[Sequence[object]]) -> pd.DataFrame:
     """Make a table from rows; None in a float64 column becomes NaN.
 
     Parameters
     ----------
-    columns : types of the columns, keyed by name
+    types : types of the columns, keyed by name
     rows : values of each row in the order of the columns
     """
-    return pd.DataFrame(list(rows), columns=list(columns)).astype(dict(columns))
+    return pd.DataFrame(list(rows), columns=list(types)).astype(dict(types))
 
 
 _VALUE_TYPES = {
     **dict.fromkeys(("value", "estimate", "lower", "upper"), "float64"),
     **dict.fromkeys(("unit", "status", "code", "reason"), "str"),
 }
+"""Types of the columns of a result, except its name, keyed by column."""
 _BUDGET_TYPES = {"cause": "str", "change": "float64", "share": "float64", "is_common": "bool"}
+"""Types of the columns of a budget, keyed by column."""
 _NOTE_TYPES = dict.fromkeys(("code", "severity", "where", "message"), "str")
+"""Types of the columns of quality notes, keyed by column."""
 
 
 def make_results_frame(results: Iterable[Result], units: Units) -> pd.DataFrame:
@@ -100,7 +103,8 @@ def make_results_frame(results: Iterable[Result], units: Units) -> pd.DataFrame:
     """
 
     def make_row(result: Result) -> list[object]:
-        factor, unit = units.scale_result(result.name, result.unit)
+        """Make the row of a result, with None for values that are not available."""
+        factor, unit = units.choose_result_scale(result.name, result.unit)
         ends = (result.interval.lower, result.interval.upper) if result.interval else (None, None)
         values = (result.value, result.best_estimate, *ends)
         scaled_values = [None if value is None else value * factor for value in values]
@@ -121,11 +125,11 @@ def make_budget_frame(result: Result, units: Units) -> pd.DataFrame:
 
     Returns
     -------
-    Table with index ``cause`` and columns ``change`` (by one standard uncertainty of the cause, in
-    the unit of the result), ``share`` (of the variance) and ``is_common`` (to all tests of a rig).
-    It is empty without a budget.
+    Table with index ``cause`` and columns ``change`` (change of the result by one standard
+    uncertainty of the cause), ``share`` (fraction of the variance) and ``is_common`` (whether the
+    cause is common to all tests of a rig). The table is empty if the result has no budget.
     """
-    factor, unit = units.scale_result(result.name, result.unit)
+    factor, unit = units.choose_result_scale(result.name, result.unit)
     rows = [
         (contribution.cause, factor * contribution.change, share, contribution.is_common)
         for contribution, share in zip(result.budget, result.fractions, strict=True)
@@ -151,8 +155,8 @@ def make_curve_frame(curve: Curve, units: Units) -> pd.DataFrame:
     """
     scales = {
         "time": Scale(1.0, curve.time_unit),
-        "displacement": units.scale_quantity("displacement", "m"),
-        "force": units.scale_quantity("force", "N"),
+        "displacement": units.choose_quantity_scale("displacement", "m"),
+        "force": units.choose_quantity_scale("force", "N"),
     }
     columns = {name: scale.factor * getattr(curve, name) for name, scale in scales.items()}
     branch, cycle = curve.assign_samples()
@@ -170,13 +174,13 @@ def make_position_frame(
     ----------
     time : shape (n_frames,), s
     names : name of each point
-    positions : shape (n_frames, n_points, 3)
+    positions : shape (n_frames, n_points, 3), in `unit`; NaN for a missing point
     kind : kind of the points, ``point`` or ``marker``
     unit : unit of the positions
 
     Returns
     -------
-    Table with index ``time`` and columns (kind, axis) for x, y and z; NaN if a point is missing.
+    Table with index ``time`` and columns (kind, axis) for x, y and z of each point.
     """
     columns = pd.MultiIndex.from_product([names, _AXES], names=[kind, "axis"])
     index = pd.Index(time, name="time")
@@ -257,8 +261,8 @@ def _list_tables(
         yield name, partial(_make_channel_frame, recording, clock.name)
     if tracks is not None:
         name = f"{role}/markers" if recording.clocks else role
-        positions = tracks.time, tracks.names, tracks.positions, "marker", "m"
-        yield name, partial(make_position_frame, *positions)
+        arguments = tracks.time, tracks.names, tracks.positions, "marker", "m"
+        yield name, partial(make_position_frame, *arguments)
         for body in tracks.bodies:
             yield f"{role}/{body.name}", partial(_make_body_frame, tracks, body)
 
@@ -295,7 +299,7 @@ Paths: TypeAlias = PathLike | Iterable[PathLike]
 
 
 def parse_path(location: PathLike) -> Path:
-    """Convert a location to a path that the system accepts; it need not exist.
+    """Convert a location to a path that the system accepts, even if nothing is there.
 
     Parameters
     ----------
@@ -305,7 +309,7 @@ def parse_path(location: PathLike) -> Path:
     ------
     UsageError
         If the system refuses the path, for example because it is too long, contains a zero byte, or
-        is in a folder without access.
+        leads into a folder without access.
     """
     path = Path(location)
     try:
@@ -338,15 +342,16 @@ def parse_paths(locations: Paths) -> list[Path]:
 
 
 def parse_fields(by: str | Sequence[str]) -> tuple[str, ...]:
-    """Convert the name of one field, or of several, to a tuple."""
+    """Convert the name of one field, or the names of several, to a tuple of names."""
     return (by,) if isinstance(by, str) else tuple(by)
 
 
 _TEST_COLUMNS = ("protocol", "date", "operator", "folder")
+"""Columns of a test that are not from the specimen of its sheet."""
 
 
 class LeftOutWarning(UserWarning):
-    """Some tests are left out of a table because they cannot be read."""
+    """Warning that a table lacks some tests because their summaries cannot be read."""
 
 
 def table(folder: Paths, *, by: str | Sequence[str] = ()) -> pd.DataFrame:
@@ -383,24 +388,24 @@ def table(folder: Paths, *, by: str | Sequence[str] = ()) -> pd.DataFrame:
     --------
     >>> labpipe.table("processed/A2", by=["type", "length"])  # doctest: +SKIP
     """
-    by = parse_fields(by)
-    rows, left_out = _read_summaries(_find_summaries(parse_paths(folder)))
-    fields = dict.fromkeys(name for test, _ in rows for name in test if name not in _TEST_COLUMNS)
-    sheet_fields = [name for name in fields if name != "test"]
-    for name in by:
-        if name not in sheet_fields:
-            valid = ", ".join(sort_by_likeness(name, sheet_fields))
-            raise UsageError.about("api.no_field", "by", fields=valid, found=name)
-    order = dict.fromkeys(("test", *by, *fields, *_TEST_COLUMNS))
-    columns = {name: [test.get(name) for test, _ in rows] for name in order}
-    counts = [len(results) for _, results in rows]
+    by_fields = parse_fields(by)
+    tests, failure_reasons = _read_summaries(_find_summaries(parse_paths(folder)))
+    names = dict.fromkeys(name for test, _ in tests for name in test if name not in _TEST_COLUMNS)
+    sheet_fields = [name for name in names if name != "test"]
+    for field in by_fields:
+        if field not in sheet_fields:
+            valid_fields = ", ".join(sort_by_likeness(field, sheet_fields))
+            raise UsageError.about("api.no_field", "by", fields=valid_fields, found=field)
+    column_names = dict.fromkeys(("test", *by_fields, *names, *_TEST_COLUMNS))
+    columns = {name: [test.get(name) for test, _ in tests] for name in column_names}
+    n_results = [len(results) for _, results in tests]
     frame = pd.DataFrame({name: _make_column(name, values) for name, values in columns.items()})
-    frame = frame.loc[np.repeat(np.arange(len(rows)), counts)].reset_index(drop=True)
-    all_results = (result for _, results in rows for result in results)
+    frame = frame.loc[np.repeat(np.arange(len(tests)), n_results)].reset_index(drop=True)
+    all_results = (result for _, results in tests for result in results)
     frame = frame.join(_make_frame({"result": "str", **_VALUE_TYPES}, all_results))
-    if by:
-        frame = frame.sort_values(list(by), kind="stable", ignore_index=True)
-    frame.attrs["left_out"] = left_out
+    if by_fields:
+        frame = frame.sort_values(list(by_fields), kind="stable", ignore_index=True)
+    frame.attrs["left_out"] = failure_reasons
     return frame
 
 
@@ -417,48 +422,48 @@ def _find_summaries(folders: Sequence[Path]) -> list[Path]:
     return list(summaries)
 
 
-_Row: TypeAlias = tuple[dict[str, Any], list[list[object]]]
-"""Fields of a test, and the cells of each of its results."""
+_TestCells: TypeAlias = tuple[dict[str, Any], list[list[object]]]
+"""Cells of a test, keyed by column, and the list of cells of each result."""
 
 
-def _read_summaries(files: Iterable[Path]) -> tuple[list[_Row], dict[str, str]]:
-    """Read summaries, and the reasons why some cannot be read, keyed by folder."""
-    rows: list[_Row] = []
-    left_out: dict[str, str] = {}
+def _read_summaries(files: Iterable[Path]) -> tuple[list[_TestCells], dict[str, str]]:
+    """Read summaries; also return the reason of each failure, keyed by folder."""
+    tests: list[_TestCells] = []
+    failure_reasons: dict[str, str] = {}
     for file in files:
         try:
-            rows.append(_read_row(file))
+            tests.append(_read_test(file))
         except LabpipeError as error:
-            left_out[str(file.parent)] = str(error)
-    if not rows:
-        raise StoreError("\n".join(left_out.values()))
-    if left_out:
-        warnings.warn("\n".join(left_out.values()), LeftOutWarning, stacklevel=3)
-    return rows, left_out
+            failure_reasons[str(file.parent)] = str(error)
+    if not tests:
+        raise StoreError("\n".join(failure_reasons.values()))
+    if failure_reasons:
+        warnings.warn("\n".join(failure_reasons.values()), LeftOutWarning, stacklevel=3)
+    return tests, failure_reasons
 
 
-def _read_row(file: Path) -> _Row:
-    """Read the fields and the results of a test from its summary."""
+def _read_test(file: Path) -> _TestCells:
+    """Read the cells of a test and of its results from its summary."""
     if is_unfinished(file.parent):
         raise StoreError.about("api.cut_off", file, folder=file.parent)
     content = read_summary(file)
     try:
-        day = content.get("date")
-        test = {
+        date_text = content.get("date")
+        test_cells = {
             "test": str(content["test"]),
             **_list_fields(content["specimen"]),
             "protocol": str(content["protocol"]),
-            "date": date.fromisoformat(day) if day else None,
+            "date": date.fromisoformat(date_text) if date_text else None,
             "operator": str(content.get("operator") or ""),
             "folder": str(file.parent),
         }
-        return test, [_parse_result(entry) for entry in content["results"]]
+        return test_cells, [_parse_result(entry) for entry in content["results"]]
     except (AttributeError, LookupError, TypeError, ValueError) as error:
         raise StoreError.about("api.damaged_summary", file, found=error) from error
 
 
 def _list_fields(specimen: Mapping[str, Any]) -> dict[str, Any]:
-    """List the fields of a test sheet, keyed by column, without the list of wires of a bundle."""
+    """List the fields of a specimen as cells, keyed by column, without the wires of a bundle."""
     simple_fields = {name: value for name, value in specimen.items() if not isinstance(value, dict)}
     bundle = dict(specimen.get("bundle", {}))
     bundle_fields = {name: value for name, value in bundle.items() if not isinstance(value, list)}
@@ -474,17 +479,22 @@ def _list_fields(specimen: Mapping[str, Any]) -> dict[str, Any]:
 
 def _parse_result(entry: Mapping[str, Any]) -> list[object]:
     """Convert a result of a summary to the cells of a row; None for a missing number."""
-    numbers = [entry[name] for name, kind in _VALUE_TYPES.items() if kind == "float64"]
-    texts = [str(entry[name]) for name, kind in _VALUE_TYPES.items() if kind == "str"]
+    numbers = [
+        entry[name] for name, column_type in _VALUE_TYPES.items() if column_type == "float64"
+    ]
+    texts = [str(entry[name]) for name, column_type in _VALUE_TYPES.items() if column_type == "str"]
     return [str(entry["name"]), *(None if x is None else float(x) for x in numbers), *texts]
 
 
 def _make_column(name: str, values: Sequence[Any]) -> pd.Series:
-    """Make a column of dates, of numbers if all values are numbers, or of texts."""
+    """Make a column of dates if it is ``date``, of numbers if all values are, or of texts.
+
+    Missing values are None in `values`, and NaN or NaT in the column.
+    """
     if name == "date":
         return pd.Series(pd.to_datetime(pd.Series(values, dtype="object")))
-    present = [value for value in values if value is not None]
-    is_number = bool(present) and all(isinstance(value, int | float) for value in present)
+    known_values = [value for value in values if value is not None]
+    is_number = bool(known_values) and all(isinstance(x, int | float) for x in known_values)
     return pd.Series(values, dtype="float64" if is_number else "str")
 
 
@@ -496,7 +506,8 @@ def groups(
     Parameters
     ----------
     folder : folder with processed tests at any depth, or several such folders
-    by : field or fields whose values make the groups; if empty, those of a report
+    by : field or fields of the test sheets, whose values make the groups; if empty, the fields by
+        which a report groups tests
     say : function that is called with the name of each test when the test is read
 
     Returns
@@ -520,7 +531,7 @@ def groups(
 
     tests = read_tests(find_results(parse_paths(folder)), say)
     campaign = make_campaign(tests, "", ReportOptions(by=parse_fields(by)))
-    rows = [_make_group_row(group, x) for group in campaign.groups for x in group.numbers]
+    rows = [_make_group_row(group, result) for group in campaign.groups for result in group.numbers]
     frame = _make_frame(_GROUP_TYPES, rows)
     frame.attrs["left_out"] = dict(campaign.failures)
     return frame
@@ -532,14 +543,15 @@ _GROUP_TYPES = {
     **dict.fromkeys(("n", "tests"), "int64"),
     **dict.fromkeys(("unit", "how", "reason"), "str"),
 }
+"""Types of the columns of a result of a group, keyed by column."""
 
 
 def _make_group_row(group: Group, result: GroupNumber) -> list[object]:
-    """Make the row of one result of a group."""
-    mean, tests, unit = result.mean.chosen, len(result.values), result.unit
+    """Make the row of one result of a group, with the cells of `_GROUP_TYPES`."""
+    mean, n_tests, unit = result.mean.chosen, len(result.values), result.unit
     names = [group.name, group.protocol, result.name]
-    if not tests:
+    if not n_tests:
         return [*names, *[np.nan] * 5, 0, 0, unit, "", "no test has this result"]
     ends = (mean.interval.lower, mean.interval.upper) if mean.interval else (np.nan, np.nan)
-    values = [mean.mean, mean.middle, *ends, mean.deviation, mean.n, tests]
+    values = [mean.mean, mean.middle, *ends, mean.deviation, mean.n, n_tests]
     return [*names, *values, unit, str(result.mean.decision), str(mean.reason or "")]

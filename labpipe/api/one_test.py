@@ -1,4 +1,4 @@
-"""A processed test, and an export before processing, for Python and notebooks."""
+"""Give access to a processed test, and to an export before processing, in Python and notebooks."""
 
 from __future__ import annotations
 
@@ -33,15 +33,16 @@ if TYPE_CHECKING:
 
 
 class Test:
-    """A processed test: results, curve, shapes, recordings, notes and figures.
+    """Processed test: results, curve, shapes, recordings, notes and figures.
 
-    `labpipe.open` and `labpipe.process` make it. All values are in SI units. `display` is the same
-    test in the units of its protocol (mm, mJ ...).
+    `labpipe.open` and `labpipe.process` return such a test. All values are in SI units. `display`
+    is the same test in the units of its protocol (mm, mJ ...).
 
     Parameters
     ----------
-    outcome : processed test, without shapes and recordings if `read_full` is given
-    read_full : function that reads the complete test on first use; None if `outcome` is complete
+    outcome : processed test; if `read_full` is given, without shapes and recordings
+    read_full : function that reads the complete test; it is called when shapes or recordings are
+        needed for the first time. None if `outcome` is complete
     folder : folder with the files of the test; None for a test in memory
     units : units of the values; None for SI
     """
@@ -62,7 +63,8 @@ class Test:
         self.folder = folder
 
     @cached_property
-    def _full(self) -> TestResult:
+    def _full_outcome(self) -> TestResult:
+        """Return the complete test, which is read on first use."""
         return self._outcome if self._read_full is None else self._read_full()
 
     @property
@@ -103,8 +105,8 @@ class Test:
     @property
     def display(self) -> Test:
         """Return the same test with values in the display units of its protocol."""
-        units = data_frames.Units(dict(self._outcome.display))
-        return Test(self._outcome, read_full=lambda: self._full, folder=self.folder, units=units)
+        folder, units = self.folder, data_frames.Units(dict(self._outcome.display))
+        return Test(self._outcome, read_full=lambda: self._full_outcome, folder=folder, units=units)
 
     @property
     def results(self) -> pd.DataFrame:
@@ -124,9 +126,9 @@ class Test:
 
         Returns
         -------
-        The index is ``cause``. The columns are ``change`` (of the result, by one standard
-        uncertainty of the cause), ``share`` (of the variance) and ``is_common`` (to all tests of a
-        rig). The table is empty if the result has no budget.
+        Table with index ``cause`` and columns ``change`` (change of the result by one standard
+        uncertainty of the cause), ``share`` (fraction of the variance) and ``is_common`` (whether
+        the cause is common to all tests of a rig). It is empty if the result has no budget.
 
         Raises
         ------
@@ -166,10 +168,10 @@ class Test:
         ProcessingError
             If the test has no shapes.
         """
-        shape = self._full.shape
+        shape = self._full_outcome.shape
         if shape is None:
             raise self._build_absence_error("shape")
-        factor, unit = self._units.scale_quantity("displacement", "m")
+        factor, unit = self._units.choose_quantity_scale("displacement", "m")
         positions = factor * shape.positions
         return data_frames.make_position_frame(shape.time, shape.names, positions, "point", unit)
 
@@ -177,9 +179,9 @@ class Test:
     def raw(self) -> data_frames.Recordings:
         """Return the recordings as tables, keyed by role, such as ``test.raw["force"]``.
 
-        Values are in SI units if the export states a unit, and without calibration.
+        Values are in SI units if the export states a unit. They are not calibrated.
         """
-        return data_frames.Recordings(self._full.recordings)
+        return data_frames.Recordings(self._full_outcome.recordings)
 
     @property
     def quality(self) -> pd.DataFrame:
@@ -200,7 +202,7 @@ class Test:
 
         Returns
         -------
-        A matplotlib figure, which a notebook shows. A figure without data contains the reason.
+        Matplotlib figure, which a notebook shows. A figure without data states the reason.
 
         Raises
         ------
@@ -211,34 +213,35 @@ class Test:
 
         if name not in FIGURES:
             raise self._build_name_error("figure", name, list(FIGURES))
-        return draw_figure(self._full, name)
+        return draw_figure(self._full_outcome, name)
 
     def __repr__(self) -> str:
-        return f"<labpipe test {self.name} ({self.protocol}): {self._status_counts}>"
+        return f"<labpipe test {self.name} ({self.protocol}): {self._format_counts()}>"
 
-    @property
-    def _status_counts(self) -> str:
+    def _format_counts(self) -> str:
+        """Format the number of results of each status."""
         counts = Counter(result.status for result in self._outcome.results)
-        return ", ".join(f"{counts[s]} {s}" for s in Status if counts[s]) or "nothing"
+        texts = [f"{counts[status]} {status}" for status in Status if counts[status]]
+        return ", ".join(texts) or "nothing"
 
     def _repr_html_(self) -> str:
         """Return the first results in display units as HTML, for a notebook."""
         max_rows = 10
-        heading = f"{self.name} ({self.protocol}): {self._status_counts}"
+        heading = f"{self.name} ({self.protocol}): {self._format_counts()}"
         columns = ["value", "lower", "upper", "unit", "status", "reason"]
         table = self.display.results[columns].head(max_rows)
         html = table.to_html(float_format="{:.4g}".format, na_rep="")
         return replace_unprintable(f"<div><strong>{escape(heading)}</strong></div>{html}")
 
     def _build_name_error(self, kind: str, name: str, names: list[str]) -> UsageError:
-        """Build the error of an unknown name, with similar valid names."""
+        """Build the error that a name is unknown, with the most similar of the valid names."""
         if not names:
             return UsageError.about("api.none_of_kind", self.name, kind=kind)
         examples = ", ".join(sort_by_likeness(name, names, limit=7))
         return UsageError.about("api.unknown", self.name, kind=kind, names=examples, found=name)
 
     def _build_absence_error(self, stage: str) -> ProcessingError:
-        """Build the error of a stage that the test does not have, with the first reason."""
+        """Build the error that the test has no curve or shape, with the first error note."""
         notes = self._outcome.quality
         reason = next((note.message for note in notes if note.severity is Severity.ERROR), "")
         if not reason:
@@ -271,7 +274,7 @@ def inspect(file: str | os.PathLike[str]) -> Export:
 
 
 class Export:
-    """An export: its channels, notes and data, without protocol and test sheet.
+    """Export before processing, without protocol and test sheet: channels, notes and data.
 
     Parameters
     ----------
@@ -297,7 +300,7 @@ class Export:
 
         The columns are ``clock``, ``name``, ``path``, ``unit`` (SI; missing if the export states
         none), ``unit_in_file``, ``first``, ``last``, ``min``, ``max`` (float64) and ``missing``
-        (number of samples).
+        (number of missing samples).
         """
         rows = [
             {"clock": stream["clock"], **channel}

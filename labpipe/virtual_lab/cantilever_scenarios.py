@@ -252,11 +252,11 @@ class CantileverScenario:
         x, y, angle = path.compute_points(progress, arc_lengths)
         marker_x = x - layout.centre_offset * np.sin(angle)
         marker_y = y + layout.centre_offset * np.cos(angle)
-        markers_from_clamp = np.stack([marker_x, marker_y, np.zeros_like(x)], axis=2)
+        marker_positions = np.stack([marker_x, marker_y, np.zeros_like(x)], axis=2)
         pivots = clamp_positions + np.asarray(layout.pivot)
         take = simulate_take(
             "Wire",
-            markers_from_clamp + clamp_positions[:, None, :],
+            marker_positions + clamp_positions[:, None, :],
             schedule,
             camera_random,
             pose=self.pose,
@@ -294,7 +294,7 @@ class CantileverScenario:
         return ForceRecord(schedule.force_clock, signals, gain)
 
     def describe_specimen(self) -> dict[str, object]:
-        """List entries of the block ``specimen`` of the test sheet; a float is a length, m."""
+        """Describe the specimen as block ``specimen`` of the test sheet; a float is a length, m."""
         entries: dict[str, object] = {"length": self.mechanics.length}
         wire = self.mechanics.wire
         if wire.mass_per_length:

@@ -425,7 +425,7 @@ class TensileScenario:
         }
 
     def describe_specimen(self) -> dict[str, object]:
-        """List entries of the block ``specimen`` of the test sheet; a float is a length, m."""
+        """Describe the specimen as block ``specimen`` of the test sheet; a float is a length, m."""
         blocks = {"labels": dict(self.labels), "observed": dict(self.observed)}
         return {"length": self.length} | {name: block for name, block in blocks.items() if block}
 
@@ -689,7 +689,7 @@ class MetalTension:
         return {"frame": TensionRecord(time, force, travel, noisy_extension)}, self.compute_truth()
 
     def describe_specimen(self) -> dict[str, object]:
-        """List entries of the block ``specimen`` of the test sheet; a float is a length, m."""
+        """Describe the specimen as block ``specimen`` of the test sheet; a float is a length, m."""
         return {"gauge_length": self.gauge_length, "section": {"outer_diameter": self.diameter}}
 
     def list_settings(self) -> list[Setting]:

@@ -394,7 +394,7 @@ class ConduitScenario:
         }
 
     def describe_specimen(self) -> dict[str, object]:
-        """List entries of the block ``specimen`` of the test sheet; a float is a length, m."""
+        """Describe the specimen as block ``specimen`` of the test sheet; a float is a length, m."""
         return {"span": self.test.span, "bundle": self.bundle.describe()}
 
     def list_settings(self) -> list[Setting]:

@@ -148,13 +148,13 @@ def test_there_is_one_for_each_solution_of_the_set(calibration: Calibration) -> 
 
 @pytest.mark.parametrize("one_more", [0.0, 1.0])
 def test_draws_have_the_quantiles_of_the_mixture(calibration: Calibration, one_more: float) -> None:
-    solutions = [replace(calibration.solutions[0], rise=0.0)]
-    belief = build_calibration_distributions(solutions, specimen=LOG_MOMENT_FACTOR, n_draws=MANY)[0]
+    solution = replace(calibration.solutions[0], rise=0.0)
+    [belief] = build_calibration_distributions([solution], specimen=LOG_MOMENT_FACTOR, n_draws=MANY)
     for weights in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.2, 0.5, 0.3)):
         direction = dict(zip(belief.names, weights, strict=False)) | {LOG_MOMENT_FACTOR: one_more}
         ends = np.quantile(drawn(belief, direction), [0.025, 0.975])
         directions = np.array([[*weights, 0.0]])
-        expected = compute_quantiles(solutions[0].mixture, directions, np.array([one_more])).ravel()
+        expected = np.ravel(compute_quantiles(solution.mixture, directions, np.array([one_more])))
         assert ends == pytest.approx(expected, rel=0.02)
 
 

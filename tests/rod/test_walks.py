@@ -56,7 +56,7 @@ def test_nothing_depends_on_the_frame_of_space() -> None:
     space = to_matrices(TURN)
     for state, image in zip(path.states, spun.states, strict=True):
         np.testing.assert_allclose(image.positions, state.positions @ space.T, atol=1e-9 * LENGTH)
-        np.testing.assert_allclose(image.rests, state.rests, atol=1e-9 * 5.0)
+        np.testing.assert_allclose(image.slider_rests, state.slider_rests, atol=1e-9 * 5.0)
         np.testing.assert_allclose(image.forces, state.forces @ space.T, atol=1e-9)
         turns = to_rotation_vectors(multiply(conjugate(multiply(TURN, state.frames)), image.frames))
         np.testing.assert_allclose(turns, 0.0, atol=1e-9)
@@ -71,8 +71,8 @@ def test_nothing_depends_on_the_order_of_the_nodes() -> None:
     for state, image in zip(path.states, twin.states, strict=True):
         np.testing.assert_allclose(image.positions[::-1], state.positions, atol=1e-9 * LENGTH)
         np.testing.assert_allclose(image.forces[::-1], -state.forces, atol=1e-9)
-        size = np.linalg.norm(image.rests[::-1, ::-1], axis=3)
-        np.testing.assert_allclose(size, np.linalg.norm(state.rests, axis=3), atol=1e-9 * 5.0)
+        size, turned = (np.linalg.norm(x.slider_rests, axis=3) for x in (state, image))
+        np.testing.assert_allclose(turned[::-1, ::-1], size, atol=1e-9 * 5.0)
         np.testing.assert_allclose(image.reaction_forces, state.reaction_forces, atol=1e-9)
     np.testing.assert_allclose(twin.lost_energy, path.lost_energy, atol=1e-9 * path.lost_energy[-1])
 
@@ -114,7 +114,7 @@ def work_and_energy(path: RodPath) -> tuple[float, float]:
         work += 0.5 * (old.reaction_moments + new.reaction_moments)[1] @ turns[step]
         gravity = section.mass_per_length * weight.vector[[step, step + 1]].mean(axis=0)
         work += sides.sum(axis=1) @ moves @ gravity
-    curvatures, sliders = path.last.curvatures, get_current_sliders(section.law, path.last.rests)
+    curvatures, sliders = new.curvatures, get_current_sliders(section.law, new.slider_rests)
     strained = np.sum((curvatures[:, :, None, :2] - sliders.rest_curvatures) ** 2, axis=3)
     moduli = np.array([*2 * [section.law.spring_stiffness], section.torsional_stiffness])
     density = strained @ sliders.stiffnesses + curvatures**2 @ moduli
@@ -192,7 +192,7 @@ def test_each_cell_of_what_falls_springs_back_by_what_it_carries(max_turn: float
     assert np.max(held.bending_curvatures) > 8.0
     curvature = np.linalg.norm(free.curvatures[:, :, :2], axis=2).max(axis=1)
     np.testing.assert_allclose(curvature, expected, atol=1e-6)
-    assert not np.any(free.rests[13:])
+    assert not np.any(free.slider_rests[13:])
     assert path.jump_energy[41] == pytest.approx(path.lost_energy[41] - path.lost_energy[40])
 
 

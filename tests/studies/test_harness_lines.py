@@ -350,7 +350,7 @@ def test_a_laid_line_keeps_what_its_own_law_says() -> None:
     sharp = path.states[int(np.argmax(bends[:, node]))]
     curvature = sharp.curvatures[node, 0, :2]
     moment = law.spring_stiffness * curvature
-    moment = moment + law.slider_stiffnesses @ (curvature - sharp.rests[node, 0])
+    moment = moment + law.slider_stiffnesses @ (curvature - sharp.slider_rests[node, 0])
     released = np.linalg.norm(curvature - moment / law.first_stiffness)
     assert largest[node] == pytest.approx(float(released), rel=1e-9)
     assert compute_unbending(path) == pytest.approx(

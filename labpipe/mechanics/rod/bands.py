@@ -182,35 +182,35 @@ def _build_solution_distribution(
     """Build the distribution of one solution, including the factor of the specimen if any."""
     from scipy.stats.qmc import Sobol  # imports scipy.stats, which takes half a second
 
-    indices = np.flatnonzero(np.isfinite(solution.values))  # of active parameters
+    active_indices = np.flatnonzero(np.isfinite(solution.values))
     mixture = solution.mixture
     probability_range = 1.0 - 1e-10  # keeps probabilities away from 0 and 1
-    draws = Sobol(3 + len(indices), seed=random).random(n_draws)
+    draws = Sobol(3 + len(active_indices), seed=random).random(n_draws)
     # Columns: component of the mixture, divisor of Student's t, specimen, and each parameter.
     probability = 0.5 + probability_range * (draws - 0.5)
-    component = np.searchsorted(np.cumsum(mixture.chance), probability[:, 0])
-    component = np.minimum(component, len(mixture.chance) - 1)
+    components = np.searchsorted(np.cumsum(mixture.chance), probability[:, 0])
+    components = np.minimum(components, len(mixture.chance) - 1)
     divisors = np.ones(n_draws)  # convert normal draws to draws of Student's t
     if np.isfinite(mixture.freedom):
         divisors = np.sqrt(chdtri(mixture.freedom, probability[:, 1]) / mixture.freedom)
     normal_draws = ndtri(probability[:, 2:])
-    covariances = mixture.covariance[:, indices[:, None], indices]
-    shifts = mixture.shift[:, indices]
+    covariances = mixture.covariance[:, active_indices[:, None], active_indices]
+    shifts = mixture.shift[:, active_indices]
     variances, axes = np.linalg.eigh(covariances)
     roots = axes * np.sqrt(np.maximum(variances, 0.0))[:, None, :]
-    deviations = np.einsum("nij,nj->ni", roots[component], normal_draws[:, 1:]) / divisors[:, None]
-    changes = widening * (shifts[component] + deviations)
+    deviations = np.einsum("nij,nj->ni", roots[components], normal_draws[:, 1:]) / divisors[:, None]
+    changes = widening * (shifts[components] + deviations)
     covariance = np.einsum("s,sij->ij", mixture.chance, covariances)
     covariance += np.einsum("s,si,sj->ij", mixture.chance, shifts, shifts)
     steps = _compute_steps(covariance)
     distribution = InputDistribution(
-        names=tuple(PARAMETERS[index] for index in indices),
+        names=tuple(PARAMETERS[index] for index in active_indices),
         causes=(CALIBRATION,) * steps.shape[1],
-        centre=np.log(solution.values[indices]),
+        centre=np.log(solution.values[active_indices]),
         steps=steps,
         amounts=changes @ np.linalg.pinv(steps).T,
     )
-    log_factors = mixture.scatter[component] * normal_draws[:, 0] / divisors
+    log_factors = mixture.scatter[components] * normal_draws[:, 0] / divisors
     scatter = float(np.sqrt(mixture.chance @ mixture.scatter**2))
     if specimen is None or scatter == 0.0:
         return distribution
@@ -349,7 +349,7 @@ def compute_response(
     amounts = np.clip(amounts, min_amount, max_amount)
     pairs = []  # fields with plus and with minus the amount of each cause
     for row in np.diag(amounts):
-        pairs.append([solve_fields(distribution.to_inputs(step)) for step in (row, -row)])
+        pairs.append([solve_fields(distribution.to_inputs(x)) for x in (row, -row)])
     linear, quadratic = {}, {}
     for name, best_value in best_fields.items():
         linear[name], quadratic[name] = np.zeros((2, len(amounts), *best_value.shape))

@@ -42,7 +42,8 @@ class RodState(ArrayRecord):
         clamps
     curvature_vectors : shape (n + 1, 2, 2), 1/m, bending components of `node_curvatures` plus those
         at rest
-    rests : shape (n + 1, 2, sliders, 2), 1/m, rest curvatures of the sliders, which are the history
+    slider_rests : shape (n + 1, 2, sliders, 2), 1/m, rest curvatures of the sliders, which are the
+        history
     reaction_forces : shape (boundaries, 3), N, total force of each boundary on the line, loads
         included; zero for gravity
     reaction_moments : shape (boundaries, 3), N m, moments of clamps about their node; zero for
@@ -57,7 +58,7 @@ class RodState(ArrayRecord):
     curvatures: Annotated[Floats, "nodes", 2, 3]
     node_curvatures: Annotated[Floats, "nodes", 2, 3]
     curvature_vectors: Annotated[Floats, "nodes", 2, 2]
-    rests: Annotated[Floats, "nodes", 2, "sliders", 2]
+    slider_rests: Annotated[Floats, "nodes", 2, "sliders", 2]
     reaction_forces: Annotated[Floats, "boundaries", 3]
     reaction_moments: Annotated[Floats, "boundaries", 3]
 
@@ -169,7 +170,7 @@ def build_state(
         curvatures=split_sides(supports, cells.curvatures),
         node_curvatures=node_curvatures,
         curvature_vectors=node_curvatures[:, :, :2] + rest_curvature,
-        rests=split_sides(supports, balance.history.slider_rests),
+        slider_rests=split_sides(supports, balance.history.slider_rests),
         reaction_forces=reaction_forces,
         reaction_moments=reaction_moments,
     )
@@ -316,7 +317,7 @@ def check_planes(schedule: Schedule, grips: tuple[int, ...], step: int) -> None:
                 "mechanics.rod.in_plane",
                 step=step,
                 place=line.describe_position(schedule.held_nodes[k]),
-                grip=format_boundary(schedule.boundaries, schedule.holders[k]),
+                grip=format_boundary(schedule.boundaries, schedule.grips[k]),
                 table=format_boundary(schedule.boundaries, plane),
                 height=1e3 * heights[row],
                 clearance=1e3 * clearance,

@@ -51,8 +51,8 @@ class Schedule:
 
     Attributes
     ----------
-    holders, strings, planes, rings, loads : boundaries of each type, keyed by their index
-    held_nodes : node of each holder, from 0, keyed by the index of the boundary
+    grips, strings, planes, rings, loads : boundaries of each type, keyed by their index
+    held_nodes : node of each grip, from 0, keyed by the index of the boundary
     string_nodes : shape (strings,), nodes of the strings, from 0
     ring_parameters : shape (rings,), curve parameters u at which the initial line passes the rings
 
@@ -70,17 +70,17 @@ class Schedule:
         self.n_steps, self.start_shape = n_steps, start_shape
         self.n = len(line.lengths)
         _require_rows(boundaries, n_steps)
-        self.holders = _select(boundaries, Held)
+        self.grips = _select(boundaries, Held)
         self.strings = _select(boundaries, String)
         self.planes = _select(boundaries, Plane)
         self.rings = _select(boundaries, Ring)
         self.loads = _select(boundaries, Load)
-        self.held_nodes = {k: self._count_node(holder) for k, holder in self.holders.items()}
+        self.held_nodes = {k: self._count_node(grip) for k, grip in self.grips.items()}
         string_nodes = [self._count_node(string) for string in self.strings.values()]
         self.string_nodes = np.array(string_nodes, dtype=int)
         parameters = [self._find_ring_parameter(ring) for ring in self.rings.values()]
         self.ring_parameters = np.array(parameters)
-        self._require_single_holder()
+        self._require_single_grip()
         half_masses = 0.5 * line.section.mass_per_length * line.lengths
         self._masses = np.append(half_masses, 0.0) + np.append(0.0, half_masses)
         # All paths have a further first row for the initial shape, in which there are no forces.
@@ -88,8 +88,8 @@ class Schedule:
         start_line = replace(line, positions=positions, frames=start_shape.frames)
         self._positions, self._frames = {}, {}
         for k, node in self.held_nodes.items():
-            self._positions[k] = np.vstack([positions[node], self.holders[k].position])
-            if (frames := self.holders[k].frame) is not None:
+            self._positions[k] = np.vstack([positions[node], self.grips[k].position])
+            if (frames := self.grips[k].frame) is not None:
                 self._frames[k] = np.vstack([start_line.compute_clamp_frame(node), frames])
         self._rings = [
             np.vstack([evaluate_curve(positions, parameter), ring.position])
@@ -98,7 +98,8 @@ class Schedule:
         self._anchors = [
             np.vstack([string.anchor[0], string.anchor]) for string in self.strings.values()
         ]
-        # A force is a factor of each node times a path: mass and gravity, or 1 at a node and load.
+        # A force is the product of factors, shape (n + 1,), and a path: masses and gravity, or a
+        # factor of 1 at the loaded node and its load.
         self._forces: list[tuple[Floats, Floats]] = []
         for gravity in _select(boundaries, Gravity).values():
             self._forces.append((self._masses, np.vstack([np.zeros(3), gravity.vector])))
@@ -110,8 +111,8 @@ class Schedule:
         """Return the node of a boundary, counted from the start of the line."""
         node, n = boundary.node, self.n
         if not -n - 1 <= node <= n:
-            holder = format_boundary(self.boundaries, boundary)
-            facts = {"boundary": holder, "node": node, "n": n, "nodes": n + 1}
+            label = format_boundary(self.boundaries, boundary)
+            facts = {"boundary": label, "node": node, "n": n, "nodes": n + 1}
             raise ValueError(format_sentence("mechanics.rod.not_on_line", **facts))
         return int(node % (n + 1))
 
@@ -124,7 +125,7 @@ class Schedule:
         nearest_node = float(np.argmin(np.linalg.norm(positions - position, axis=1)))
         return find_nearest_parameter(positions, position, nearest_node)
 
-    def _require_single_holder(self) -> None:
+    def _require_single_grip(self) -> None:
         """Refuse two boundaries that hold a node at the same time."""
         for step in range(self.n_steps + 1):
             nodes = [self.held_nodes[k] for k in self.list_grips(step)]
@@ -136,7 +137,7 @@ class Schedule:
     def list_grips(self, step: int) -> tuple[int, ...]:
         """List the indices of the boundaries that hold a node in a step."""
         return tuple(
-            k for k, grip in self.holders.items() if grip.release is None or step < grip.release
+            k for k, grip in self.grips.items() if grip.release is None or step < grip.release
         )
 
     def estimate_force(self) -> float:

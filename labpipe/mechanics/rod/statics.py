@@ -136,7 +136,7 @@ class _PathSolver:
         The history at this time has `slider_rests` of shape (nodes, 2, sliders, 2).
         """
         self.grips, schedule = grips, self.schedule
-        nodes = [(schedule.held_nodes[k], schedule.holders[k].frame is not None) for k in grips]
+        nodes = [(schedule.held_nodes[k], schedule.grips[k].frame is not None) for k in grips]
         radius = 0.5 * self.line.section.diameter
         planes = tuple(plane.shift(radius) for plane in schedule.planes.values())
         lengths = np.array([string.length for string in schedule.strings.values()])

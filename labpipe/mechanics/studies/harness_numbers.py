@@ -70,7 +70,9 @@ def collect_fields(path: RodPath) -> dict[str, Floats]:
     """
     return {
         **collect_step_fields(path),
-        RESIDUAL_CURVATURE: compute_released_curvature(path.line.section.law, path.last.rests),
+        RESIDUAL_CURVATURE: compute_released_curvature(
+            path.line.section.law, path.last.slider_rests
+        ),
         LOST_ENERGY: np.asarray(path.lost_energy[-1]),
     }
 
@@ -197,7 +199,7 @@ def compute_residual_curvature(state: RodState, law: SliderLaw) -> Floats:
     Curvature, shape (n + 1,), 1/m; see `compute_released_curvature`. If the curvatures on the two
     sides of a node differ, as at a clip, the larger curvature is returned.
     """
-    return compute_node_curvature(compute_released_curvature(law, state.rests))
+    return compute_node_curvature(compute_released_curvature(law, state.slider_rests))
 
 
 def compute_curvature(state: RodState) -> Floats:
@@ -532,7 +534,7 @@ def bound_residual_curvature(path: RodPath, law: SliderLaw) -> Floats:
     """
     if not law.history_size:
         return np.zeros(len(path.last.positions))
-    steps = [get_current_sliders(law, state.rests) for state in path.states]
+    steps = [get_current_sliders(law, state.slider_rests) for state in path.states]
     moments = [np.einsum("j,nsjx->nsx", x.stiffnesses, x.rest_curvatures) for x in steps]
     return np.asarray(np.linalg.norm(moments, axis=-1).max(axis=(0, 2)) / law.first_stiffness)
 

@@ -117,7 +117,7 @@ def make_calibration(minima: Minima, settings: Settings) -> Calibration:
     factors = fit.factors
     compared = tuple(
         compare_with_model(curve, model.force, float(factor))
-        for curve, model, factor in zip(problem.curves, fit.models, factors, strict=True)
+        for curve, model, factor in zip(problem.curves, fit.model_forces, factors, strict=True)
     )
     sse = sum(curve.sse for curve in compared)
     rmse = float(np.sqrt(sse / problem.n_points))
@@ -143,7 +143,7 @@ def make_calibration(minima: Minima, settings: Settings) -> Calibration:
 def _make_solution(minima: Minima, minimum: LocalMinimum) -> Solution:
     """Build the record of a solution from a local minimum."""
     fit, problem = minimum.fit, minimum.fit.problem
-    pairs = zip(problem.curves, fit.models, strict=True)
+    pairs = zip(problem.curves, fit.model_forces, strict=True)
     residuals = np.concatenate([curve.force - model.force for curve, model in pairs])
     return Solution(
         values=np.where(problem.law.is_active, np.exp(fit.logs), np.nan),
@@ -230,19 +230,19 @@ def _find_bound(minima: Minima, index: int) -> str:
 def _fit_without_prior(minima: Minima, index: int, choice: ParameterChoice) -> PriorConflict:
     """Fit without one prior; the decrease of the objective is the square of the conflict."""
     best, problem = minima.fit, minima.fit.problem
-    precision = np.where(np.arange(P) == index, 0.0, problem.precision)
-    free_problem = replace(problem, precision=precision)
+    precision = np.where(np.arange(P) == index, 0.0, problem.prior_precision)
+    free_problem = replace(problem, prior_precision=precision)
     fits = [
-        search(free_problem, best.levels, minimum.fit.unknowns, guess=minimum.fit.models)
+        search(free_problem, best.levels, minimum.fit.unknowns, guess=minimum.fit.model_forces)
         for minimum in minima.local_minima
     ]
     fit = min(fits, key=lambda fit: fit.objective)
     uncertainty = estimate_uncertainty(fit)
     variance = float(uncertainty.covariance[index, index])
-    variance_ratio = (variance + 1.0 / problem.precision[index]) / variance
+    variance_ratio = (variance + 1.0 / problem.prior_precision[index]) / variance
     freedom = uncertainty.compute_freedom(np.eye(P + 1)[index]) * variance_ratio**2
     numbers = PriorConflict(
-        centre=float(np.exp(problem.centre[index])),
+        centre=float(np.exp(problem.prior_centre[index])),
         factor=float(choice.factor or np.nan),
         estimate=float(np.exp(fit.logs[index])),
         size=float(np.sqrt(max(best.objective - fit.objective, 0.0))),
@@ -272,7 +272,7 @@ def _make_noise_levels(minima: Minima) -> NoiseLevels:
         noise_factor=float(np.sqrt(levels.noise)),
         correlation=levels.correlation,
         scatter=levels.scatter,
-        gain=minima.fit.problem.gain,
+        gain=minima.fit.problem.gain_uncertainty,
         scatter_freedom=scatter_freedom,
         noise_freedom=2.0 / float(covariance[0, 0]),
     )
@@ -283,8 +283,8 @@ def _compute_separability(minima: Minima) -> Separability:
     fit = minima.fit
     active = np.flatnonzero(fit.problem.law.is_active).tolist()
     rows = [
-        whiten((model.change[active] / np.asarray(curve.noise)).T, fit.levels.correlation)
-        for model, curve in zip(fit.models, fit.problem.curves, strict=True)
+        whiten((model.sensitivity[active] / np.asarray(curve.noise)).T, fit.levels.correlation)
+        for model, curve in zip(fit.model_forces, fit.problem.curves, strict=True)
     ]
     jacobian = np.concatenate(rows) / np.sqrt(fit.levels.noise)
     names = tuple(PARAMETERS[index] for index in active)
@@ -337,7 +337,7 @@ def _find_level_notes(
             largest=worst_curve.lag_one_correlation,
         )
     if not fit.has_converged:
-        yield QualityNote.of("mechanics.wire.search_unsettled", wire, steps=fit.steps)
+        yield QualityNote.of("mechanics.wire.search_unsettled", wire, steps=fit.n_steps)
 
 
 def predict(

@@ -167,7 +167,8 @@ def _search_from(fit: Fit, start: Fit) -> list[Fit]:
     """Search in the problem of a fit from another fit; the list is empty if the model fails."""
     unknowns = _drop_offsets(start.unknowns, fit.levels)
     try:
-        return [search(fit.problem, fit.levels, unknowns, guess=start.models, lowest=fit.objective)]
+        guess, best = start.model_forces, fit.objective
+        return [search(fit.problem, fit.levels, unknowns, guess=guess, best_objective=best)]
     except ValueError:
         return []
 
@@ -186,7 +187,7 @@ def refine_levels(fit: Fit) -> Fit:
             (fit.levels.scatter - levels.scatter) / max(levels.scatter, 1e-9),
         )
         start = _drop_offsets(fit.unknowns, levels)
-        fit = search(fit.problem, levels, start, guess=fit.models)
+        fit = search(fit.problem, levels, start, guess=fit.model_forces)
         if np.max(np.abs(changes)) <= level_tolerance:
             break
     return fit
@@ -226,7 +227,7 @@ def _yield_starts(problem: Problem, logs: Floats) -> Iterator[Floats]:
     nominal = np.where(is_nominal, np.log(np.where(is_nominal, nominal_values, 1.0)), logs)
     models = objective.compute_model_forces(problem.law, np.exp(nominal), problem.curves)
     total = sum(float(np.abs(model.force).sum()) for model in models)
-    insulation_total = sum(float(np.abs(model.change[_TUBE]).sum()) for model in models)
+    insulation_total = sum(float(np.abs(model.sensitivity[_TUBE]).sum()) for model in models)
     copper_total = max(total - insulation_total, 0.01 * total)
     measured_total = sum(float(np.abs(curve.force).sum()) for curve in problem.curves)
     for fraction in insulation_fractions:
@@ -301,14 +302,14 @@ def follow_line(fit: Fit) -> list[Fit]:
 def _follow_side(fit: Fit, stops: Floats) -> list[Fit]:
     """Fit with the copper's strength at one stop after the other; starts are extrapolated."""
     fits, problem = [fit, fit], fit.problem.hold(_COPPER)
-    search_line = partial(search, problem, fit.levels, tolerance=0.01, lowest=fit.objective)
+    search_line = partial(search, problem, fit.levels, tolerance=0.01, best_objective=fit.objective)
     for stop in stops:
         previous, last = fits[-2:]
         change = np.clip(last.logs - previous.logs, -1.0, 1.0)
         start = apply_step(last, np.pad(change, (0, len(last.unknowns) - P)))
         start[_COPPER] = stop
         try:
-            fits.append(search_line(start, guess=last.models))
+            fits.append(search_line(start, guess=last.model_forces))
         except ValueError:
             break  # the model cannot follow the curves with such copper
     return fits[2:]
@@ -370,11 +371,11 @@ def compute_differences(line: list[Fit], base: Fit) -> Floats:
     problem, levels = base.problem, base.levels
     total = np.zeros((len(line), len(line)))
     for index, curve in enumerate(problem.curves):
-        forces = [fit.factors[index] * fit.models[index].force for fit in line]
+        forces = [fit.factors[index] * fit.model_forces[index].force for fit in line]
         columns = np.stack(forces, axis=1)
-        columns -= (base.factors[index] * base.models[index].force)[:, None]
+        columns -= (base.factors[index] * base.model_forces[index].force)[:, None]
         total += objective.compute_whitened_products(
-            curve, columns, base.models[index].slope, levels.correlation
+            curve, columns, base.model_forces[index].slope, levels.correlation
         )
     precision = problem.compute_precision(levels.scatter)
     weights = np.sqrt(np.where(np.isfinite(precision), precision, 0.0))
@@ -584,7 +585,7 @@ class _ProfileWalk:
         for step in (shift, 0.0 * shift):
             unknowns = apply_step(start, step)
             unknowns[self.index] = target
-            fits.append(search_profile(unknowns, guess=start.models))
+            fits.append(search_profile(unknowns, guess=start.model_forces))
             best = min(fits, key=lambda fit: fit.objective)
             rise = best.objective - self.fit.objective
             if rise <= max_threshold_factor * root**2:

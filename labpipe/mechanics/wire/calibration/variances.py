@@ -69,7 +69,7 @@ def estimate_correlation(fit: Fit) -> float:
     """
     max_correlation = 0.98
     products = squares = 0.0
-    for curve, model, factor in zip(fit.problem.curves, fit.models, fit.factors, strict=True):
+    for curve, model, factor in zip(fit.problem.curves, fit.model_forces, fit.factors, strict=True):
         noise = np.asarray(curve.noise)
         residuals = (curve.force - factor * model.force) / noise
         shared = compute_shared_errors(curve, model.slope) / noise
@@ -187,7 +187,7 @@ def _compute_posterior(fit: Fit, total: Floats) -> tuple[Floats, Floats]:
     They follow from the whitened products `total`, shape (5, 5), and from the priors.
     """
     problem = fit.problem
-    is_free = np.append(problem.is_free, problem.gain > 0.0)
+    is_free = np.append(problem.is_free, problem.gain_uncertainty > 0.0)
     precision = np.where(is_free, problem.compute_precision(0.0)[: P + 1], 0.0)
     offsets = problem.compute_offsets(fit.unknowns)[: P + 1]
     matrix, right_side = total[: P + 1, : P + 1].copy(), total[: P + 1, -1] - precision * offsets
