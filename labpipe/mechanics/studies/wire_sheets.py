@@ -253,8 +253,8 @@ def _read_conditions(rows: Sequence[Mapping[str, Cell]], file: Path) -> Conditio
         for cell in cells:
             first_cell = first_cells.setdefault(column, cell)
             if cell.text != first_cell.text:
-                values: dict[str, Any] = {"first": first_cell.text, "value": cell.text}
-                values["place"] = first_cell.place
+                first, place = first_cell.text, first_cell.place
+                values: dict[str, Any] = {"first": first, "place": place, "value": cell.text}
                 fault = Fault.of("mechanics.studies.two_conditions", **values)
                 raise_faults(file, [(f"{cell.place} ({column})", fault)])
     [conditions] = _parse_rows(Conditions, [first_cells], file)
@@ -475,6 +475,6 @@ def _find_repeated_names(names: Sequence[Cell]) -> Iterator[PlacedFault]:
         normalised_text = unicodedata.normalize("NFC", folded_text)
         first_cell = first_cells.setdefault(normalised_text, cell)
         if first_cell is not cell and cell.text:
-            values: dict[str, Any] = {"name": cell.text, "first": first_cell.text}
-            values["place"] = first_cell.place
+            first, place = first_cell.text, first_cell.place
+            values: dict[str, Any] = {"name": cell.text, "first": first, "place": place}
             yield f"{cell.place} (wire)", Fault.of("mechanics.studies.similar_names", **values)
