@@ -395,7 +395,7 @@ def _fit_reversal_corner(force: Signal, step: declarations.TravelFromSpeed) -> C
 def run_step(
     prepared: PreparedTest, step: declarations.Step, protocol: Protocol
 ) -> tuple[PreparedTest, list[Finding]]:
-    """Run one step of a protocol.
+    """Run one step of a protocol on a test.
 
     Parameters
     ----------
