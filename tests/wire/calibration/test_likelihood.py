@@ -16,7 +16,7 @@ from labpipe.mechanics.wire.calibration.local_minima import (
     LocalProfile,
     Minima,
     _find_end,
-    _ProfileWalk,
+    _ProfilePath,
     _yield_starts,
     compute_differences,
     compute_tube_quantile,
@@ -240,11 +240,11 @@ def test_a_profile_ends_where_its_deviance_jumps(
     fit = search(HELD, LEVELS, start(1.0, 1.0, 1.0))
     place = float(fit.logs[1])
 
-    def evaluate(_: _ProfileWalk, near: Fit, target: float, root: float) -> tuple[float, Fit]:
+    def evaluate(_: _ProfilePath, near: Fit, target: float, root: float) -> tuple[float, Fit]:
         return 10.0 * (abs(target - place) > 0.7), near
 
-    monkeypatch.setattr(_ProfileWalk, "evaluate", evaluate)
-    side = _find_end(_ProfileWalk(fit, 1, np.zeros(1)), sign, 1.96, 0.1)
+    monkeypatch.setattr(_ProfilePath, "evaluate", evaluate)
+    side = _find_end(_ProfilePath(fit, 1, np.zeros(1)), sign, 1.96, 0.1)
     assert not side.is_open
     assert sign * (side.end - place) == pytest.approx(0.7, abs=1e-3)
 
