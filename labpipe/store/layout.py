@@ -261,7 +261,8 @@ def make_link_name(name: str, used_names: Iterable[str]) -> str:
     Returns
     -------
     The name, in which characters other than letters, digits and ``_.+-`` are replaced by
-    underscores; ``unnamed`` if no other character is left. A number is appended if it is in use.
+    underscores; ``unnamed`` if only underscores and dots are left. A number is appended to a name
+    that is in use.
 
     Examples
     --------

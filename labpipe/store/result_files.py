@@ -46,7 +46,7 @@ def write_result(result: TestResult, path: Path) -> None:
     -----
     The same result gives the same bytes, because the file contains no times and no host names. The
     file is created in memory, because the HDF5 library cannot close a file properly when the disk
-    becomes full. It needs about as much memory as space on the disk.
+    becomes full. The file needs about as much memory as space on the disk.
     """
     image, arrays = _build_image(result)
     with replace_file(path) as temporary:

@@ -104,8 +104,8 @@ def select_json(record: object, *names: str, **renamed: str) -> dict[str, Any]:
     Parameters
     ----------
     record : object with the attributes
-    names : names of attributes, which are also names of entries
-    renamed : names of further attributes, keyed by name of the entry
+    names : names of attributes, which are also the names of their entries
+    renamed : names of attributes whose entries have other names, keyed by name of the entry
     """
     attributes = {name: name for name in names} | renamed
     return {entry: to_json(getattr(record, name)) for entry, name in attributes.items()}
@@ -243,7 +243,7 @@ class FailedTest:
     test : name of the test; empty if unknown
     code : code of the reason, one of `labpipe.errors.CODES`
     reason : message for the user
-    run : key of the failed run; empty if unknown
+    run : key of the inputs of the failed run; empty if unknown
     inputs : exports; empty if one of them cannot be read
     made_of : SHA-256 of the test sheet and of the resolved protocol, as in ``summary.json``; empty
         if they cannot be read
