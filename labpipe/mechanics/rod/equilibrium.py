@@ -195,12 +195,12 @@ class StabilityCheck:
         rows, columns = assembly.pattern
         is_force = np.arange(assembly.indices.n_unknowns) % PER_ELEMENT >= FORCE
         self._selected_entries = np.flatnonzero(~(is_force[rows] | is_force[columns]))
-        first, second = assembly.indices.positions[:-1], assembly.indices.positions[1:]
+        first_nodes, second_nodes = assembly.indices.positions[:-1], assembly.indices.positions[1:]
         entries = [
             (rows[self._selected_entries], columns[self._selected_entries]),
-            list_block_entries(first, FORCE, first, FORCE),
-            list_block_entries(first, FORCE, second, 3),
-            list_block_entries(second, 3, second, 3),
+            list_block_entries(first_nodes, FORCE, first_nodes, FORCE),
+            list_block_entries(first_nodes, FORCE, second_nodes, 3),
+            list_block_entries(second_nodes, 3, second_nodes, 3),
         ]
         rows, columns = (
             FORCE * (unknowns // PER_ELEMENT) + unknowns % PER_ELEMENT  # without the forces
@@ -296,10 +296,10 @@ class StabilityCheck:
             ]
         )
         weighted_values = values * self._weights
-        flat = np.bincount(self._entries, weighted_values, minlength=self._depth * self.size)
-        diagonal = flat[:: self._depth]
+        sums = np.bincount(self._entries, weighted_values, minlength=self._depth * self.size)
+        diagonal = sums[:: self._depth]
         diagonal += drag * self._drag + rounding * diagonal
         diagonal[self._is_fixed] = 1.0
-        band = flat.reshape(self.size, self._depth).T
+        band = sums.reshape(self.size, self._depth).T
         factors, has_failed = lapack.dpbtrf(band, lower=True, overwrite_ab=True)
         return None if has_failed else np.asarray(factors)
