@@ -141,7 +141,7 @@ def find_equilibrium(
 def _update_balance(
     start: Equilibrium, target: ImposedValues, guess: LineHistory
 ) -> Balance | None:
-    """Update the balance of a start with new forces; return None if it needs another change."""
+    """Update the balance of `start` with the forces of `target`; None if more has changed."""
     balance, imposed = start.balance, start.imposed
     history, drag = balance.inputs
     pairs = ((imposed.anchors, target.anchors), (imposed.rings, target.rings))
@@ -160,9 +160,8 @@ def _is_balanced(
     # The balance is relative to force, moment and length of the whole line. With a tolerance of
     # 1e-7, a taut clamped line has a spurious tension.
     balance_tolerance = 1e-10
-    # If rounding limits the balance, the search ends after a change below this, in lengths or rad.
-    step_tolerance = 1e-11
-    rounded_balance = 1e-5
+    # If rounding limits the balance, the search ends after a small change, in lengths or rad.
+    step_tolerance, rounding_tolerance = 1e-11, 1e-5
     # The tension is relative to the forces on the line. With a larger one, the shape is mostly
     # rounding error.
     max_relative_tension = 1e4
@@ -173,12 +172,12 @@ def _is_balanced(
     force = max(assembly.force, tension)
     residual = np.abs(balance.residual)
     residual[assembly.matrix.is_fixed] = 0.0
-    nodes, stretches, turns, gaps = (float(np.max(values)) for values in split_unknowns(residual))
-    moments = max(turns, stretches) / (force * length)
-    error = max(max(nodes - assembly.rounding, 0.0) / force, moments, gaps / length)
-    return error < balance_tolerance or (
-        relative_change < step_tolerance and error < rounded_balance
-    )
+    positions, stretches, turns, forces = split_unknowns(residual)
+    force_error = max(float(np.max(positions)) - assembly.rounding, 0.0) / force
+    moment_error = max(float(np.max(turns)), float(np.max(stretches))) / (force * length)
+    error = max(force_error, moment_error, float(np.max(forces)) / length)
+    is_limited = relative_change < step_tolerance and error < rounding_tolerance
+    return error < balance_tolerance or is_limited
 
 
 class StabilityCheck:
