@@ -48,8 +48,8 @@ from labpipe.results.slack_and_slips import (
 from labpipe.results.tension import ElasticWindow, fit_pull
 from labpipe.signal.bad_samples import bridge_spikes, find_spikes
 from labpipe.signal.filters import filter_pieces
-from labpipe.uncertainty.intervals import Measured
-from labpipe.uncertainty.replicates import Decide, Trace
+from labpipe.uncertainty.intervals import MeasuredNumber
+from labpipe.uncertainty.replicates import Choice, Trace
 
 CorrectionOutcome: TypeAlias = tuple[ReducedTest, list[Finding]]
 """The corrected test, and the findings of the correction."""
@@ -266,7 +266,7 @@ def _find_failure(
     slow_loss = find_slow_loss(compute_loading_sign(displacement) * displacement, force, criteria)
     if slow_loss is None:
         return loss_start
-    return FailurePoint(start + slow_loss, slow_below=criteria.force_below)
+    return FailurePoint(start + slow_loss, slow_loss_limit=criteria.force_below)
 
 
 def _filter_branches(test: ReducedTest, loss_start: int | Failure | None) -> ReducedTest:
@@ -358,7 +358,7 @@ def _subtract_slack(test: ReducedTest, settings: SlackBlock) -> CorrectionOutcom
     return replace(test, replicates=replicates, slips=slips), [note]
 
 
-def measure_slack(test: ReducedTest, read_slack: Decide) -> Measured | Failure:
+def measure_slack(test: ReducedTest, read_slack: Choice) -> MeasuredNumber | Failure:
     """Measure the slack of a curve that has a toe.
 
     Parameters
@@ -390,7 +390,7 @@ def measure_slack(test: ReducedTest, read_slack: Decide) -> Measured | Failure:
     return slack
 
 
-def _is_preloaded(slack: Measured, read_slack: Decide, trace: Trace, start: int) -> bool:
+def _is_preloaded(slack: MeasuredNumber, read_slack: Choice, trace: Trace, start: int) -> bool:
     """Return whether a preload explains a slack that is less than the first displacement.
 
     The force at the first sample is subtracted from the curve, and the slack of this shifted curve
@@ -402,10 +402,10 @@ def _is_preloaded(slack: Measured, read_slack: Decide, trace: Trace, start: int)
     if slack.interval.upper >= first_displacement:
         return True
     shifted_trace = replace(trace, force=trace.force - trace.force[start])
-    reading = return_failure(read_slack)(shifted_trace)
-    if isinstance(reading, Failure):
+    extractor = return_failure(read_slack)(shifted_trace)
+    if isinstance(extractor, Failure):
         return False
-    shifted_slack = float(reading.numbers(shifted_trace)[0])
+    shifted_slack = float(extractor.compute_numbers(shifted_trace)[0])
     return shifted_slack - slack.value >= 0.5 * (first_displacement - slack.value)
 
 

@@ -236,7 +236,7 @@ def check_mid_span(
     mid_span, span = prepared.signals.raw.get("mid_span"), prepared.span
     if mid_span is None or span is None or isinstance(span, Failure) or not motion.branches:
         return prepared, []
-    rest_end = motion.clocks.to_curve(span.time[span.rest], mid_span.clock)[-1]
+    rest_end = motion.clocks.to_curve(span.time[span.is_at_rest], mid_span.clock)[-1]
     delay = rest_end - motion.branches[0].start_time
     if delay > limits.zero_overlap:
         note = Finding.of("process.no_rest", "markers", delay=delay)

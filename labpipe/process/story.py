@@ -43,7 +43,7 @@ from labpipe.records.result import Result, Specimen, Status
 from labpipe.records.signals import Clocks
 from labpipe.results.bending import BendingStiffness, MomentCurvature
 from labpipe.results.kinds import Kind, LoadString, ReducedTest, Setup, Stiffness
-from labpipe.uncertainty.intervals import Measured
+from labpipe.uncertainty.intervals import MeasuredNumber
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -172,7 +172,7 @@ def add_curve(
     protocol : protocol with the stroke of the rig and the limits
     settings : block ``curve`` of the protocol
     """
-    test = replace(test, cut_at=find_cut_ends(test.signals, motion, protocol, test.findings))
+    test = replace(test, cut_times=find_cut_ends(test.signals, motion, protocol, test.findings))
     if test.findings.blocking_reason:
         return test
     unfiltered, new_findings = bridge_outliers(test.signals)
@@ -184,7 +184,7 @@ def add_curve(
     findings += check_consistency(CheckedRecord(test.signals, curve, protocol.limits, findings))
     test, new_findings = correct_curve(replace(test, curve=curve), settings)
     findings += new_findings
-    has_slack = isinstance(test.slack, Measured)
+    has_slack = isinstance(test.slack, MeasuredNumber)
     findings += check_start(test.signals, motion, has_slack=has_slack)
     if test.curve is not None:
         record = CheckedRecord(test.signals, test.curve, protocol.limits, findings)
@@ -206,7 +206,7 @@ def _build_reduced_test(
     sizes = {**dict(lengths), "span": specimen.span, **section}
     # An uncertainty in the block `specimen` has priority over that of a result.
     uncertainties = {
-        entry.length: entry.length_uncertainty
+        entry.length_key: entry.length_uncertainty
         for entry in protocol.results
         if isinstance(entry, BendingStiffness) and entry.length_uncertainty is not None
     }
@@ -220,7 +220,7 @@ def _build_reduced_test(
         centre_offset=0.0 if markers is None else markers.centre_offset,
         offset_uncertainty=0.0 if markers is None else markers.offset_uncertainty,
         centre_uncertainty=0.0 if markers is None else markers.centre_uncertainty,
-        compliance_stated=protocol.curve is not None and protocol.curve.compliance is not None,
+        is_compliance_stated=protocol.curve is not None and protocol.curve.compliance is not None,
         limits=protocol.limits,
         labels=labels,
         free_tip=any(isinstance(step, FitShape) and step.tip == "free" for step in protocol.steps),

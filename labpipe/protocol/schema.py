@@ -478,7 +478,7 @@ class Protocol(Block):
         for index, result in enumerate(self.results):
             if not isinstance(result, BendingStiffness):
                 continue
-            key, result_value = result.length, result.length_uncertainty
+            key, result_value = result.length_key, result.length_uncertainty
             specimen_value = getattr(uncertainties, key)
             if result_value is not None and specimen_value not in (None, result_value):
                 yield Fault.of(

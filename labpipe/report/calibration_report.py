@@ -845,7 +845,7 @@ def make_tables(report: CalibrationReport) -> list[tables.Table]:
     )
     titles = (f"{group.wire}, {format_length(group.length)}" for group in report.groups)
     force_charts = zip(titles, map(_make_force_records, report.groups), strict=True)
-    axis_heads = LENGTH_SCALE.label("deflection"), FORCE_SCALE.label("force")
+    axis_headings = LENGTH_SCALE.label("deflection"), FORCE_SCALE.label("force")
     return [
         tables.tabulate("summary", map(_make_parameter_record, calibration.parameters)),
         tables.tabulate("solutions", _list_solution_records(calibration)),
@@ -853,7 +853,7 @@ def make_tables(report: CalibrationReport) -> list[tables.Table]:
         tables.tabulate("agreement", map(_make_agreement_record, report.groups)),
         *([tables.tabulate("external curves", external_records)] if report.comparisons else []),
         tables.tabulate("curves", map(_make_curve_record, calibration.curves)),
-        tables.tabulate_curves("forces", force_charts, *axis_heads),
+        tables.tabulate_curves("forces", force_charts, *axis_headings),
         tables.tabulate("notes", _list_note_records(report)),
     ]
 

@@ -98,9 +98,9 @@ class Question(NamedTuple):
     @property
     def answers(self) -> Table:
         """Table of the verdicts, a row per pair."""
-        heads = ("Comparison", "Verdict", "Difference (95 %, corrected)", "n")
+        headings = ("Comparison", "Verdict", "Difference (95 %, corrected)", "n")
         rows = list(map(make_answer_cells, self.pairs))
-        return Table(f"Verdicts: {name_field(self.field)}", heads, rows)
+        return Table(f"Verdicts: {name_field(self.field)}", headings, rows)
 
     @property
     def tables(self) -> list[Table]:

@@ -169,35 +169,36 @@ def _list_key_blocks(groups: Sequence[GroupView], max_rows: int) -> list[dict[st
 
     Returns
     -------
-    For each block, ``heads``, the headings of the numbers; ``rows`` from `_list_key_rows`; and
+    For each block, ``headings``, the headings of the numbers; ``rows`` from `_list_key_rows`; and
     ``n_shown``, the number of rows that the page shows before it is unfolded. All blocks together
     show about `max_rows` lines, including the headings.
     """
-    members_by_heads: dict[tuple[tuple[str, str], ...], list[GroupView]] = {}
+    members_by_headings: dict[tuple[tuple[str, str], ...], list[GroupView]] = {}
     for protocol in dict.fromkeys(view.group.protocol for view in groups):
         members = [view for view in groups if view.group.protocol == protocol]
-        members_by_heads.setdefault(_list_key_heads(members), []).extend(members)
+        members_by_headings.setdefault(_list_key_headings(members), []).extend(members)
     blocks = []
-    for heads, members in members_by_heads.items():
-        rows, n_shown = _list_key_rows(members, dict(heads)), min(len(members), max(max_rows, 0))
-        blocks.append({"heads": [text for _, text in heads], "rows": rows, "n_shown": n_shown})
+    for headings, members in members_by_headings.items():
+        names, n_shown = [name for name, _ in headings], min(len(members), max(max_rows, 0))
+        block = {"headings": [text for _, text in headings], "n_shown": n_shown}
+        blocks.append(block | {"rows": _list_key_rows(members, names)})
         max_rows -= n_shown + 1  # the headings have a row, too
     return blocks
 
 
-def _list_key_heads(groups: Sequence[GroupView]) -> tuple[tuple[str, str], ...]:
+def _list_key_headings(groups: Sequence[GroupView]) -> tuple[tuple[str, str], ...]:
     """List the names and headings of the first three numbers of groups of one protocol."""
     n_numbers = 3
-    heads: dict[str, str] = {}
+    headings: dict[str, str] = {}
     for group, *_ in groups:
         for number in wording.list_key_numbers(group):
             scale = wording.choose_number_scale(group, number)
-            heads.setdefault(number.name, wording.format_heading(number.name, scale))
-    return tuple(heads.items())[:n_numbers]
+            headings.setdefault(number.name, wording.format_heading(number.name, scale))
+    return tuple(headings.items())[:n_numbers]
 
 
-def _list_key_rows(groups: Sequence[GroupView], heads: Mapping[str, str]) -> list[dict[str, Any]]:
-    """List the rows of groups of one block.
+def _list_key_rows(groups: Sequence[GroupView], names: Sequence[str]) -> list[dict[str, Any]]:
+    """List the rows of groups of one block, with the numbers of the given names.
 
     Returns
     -------
@@ -205,7 +206,7 @@ def _list_key_rows(groups: Sequence[GroupView], heads: Mapping[str, str]) -> lis
     ``cells`` of the first numbers; and the path of the mean curve, ``spark``. All strips have one
     scale.
     """
-    numbers = [_find_averaged_number(view.group, next(iter(heads), "")) for view in groups]
+    numbers = [_find_averaged_number(view.group, next(iter(names), "")) for view in groups]
     means, intervals = [], []
     for number in numbers:
         means.append(nan if number is None else number.mean.chosen.mean)
@@ -218,7 +219,7 @@ def _list_key_rows(groups: Sequence[GroupView], heads: Mapping[str, str]) -> lis
         rows.append({
             "view": view,
             "strip": mean_strip if len(groups) > 1 else None,
-            "cells": [_make_key_cell(view.group, name) for name in heads],
+            "cells": [_make_key_cell(view.group, name) for name in names],
             "spark": _format_mean_curve(view),
         })  # fmt: skip
     return rows
@@ -417,8 +418,8 @@ def allow_own_server(page: str) -> str:
     The page with a policy that allows connections to its own server. A page without a policy is
     unchanged; its script saves decisions as a file.
     """
-    head, policy, remainder = page.partition("connect-src 'none'")
-    return page if "<body" in head or not policy else f"{head}connect-src 'self'{remainder}"
+    start, policy, remainder = page.partition("connect-src 'none'")
+    return page if "<body" in start or not policy else f"{start}connect-src 'self'{remainder}"
 
 
 def read_logo(path: Path) -> str:

@@ -319,8 +319,8 @@ def make_number_table(group: Group) -> Table:
             *_make_mean_cells(group, number, scale.factor),
             *(_make_sample_cell(number, sample, scale.factor) for sample in samples),
         ])  # fmt: skip
-    heads = ["Number", "Plot", "Mean, 95 %", "n", "s", *(sample.test for sample in samples)]
-    return Table("", heads, rows, tuple(_list_table_notes(group)))
+    headings = ["Number", "Plot", "Mean, 95 %", "n", "s", *(sample.test for sample in samples)]
+    return Table("", headings, rows, tuple(_list_table_notes(group)))
 
 
 def _make_mean_cells(group: Group, number: GroupNumber, factor: float) -> tuple[Cell, Cell, Cell]:
@@ -444,8 +444,8 @@ def make_sample_tables(view: GroupView) -> list[Table]:
                 row = {"Test": Cell(sample.test, link=link), "Spool": sample.specimen.spool}
             for number in numbers:
                 scale = wording.choose_number_scale(group, number)
-                head = wording.format_heading(number.name, scale)
-                row[head] = _make_sample_cell(number, sample, scale.factor)
+                heading = wording.format_heading(number.name, scale)
+                row[heading] = _make_sample_cell(number, sample, scale.factor)
             rows.append(row)
         title = f"{group.name}: every sample{', continued' if tables else ''}"
         tables.append(tabulate(title, rows))
@@ -512,8 +512,8 @@ def make_spool_table(group: Group) -> Table | None:
         rows.append(row)
         decision_above = str(decision)
     title = f"{group.name}: spool means and their averaging"
-    heads = ["Number", *(f"Spool {spool}" for spool in spools), "Decision"]
-    return tabulate(title, rows, heads) if len(spools) > 1 else None
+    headings = ["Number", *(f"Spool {spool}" for spool in spools), "Decision"]
+    return tabulate(title, rows, headings) if len(spools) > 1 else None
 
 
 def make_slip_table(group: Group) -> Table | None:

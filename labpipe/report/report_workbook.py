@@ -142,7 +142,7 @@ def _make_answer_record(pair: comparisons.Pair) -> Record:
         "n": n_second,
         "n against": n_first,
         "why": difference.verdict_reason,
-        **{head: record[head] for head in ("unit", "irrelevant below", "level (%)")},
+        **{heading: record[heading] for heading in ("unit", "irrelevant below", "level (%)")},
         "first": difference.first,
         "second": difference.second,
         "caveats": "; ".join(difference.caveats),
@@ -218,15 +218,16 @@ def _make_mean_record(
 
 def _tabulate_tests(campaign: Campaign) -> Table:
     """Make the sheet of tests with a column per number; rejected tests are last."""
-    last_heads = ("decision", "key of the run")
+    last_headings = ("decision", "key of the run")
     records = [
         _make_test_record(group.name, sample, group.lot)
         for group in campaign.groups
         for sample in group.samples
     ]
     records += [_make_test_record("", sample, None) for sample in campaign.rejected_samples]
-    heads = dict.fromkeys(head for record in records for head in record if head not in last_heads)
-    return tabulate("tests", records, [*heads, *last_heads])
+    all_headings = dict.fromkeys(name for record in records for name in record)
+    headings = [name for name in all_headings if name not in last_headings]
+    return tabulate("tests", records, [*headings, *last_headings])
 
 
 def _make_test_record(group: str, sample: Sample, lot: Lot | None) -> Record:
@@ -309,9 +310,9 @@ def _tabulate_curves(campaign: Campaign, *, is_scaled: bool) -> Table:
             records = _list_band_records(group.name, band, (x_scale, y_scale))
             charts.setdefault(chart_title, {})[group.name] = records
     columns = list(map(y_scale.label, _BAND_COLUMNS))
-    heads = ["group", x_scale.label("displacement"), *columns, "n", "mean over", "reason"]
+    headings = ["group", x_scale.label("displacement"), *columns, "n", "mean over", "reason"]
     name = "scaled curves" if is_scaled else "curves"
-    return tabulate_curves(name, charts.items(), *heads[1:3], heads=heads)
+    return tabulate_curves(name, charts.items(), *headings[1:3], headings=headings)
 
 
 def _list_band_records(group: str, band: Band, scales: Sequence[wording.Scale]) -> list[Record]:
@@ -382,7 +383,7 @@ def _list_budgets(campaign: Campaign) -> Iterator[Record]:
             )
             for name, ends, shares in kinds if budget.test_shares else ():
                 half_width = None if ends is None else 0.5 * (ends.upper - ends.lower)
-                head: Record = {
+                cells: Record = {
                     "group": group.name,
                     "number": wording.format_label(number.name),
                     "of": name,
@@ -390,11 +391,11 @@ def _list_budgets(campaign: Campaign) -> Iterator[Record]:
                     "half of the 95 % interval": make_number_cell(half_width, None, scale.factor),
                 }
                 if shares:
-                    rows.append((head, shares))
+                    rows.append((cells, shares))
     causes = sort_causes(cause for _, shares in rows for cause in shares)
-    heads = {cause: f"{cause}{'*' * IS_COMMON.get(cause, False)} (%)" for cause in causes}
-    for head, shares in rows:
-        yield head | {heads[cause]: make_percent_cell(shares.get(cause)) for cause in causes}
+    headings = {cause: f"{cause}{'*' * IS_COMMON.get(cause, False)} (%)" for cause in causes}
+    for cells, shares in rows:
+        yield cells | {headings[cause]: make_percent_cell(shares.get(cause)) for cause in causes}
 
 
 def _list_bounds(campaign: Campaign) -> Iterator[Record]:
@@ -415,7 +416,7 @@ def _list_bounds(campaign: Campaign) -> Iterator[Record]:
             **make_interval_cells(
                 stiffness.value, stiffness.interval, scale.factor, name="bending stiffness"
             ),
-            **{head: make_number_cell(value, None, scale.factor) for head, value in bounds.items()},
+            **{name: make_number_cell(value, None, scale.factor) for name, value in bounds.items()},
             "share (%)": make_percent_cell(stiffness.degree),
             "share lower (%)": make_percent_cell(stiffness.degree_interval, "lower"),
             "share upper (%)": make_percent_cell(stiffness.degree_interval, "upper"),

@@ -96,21 +96,21 @@ class Table:
     Parameters
     ----------
     title : title above the table, or name of the sheet
-    heads : headings with units, one per column
+    headings : headings with units, one per column
     rows : cells of each row, in the order of the headings
     notes : sentences below the table of a page
     charts : charts of a sheet, below the table or to the right of a long one
     """
 
     title: str
-    heads: Sequence[str]
+    headings: Sequence[str]
     rows: Sequence[Sequence[Value]]
     notes: Sequence[str] = ()
     charts: Sequence[Chart] = ()
 
 
 def tabulate(
-    title: str, records: Iterable[Record], heads: Iterable[str] = (), **settings: Any
+    title: str, records: Iterable[Record], headings: Iterable[str] = (), **settings: Any
 ) -> Table:
     """Make a table of records with a column per heading.
 
@@ -118,14 +118,14 @@ def tabulate(
     ----------
     title : title of the table
     records : cells of each row, keyed by heading; a missing cell is empty
-    heads : headings in order; if there are none, those of the records in the order in which they
+    headings : headings in order; if there are none, those of the records in the order in which they
         first occur
     settings : fields `notes` and `charts` of the table
     """
     all_records = list(records)
-    columns = list(heads) or list(dict.fromkeys(head for record in all_records for head in record))
-    rows = [[record.get(head) for head in columns] for record in all_records]
-    return Table(title, columns, rows, **settings)
+    names = list(headings) or list(dict.fromkeys(name for record in all_records for name in record))
+    rows = [[record.get(name) for name in names] for record in all_records]
+    return Table(title, names, rows, **settings)
 
 
 def make_records(common_cells: Record, columns: Mapping[str, Floats | Ints]) -> list[Record]:
@@ -146,17 +146,17 @@ def sort_notes(notes: Iterable[tuple[str, QualityNote]]) -> list[tuple[str, Qual
     return sorted(notes, key=lambda pair: severities.index(pair[1].severity))
 
 
-def make_note_records(head: str, notes: Iterable[tuple[str, QualityNote]]) -> list[Record]:
+def make_note_records(heading: str, notes: Iterable[tuple[str, QualityNote]]) -> list[Record]:
     """Make a record per note, the most severe first.
 
     Parameters
     ----------
-    head : heading of the subjects of the notes
+    heading : heading of the subjects of the notes
     notes : pairs of the subject of a note and the note
     """
     return [
         {
-            head: subject,
+            heading: subject,
             "kind": str(note.severity),
             "where": note.where,
             "what": note.message,
@@ -171,7 +171,7 @@ def tabulate_curves(
     charts: Iterable[tuple[str, Mapping[str, list[Record]]]],
     x: str,
     *y: str,
-    heads: Iterable[str] = (),
+    headings: Iterable[str] = (),
     start: int = 0,
     is_log: bool = False,
 ) -> Table:
@@ -179,7 +179,7 @@ def tabulate_curves(
 
     Parameters
     ----------
-    title, heads : see `tabulate`
+    title, headings : see `tabulate`
     charts : pairs of a title and the records of the lines, keyed by the name of the line; a line of
         one point is not drawn
     x, y : headings of the columns that a chart draws; there is a chart for each heading of `y`.
@@ -195,10 +195,10 @@ def tabulate_curves(
             records += line_records
             if first < last:
                 lines[line_name] = first, last
-        for head in y if lines else ():
-            chart_title = common_title if len(y) == 1 else head.partition(" (")[0].capitalize()
-            sheet_charts.append(Chart(chart_title, x, head, lines, is_log=is_log))
-    return tabulate(title, records, heads, charts=sheet_charts)
+        for heading in y if lines else ():
+            chart_title = common_title if len(y) == 1 else heading.partition(" (")[0].capitalize()
+            sheet_charts.append(Chart(chart_title, x, heading, lines, is_log=is_log))
+    return tabulate(title, records, headings, charts=sheet_charts)
 
 
 def make_number_cell(
@@ -244,8 +244,8 @@ def make_interval_cells(
             interval.lower if value is None else value, interval, factor
         )
         ends = sorted((factor * interval.lower, factor * interval.upper))
-        for head, end in zip(("lower", "upper"), ends, strict=True):
-            cells[head] = NumberCell(end, choose_number_format(end, last_place))
+        for heading, end in zip(("lower", "upper"), ends, strict=True):
+            cells[heading] = NumberCell(end, choose_number_format(end, last_place))
     return cells
 
 
@@ -387,7 +387,7 @@ class _WorkbookWriter:
         text = shorten(replace_unprintable(footer), 90).replace("&", "&&")
         # codes of Excel: 8 points; text on the left, sheet in the middle, page on the right
         self.footer = f"&L&8{text}&C&8&A&R&8page &P of &N"
-        self.head_format = self.get_format(bold=True, text_wrap=True, bottom=1, align="left")
+        self.heading_format = self.get_format(bold=True, text_wrap=True, bottom=1, align="left")
 
     def get_format(self, number_format: str = "", **settings: Any) -> Any:
         """Return the format of a cell; equal formats are added to the workbook once."""
@@ -419,15 +419,15 @@ class _WorkbookWriter:
         sheet, wrapped = self.add_sheet(READ_ME), self.get_format(text_wrap=True)
         sheet.set_column(0, 0, 26)
         sheet.set_column(1, 1, 100)
-        _write_text(sheet, 0, 0, texts[0], self.head_format)
+        _write_text(sheet, 0, 0, texts[0], self.heading_format)
         for row, text in enumerate(texts[1:], start=1):
             sheet.merge_range(row, 0, row, 1, "", wrapped)
             _write_text(sheet, row, 0, text, wrapped)
             sheet.set_row(row, points_per_line * math.ceil(len(text) / characters_per_line))
-        head_row = len(texts) + 1
-        for column, head in enumerate(("Sheet", "Question")):
-            _write_text(sheet, head_row, column, head, self.head_format)
-        for row, (name, layout) in enumerate(layouts.items(), start=head_row + 1):
+        heading_row = len(texts) + 1
+        for column, heading in enumerate(("Sheet", "Question")):
+            _write_text(sheet, heading_row, column, heading, self.heading_format)
+        for row, (name, layout) in enumerate(layouts.items(), start=heading_row + 1):
             sheet.write_url(row, 0, f"internal:'{name}'!A1", string=name)
             _write_text(sheet, row, 1, layout.get("question", ""), wrapped)
 
@@ -440,20 +440,20 @@ class _WorkbookWriter:
         layout : section of the sheet in ``workbooks.toml``
         is_first : whether a spreadsheet program shows this sheet when it opens the workbook
         """
-        sheet, wrapped_heads = self.add_sheet(table.title), layout.get("wrapped", ())
-        heads = make_unique_heads(table.heads or ["no rows"])
+        sheet, wrapped_headings = self.add_sheet(table.title), layout.get("wrapped", ())
+        headings = make_unique_headings(table.headings or ["no rows"])
         if is_first:
             sheet.activate()
-        for index, width in enumerate(_compute_widths(table, wrapped_heads)):
+        for index, width in enumerate(_compute_widths(table, wrapped_headings)):
             sheet.set_column(index, index, width)
-        columns = [{"header": head, "header_format": self.head_format} for head in heads]
+        columns = [{"header": name, "header_format": self.heading_format} for name in headings]
         if table.rows:
             table_options = {"columns": columns, "style": "Table Style Light 1"}
-            sheet.add_table(0, 0, len(table.rows), len(heads) - 1, table_options)
-        for index, head in enumerate(() if table.rows else heads):
-            _write_text(sheet, 0, index, head, self.head_format)
+            sheet.add_table(0, 0, len(table.rows), len(headings) - 1, table_options)
+        for index, heading in enumerate(() if table.rows else headings):
+            _write_text(sheet, 0, index, heading, self.heading_format)
         for index, column in enumerate(zip(*table.rows, strict=True)):
-            is_wrapped = table.heads[index] in wrapped_heads
+            is_wrapped = table.headings[index] in wrapped_headings
             self.write_column(sheet, index, column, is_wrapped=is_wrapped)
         sheet.freeze_panes(1, layout.get("frozen", 0))
         sheet.repeat_rows(0)
@@ -488,8 +488,8 @@ class _WorkbookWriter:
         width, height, gap = 704, 436, 16  # pixels
         top, left = len(table.rows) + 2, 0
         if table.charts and len(table.rows) > max_rows_above:
-            top, left = 1, len(table.heads) + 1
-            sheet.print_area(0, 0, len(table.rows), len(table.heads) - 1)
+            top, left = 1, len(table.headings) + 1
+            sheet.print_area(0, 0, len(table.rows), len(table.headings) - 1)
         for index, chart in enumerate(table.charts):
             row, column = divmod(index, 2)
             chart_object = _add_chart(self.book, table, chart)
@@ -498,20 +498,20 @@ class _WorkbookWriter:
             sheet.insert_chart(top, left, chart_object, offset)
 
 
-def make_unique_heads(heads: Sequence[str]) -> list[str]:
+def make_unique_headings(headings: Sequence[str]) -> list[str]:
     """Make headings valid for a table of Excel: unique regardless of case, and not empty.
 
     A heading has at most 250 characters, and a number if it would repeat another heading.
     """
-    unique_heads: dict[str, str] = {}
-    for head in heads:
-        printable_head = replace_unprintable(head)[:250] or "column"
-        unique_head, count = printable_head, 1
-        while unique_head.casefold() in unique_heads:
+    unique_headings: dict[str, str] = {}
+    for heading in headings:
+        printable_heading = replace_unprintable(heading)[:250] or "column"
+        unique_heading, count = printable_heading, 1
+        while unique_heading.casefold() in unique_headings:
             count += 1
-            unique_head = f"{printable_head} {count}"
-        unique_heads[unique_head.casefold()] = unique_head
-    return list(unique_heads.values())
+            unique_heading = f"{printable_heading} {count}"
+        unique_headings[unique_heading.casefold()] = unique_heading
+    return list(unique_headings.values())
 
 
 def _write_text(sheet: Any, row: int, column: int, text: str, cell_format: Any) -> None:
@@ -519,16 +519,17 @@ def _write_text(sheet: Any, row: int, column: int, text: str, cell_format: Any) 
     sheet.write_string(row, column, replace_unprintable(text), cell_format)
 
 
-def _compute_widths(table: Table, wrapped_heads: Sequence[str]) -> list[int]:
+def _compute_widths(table: Table, wrapped_headings: Sequence[str]) -> list[int]:
     """Compute the width of each column, characters: that of its longest text, within limits."""
     button_width, max_wrapped_width, max_width = 3, 46, 34  # a button of a heading sorts its column
-    widths = [max(8, *map(len, head.split(" "))) + button_width for head in table.heads]
+    widths = [max(8, *map(len, heading.split(" "))) + button_width for heading in table.headings]
     for row in table.rows:
         for column, value in enumerate(row):
             text = value.text if isinstance(value, Cell) else value
             if isinstance(text, str):
                 widths[column] = max(widths[column], len(text) + 1)
-    limits = [max_wrapped_width if head in wrapped_heads else max_width for head in table.heads]
+    is_wrapped = [heading in wrapped_headings for heading in table.headings]
+    limits = [max_wrapped_width if wraps else max_width for wraps in is_wrapped]
     return list(map(min, widths, limits))
 
 
@@ -536,7 +537,7 @@ def _add_chart(book: Any, table: Table, chart: Chart) -> Any:
     """Add a chart of the columns of a table to a workbook."""
     max_lines = 12  # more lines could not be distinguished
     chart_object = book.add_chart({"type": "scatter", "subtype": "straight"})
-    x, y = (table.heads.index(head) for head in (chart.x, chart.y))
+    x, y = (table.headings.index(heading) for heading in (chart.x, chart.y))
     for index, (name, (first, last)) in enumerate(list(chart.lines.items())[:max_lines]):
         dash = _CHART_DASHES[index // len(_CHART_COLOURS) % len(_CHART_DASHES)]
         colour = _CHART_COLOURS[index % len(_CHART_COLOURS)]
@@ -551,8 +552,9 @@ def _add_chart(book: Any, table: Table, chart: Chart) -> Any:
         "major_gridlines": {"visible": True, "line": {"color": "#e0e0e0", "width": 0.5}},
     }  # fmt: skip
     options |= {"log_base": 10, "crossing": "min"} if chart.is_log else {}
-    for set_axis, head in ((chart_object.set_x_axis, chart.x), (chart_object.set_y_axis, chart.y)):
-        set_axis({"name": _escape_formula(head[:1].upper() + head[1:]), **options})
+    set_x, set_y = chart_object.set_x_axis, chart_object.set_y_axis
+    for set_axis, heading in ((set_x, chart.x), (set_y, chart.y)):
+        set_axis({"name": _escape_formula(heading[:1].upper() + heading[1:]), **options})
     title = {"name": _escape_formula(chart.title), "name_font": {"bold": False, "size": 11}}
     chart_object.set_title(title if chart.title else {"none": True})
     chart_object.set_legend({"position": "right", "font": {"size": 9}})

@@ -320,10 +320,8 @@ def make_cantilever_page(table: WireTable) -> Page:
         panel = Plot(reason=format_sentence("report.no_end_loads"))
         return _make_wire_page(table, "cantilever", [panel], 40.0, note)
     x, end = table.tip_deflection, float(table.tip_deflection[-1])
-    stick_force, slip_force = (
-        3.0 * end / length**3 * stiffness
-        for stiffness in (table.stick_stiffness, table.slip_stiffness)
-    )
+    stick_force = 3.0 * end / length**3 * table.stick_stiffness
+    slip_force = 3.0 * end / length**3 * table.slip_stiffness
     lines = [
         make_line("cantilever", x, table.tip_force),
         make_line("cantilever_all_stick", [0.0, end], [0.0, stick_force]),
@@ -595,8 +593,8 @@ def _list_tables(
             "stress tables": stress_tables.get(table.name),
         })  # fmt: skip
     # only the records of wires with a law, which are last, have all headings
-    heads = dict.fromkeys(head for record in reversed(records) for head in record)
-    yield table_records.tabulate("wires", records, heads)
+    headings = dict.fromkeys(heading for record in reversed(records) for heading in record)
+    yield table_records.tabulate("wires", records, headings)
     yield laws
     yield _tabulate_cantilevers(tables)
     yield table_records.tabulate("notes", _list_notes(tables, refusals))
@@ -613,22 +611,22 @@ def _tabulate_laws(tables: Sequence[WireTable], law_rows: Sequence[Ints]) -> Tab
         records_by_wire[table.name] = _make_law_records(table, columns, table.is_doubtful[rows])
     names = [scale.label(label) for label, _, scale in _LAW_COLUMNS]
     charted_columns = names[0], STIFFNESS_SCALE.label("secant stiffness"), names[1]
-    heads = ["wire", *names, "doubtful"]
+    headings = ["wire", *names, "doubtful"]
     return table_records.tabulate_curves(
-        "laws", [("", records_by_wire)], *charted_columns, heads=heads, start=1, is_log=True
+        "laws", [("", records_by_wire)], *charted_columns, headings=headings, start=1, is_log=True
     )
 
 
 def _tabulate_cantilevers(tables: Sequence[WireTable]) -> Table:
     """Make the sheet of end loads against deflection, with a chart."""
-    heads = LENGTH_SCALE.label("tip deflection"), FORCE_SCALE.label("end load")
+    headings = LENGTH_SCALE.label("tip deflection"), FORCE_SCALE.label("end load")
     records_by_wire = {}
     for table in tables:
         x, y = LENGTH_SCALE.factor * table.tip_deflection, FORCE_SCALE.factor * table.tip_force
         is_doubtful = table.tip_deflection > table.doubtful_deflection
-        columns = dict(zip(heads, (x, y), strict=True))
+        columns = dict(zip(headings, (x, y), strict=True))
         records_by_wire[table.name] = _make_law_records(table, columns, is_doubtful)
-    return table_records.tabulate_curves("cantilevers", [("", records_by_wire)], *heads)
+    return table_records.tabulate_curves("cantilevers", [("", records_by_wire)], *headings)
 
 
 def _make_law_records(

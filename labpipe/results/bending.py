@@ -87,8 +87,8 @@ def compute_prop_force(self_weight: float, length: float) -> float:
     Notes
     -----
     The formula holds for a small sag and a linear law. The laws of stranded wires change it by at
-    most 0.03 % (A2 at 85 mm, B1 at 100 mm, A3 at 120 mm). A freely hanging specimen has the same
-    tip deflection as under this force alone.
+    most 0.03 % (A2 at 85 mm, B1 at 100 mm, A3 at 120 mm). The tip of a freely hanging specimen has
+    the same deflection as under this force alone.
     """
     return 0.375 * self_weight * length
 
@@ -125,9 +125,9 @@ def compute_roller_load(rollers: Rollers) -> tuple[Floats, Floats]:
     -----
     Half of the beam reaches from mid-span (slope 0) to the roller (slope a). It touches the roller
     where a radius of the roller is normal to the beam. The roller pushes with N along that normal
-    and, because the beam slides inwards over it, with mu N outwards along the beam. It exerts no
-    moment. The first integral of the elastica (Love, A Treatise on the Mathematical Theory of
-    Elasticity, 4th ed. 1927, secs. 260-263) with p = a - slope is then
+    and, because the beam slides inwards over the roller, with mu N outwards along the beam. The
+    roller exerts no moment. The first integral of the elastica (Love, A Treatise on the
+    Mathematical Theory of Elasticity, 4th ed. 1927, secs. 260-263) with p = a - slope is then
 
     EI (d slope / ds)^2 / 2 = N (sin p + mu (1 - cos p)).
 
@@ -179,8 +179,8 @@ def compute_stiffness_ratio(rollers: Rollers, *, start: float, stop: float) -> f
     n_samples = 200
     min_ratio = 0.5  # below it, geometry has more effect than the specimen
     deflection, load = compute_roller_load(rollers)
-    falling = np.flatnonzero(np.diff(deflection) <= 0.0)
-    last = int(falling[0]) if len(falling) else len(deflection) - 1
+    falling_samples = np.flatnonzero(np.diff(deflection) <= 0.0)
+    last = int(falling_samples[0]) if len(falling_samples) else len(deflection) - 1
     if stop > deflection[last]:
         at, high = 1e3 * deflection[last], 1e3 * stop
         raise UnavailableError.of("results.slips_through", at=at, high=high)
@@ -188,10 +188,8 @@ def compute_stiffness_ratio(rollers: Rollers, *, start: float, stop: float) -> f
     loads = np.interp(deflections, deflection[: last + 1], load[: last + 1])
     ratio = float(compute_slope(deflections, loads)) * rollers.span**3 / 48.0
     if ratio < min_ratio:
-        low, high = 1e3 * start, 1e3 * stop
-        raise UnavailableError.of(
-            "results.beyond_elastica", low=low, high=high, ratio=ratio, needed=min_ratio
-        )
+        facts = {"low": 1e3 * start, "high": 1e3 * stop, "ratio": ratio}
+        raise UnavailableError.of("results.beyond_elastica", **facts, needed=min_ratio)
     return ratio
 
 
@@ -204,6 +202,7 @@ class Roller:
 
 
 _CORRECTION_ORDER = ("large-deflection", "roller-radius", "roller-friction")
+"""Order in which corrections are applied."""
 
 
 class BendingStiffness(DerivedKind):
@@ -227,12 +226,12 @@ class BendingStiffness(DerivedKind):
     roller: Roller | None = None
 
     @property
-    def length(self) -> str:
-        """Key of the length in the formula."""
+    def length_key(self) -> str:
+        """Key of the length of the formula in the sizes of the test."""
         return SUPPORTS[self.support][0]
 
     def find_value_faults(self) -> Iterator[Fault]:
-        """Find corrections of a cantilever, and those without an input or 'large-deflection'."""
+        """Find corrections for a cantilever, without their input, or without 'large-deflection'."""
         names = self.corrections
         if names and self.support == "cantilever":
             yield Fault.of("results.corrected_cantilever", ("corrections",))
@@ -252,18 +251,18 @@ class BendingStiffness(DerivedKind):
     def measure_outcome(self, test: ReducedTest, stiffness: Stiffness) -> kinds.Outcome:
         """Measure the bending stiffness from a stiffness and the length of the beam."""
         sizes = test.setup.sizes
-        if self.length not in sizes:
-            is_span = self.length == "span"
+        if self.length_key not in sizes:
+            is_span = self.length_key == "span"
             raise UnavailableError.of("results.no_span" if is_span else "results.no_length")
         self._compute_ratio(sizes, stiffness.window)
 
         def compute_rigidity(trace: Trace, slope: Floats) -> Floats:
             """Compute bending stiffnesses, N m^2, NaN if an elastic beam would slip through."""
             ratio = return_failure(self._compute_ratio)(trace.sizes, stiffness.window)
-            rigidity = slope * compute_beam_factor(trace.sizes[self.length], self.support)
+            rigidity = slope * compute_beam_factor(trace.sizes[self.length_key], self.support)
             return np.asarray(rigidity / (np.nan if isinstance(ratio, Failure) else ratio[0]))
 
-        return test.measure_one(combine_numbers(compute_rigidity, stiffness.decide))
+        return test.measure_one(combine_numbers(compute_rigidity, stiffness.choose_samples))
 
     def collect_context(self, test: ReducedTest, stiffness: Stiffness) -> dict[str, Any]:
         """Return a remark on the corrections and their sizes."""
@@ -314,29 +313,30 @@ def fit_secant_stiffness(
     -----
     The slope is k = sum (t - mean t) F / sum (t - mean t) d, with time as the instrument, as in
     `labpipe.results.stiffness.choose_window`. The standard error is from the long-run variance of
-    F - k d less a cubic in time, the shape of the curve.
+    F - k d less a cubic in time, which follows the shape of the curve.
     """
     is_used = is_chosen & ~np.isnan(displacement) & ~np.isnan(force)
     count = int(is_used.sum())
     require_samples(count, 8)
     t, d, f = time[is_used], displacement[is_used], force[is_used]
     require_travel(d)
-    weight = t - t.mean()
-    travel = float(weight @ (d - d.mean()))
-    slope = float(weight @ (f - f.mean())) / travel
-    scaled = weight / np.abs(weight).max()
+    centred_time = t - t.mean()
+    travel = float(centred_time @ (d - d.mean()))
+    slope = float(centred_time @ (f - f.mean())) / travel
+    scaled_time = centred_time / np.abs(centred_time).max()
     residuals = f - slope * d
-    noise = residuals - np.polynomial.Polynomial.fit(scaled, residuals, 3)(scaled)
+    noise = residuals - np.polynomial.Polynomial.fit(scaled_time, residuals, 3)(scaled_time)
     variance = estimate_long_run_variance(noise, parameters=4)
-    return Estimate(slope, float(np.sqrt(variance * (weight @ weight)) / abs(travel)), count)
+    error = float(np.sqrt(variance * (centred_time @ centred_time)) / abs(travel))
+    return Estimate(slope, error, count)
 
 
 _SPAN = "mid_span"
 """Name of the signal of mid-span from cameras, and of the quantity of results from it alone."""
 _TURN_WINDOW, _MIN_SIDE_FRAMES = 2.0, 5
-"""Duration in s and number of frames on each side of a turn that a value at the turn needs."""
+"""Longest duration, s, and smallest number of frames on each side of a turn for a value there."""
 _MIN_REST_FRAMES, _MIN_TIP_FRAMES, _N_FIRST_FRAMES = 8, 16, 5
-"""Numbers of frames: needed at rest, needed with a tip, averaged for the first position."""
+"""Smallest numbers of frames at rest and with a tip; number of frames of the first position."""
 
 
 class TipTravel(Kind):
@@ -389,11 +389,10 @@ class MomentCurvature(Kind):
         yield self.make_result(test, outcome, error, period=period, doubts=doubts)
 
     def _read_stiffness(self, law: MeasuredLaw) -> Estimate:
-        """Read the stiffness of a law at the stated curvature."""
+        """Read the stiffness at the curvature `at` from a law."""
         if self.at > (largest := float(law.curvature[-1])):
-            raise UnavailableError.of(
-                "results.curvature_not_reached", largest=largest, needed=self.at
-            )
+            facts = {"largest": largest, "needed": self.at}
+            raise UnavailableError.of("results.curvature_not_reached", **facts)
         if self.at <= law.floor:
             raise UnavailableError.of("results.below_noise", floor=law.floor, needed=self.at)
         from labpipe.results.measured_law import evaluate_law  # only these tests load it
@@ -406,15 +405,15 @@ class MomentCurvature(Kind):
     def list_doubts(
         self, test: ReducedTest, bending: Bending, law: MeasuredLaw
     ) -> Iterator[Reason]:
-        """Yield doubts about the law: a misfit to the shapes, or earlier bending and own weight.
+        """Yield doubts about the law: a misfit to the shapes, bending at rest, or own weight.
 
         Parameters
         ----------
         test : reduced test
-        bending : its measured moment-curvature
-        law : law that is fitted to it
+        bending : measured moment and curvature of the test
+        law : law that is fitted to them
         """
-        # The law may miss the markers by three times their noise and 20 um.
+        # The residual of the law may be three times the noise of the markers, plus 20 um.
         shape, limits, limit = test.shape, test.setup.limits, 3.0 * law.noise + 2e-5
         if shape is not None and law.residual > limit:
             residual = 1e6 * law.residual
@@ -427,15 +426,15 @@ class MomentCurvature(Kind):
             yield Reason.of("results.bent_before", **facts)
         if test.setup.mass_per_length is not None or shape is None:
             return
-        own_moment = 0.5 * GRAVITY * limits.unstated_mass * shape.length**2
-        if own_moment > limits.weight_share * moment:
-            mass, own = 1e3 * limits.unstated_mass, 1e6 * own_moment
-            weight_facts = {"mass": mass, "moment": own, "share": limits.weight_share}
-            yield Reason.of("results.weight_matters", **weight_facts, at=self.at)
+        weight_moment = 0.5 * GRAVITY * limits.unstated_mass * shape.length**2
+        if weight_moment > limits.weight_share * moment:
+            facts = {"mass": 1e3 * limits.unstated_mass, "moment": 1e6 * weight_moment}
+            facts |= {"share": limits.weight_share, "at": self.at}
+            yield Reason.of("results.weight_matters", **facts)
 
 
 class MidSpan(RangeKind):
-    """``mid_span_bending_stiffness`` (N m^2) and ``mid_span_curvature`` (1/m): of a bent span."""
+    """``mid_span_bending_stiffness`` (N m^2) and ``mid_span_curvature`` (1/m) of a bent beam."""
 
     result: ClassVar = "mid-span"
     outputs: ClassVar = (
@@ -474,7 +473,7 @@ class MidSpan(RangeKind):
             alternative = return_failure(measure)(shape.curvature_fewer_terms)
             errors: dict[str, float] = {}
             if not (isinstance(outcome, Failure) or isinstance(alternative, Failure)):
-                # Half-widths of rectangular distributions.
+                # The changes are half-widths of rectangular distributions.
                 errors[SHAPE] = abs(alternative.value - outcome.value) / sqrt(3.0)
                 errors[MARKER_SIDE] = shape.side_change * abs(outcome.value) / sqrt(3.0)
                 errors |= kinds.compute_scale_error(test, outcome) if output == 0 else {}
@@ -487,10 +486,8 @@ class MidSpan(RangeKind):
         is_in_branch = (time >= branch.start_time) & (time < branch.stop_time)
         travel = np.interp(time, curve.time, curve.displacement)
         if not (travel[is_in_branch] > self.stop).any():
-            reached = 1e3 * float(np.max(travel[is_in_branch], initial=0.0))
-            raise UnavailableError.of(
-                "results.loading_not_reached", reached=reached, needed=1e3 * self.stop
-            )
+            reached, needed = 1e3 * np.max(travel[is_in_branch], initial=0.0), 1e3 * self.stop
+            raise UnavailableError.of("results.loading_not_reached", reached=reached, needed=needed)
         is_in_range = is_in_branch & (travel >= self.start) & (travel <= self.stop)
         axis = frames.span.shape.axis
         force = np.interp(time, curve.time, curve.force, left=np.nan, right=np.nan)
@@ -530,10 +527,10 @@ class _SpanFrames:
     def draw_errors(self, signals: Sequence[Floats], weights: Floats, name: str) -> Floats:
         """Draw errors of a weighted sum over the first of several signals, shape (replicates,).
 
-        All signals (frames,) have noise of one process, each with its own standard deviation. The
-        random stream has the `name`.
+        The noise of all signals (frames,) is of one process, with a standard deviation for each
+        signal. `name` is the name of the random stream.
         """
-        branch_intervals, batch_records = 40, 50
+        branch_intervals, batch_records = 40, 50  # of a spline; drawn at once
         branches = self.curve.branches
         ends = [*(branch.start_time for branch in branches), branches[-1].stop_time]
         cuts: list[int] = np.searchsorted(self.time, ends).tolist()
@@ -555,15 +552,15 @@ class _SpanFrames:
 
 
 def _measure_at_turn(
-    values: Floats, frames: _SpanFrames, name: str, similar: Sequence[Floats] = ()
+    values: Floats, frames: _SpanFrames, name: str, similar_signals: Sequence[Floats] = ()
 ) -> Estimate:
     """Estimate the change of a quantity (frames,) from rest to the end of loading.
 
-    The value at the end is that of two parabolas that meet. Its noise is estimated together with
-    that of `similar` signals.
+    The value at the end is that of two parabolas that meet at the turn. Its noise is estimated
+    together with that of `similar_signals`.
     """
     is_finite = np.isfinite(values)
-    is_at_rest = frames.span.rest & is_finite
+    is_at_rest = frames.span.is_at_rest & is_finite
     if is_at_rest.sum() < _MIN_REST_FRAMES:
         raise UnavailableError.of("results.no_rest", count=int(is_at_rest.sum()))
     branch = frames.loading
@@ -580,7 +577,7 @@ def _measure_at_turn(
     weights = np.where(is_at_rest, -1.0 / is_at_rest.sum(), 0.0)
     weights[is_in_window] += np.linalg.pinv(design)[0]
     value = float(weights @ np.nan_to_num(values))
-    errors = frames.draw_errors([values, *similar], weights, name)
+    errors = frames.draw_errors([values, *similar_signals], weights, name)
     lower, upper = np.quantile(errors, (0.025, 0.975)).tolist()
     interval = Interval(value - upper, value - lower)
     return Estimate(value, float(errors.std()), len(time_from_turn), interval)
@@ -605,13 +602,13 @@ class Twist(Kind):
         sections = np.flatnonzero(shape.lever_arm > 0.0)  # sections whose markers show a twist
         if not len(sections):
             raise UnavailableError.of("results.too_few_markers", sections=len(shape.lever_arm))
-        x = np.nanmean(shape.centres[frames.span.rest][..., 0], axis=0)
+        x = np.nanmean(shape.centres[frames.span.is_at_rest][..., 0], axis=0)
         section = int(sections[np.argmin(np.abs(x[sections]))])
         yield Finding.of("results.twist_section", "markers", at=1e3 * x[section])
-        twists = [shape.twist[:, other] for other in sections if other != section]
-        similar = [twist for twist in twists if np.isfinite(twist).any()]
+        twists = [shape.twist[:, index] for index in sections if index != section]
+        similar_twists = [twist for twist in twists if np.isfinite(twist).any()]
         measure = return_failure(_measure_at_turn)
-        twist = measure(shape.twist[:, section], frames, "twist", similar)
+        twist = measure(shape.twist[:, section], frames, "twist", similar_twists)
         if isinstance(twist, Estimate) and twist.value < 0.0:
-            twist = measure(-shape.twist[:, section], frames, "twist", similar)
+            twist = measure(-shape.twist[:, section], frames, "twist", similar_twists)
         yield self.make_result(test, twist, period=test.find_loading_interval())

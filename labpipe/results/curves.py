@@ -41,12 +41,11 @@ if TYPE_CHECKING:
     from labpipe.results.slack_and_slips import LoadDrop
 
 
-def require_samples(count: int, needed: int, where: str = " in the stretch") -> None:
+def require_samples(count: int, needed: int, location: str = " in the stretch") -> None:
     """Raise ``too_few_samples`` if there are fewer samples than needed."""
     if count < needed:
-        raise UnavailableError.of(
-            "results.too_few_samples", count=count, where=where, needed=needed
-        )
+        facts = {"count": count, "where": location, "needed": needed}
+        raise UnavailableError.of("results.too_few_samples", **facts)
 
 
 def require_travel(values: Floats, quantity: str = "displacement") -> None:
@@ -64,19 +63,19 @@ def compute_slope(x: Floats, y: Floats) -> Floats:
 
     Returns
     -------
-    Shape (...): sum (x - mean x) y / sum (x - mean x)^2; NaN if `x` is constant.
+    Shape (...), the slopes sum (x - mean x) y / sum (x - mean x)^2; NaN if `x` is constant.
 
     Examples
     --------
     >>> compute_slope(np.array([0.0, 1.0, 2.0]), np.array([[1.0, 2.0, 6.0], [5.0, 5.0, 5.0]]))
     array([2.5, 0. ])
     """
-    lever = x - x.mean(axis=-1, keepdims=True)
-    return divide(np.vecdot(lever, y), np.vecdot(lever, lever))
+    centred_x = x - x.mean(axis=-1, keepdims=True)
+    return divide(np.vecdot(centred_x, y), np.vecdot(centred_x, centred_x))
 
 
 def compute_zero_crossing(x: Floats, y: Floats) -> Floats:
-    """Compute where the rising least-squares line of each row is zero.
+    """Compute the positions at which the rising least-squares line of each row is zero.
 
     Parameters
     ----------
@@ -94,8 +93,7 @@ def compute_zero_crossing(x: Floats, y: Floats) -> Floats:
     """
     slope = compute_slope(x, y)
     slope = np.where(slope > 0.0, slope, np.nan)
-    zero: Floats = x.mean(axis=-1) - y.mean(axis=-1) / slope
-    return zero
+    return np.asarray(x.mean(axis=-1) - y.mean(axis=-1) / slope)
 
 
 def fit_chosen_lines(is_chosen: Flags, x: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:
@@ -114,9 +112,10 @@ def fit_chosen_lines(is_chosen: Flags, x: Floats, y: Floats) -> tuple[Floats, Fl
     count = is_chosen.sum(axis=1)
     x, y = (np.where(is_chosen, values, 0.0) for values in (x, y))
     mean_x, mean_y = (divide(values.sum(axis=1), count) for values in (x, y))
-    lever = np.where(is_chosen, x - mean_x[:, np.newaxis], 0.0)
-    spread, rounding = np.vecdot(lever, x), 4.0 * np.finfo(float).eps * count * mean_x**2
-    return mean_x, mean_y, divide(np.vecdot(lever, y), np.where(spread > rounding, spread, 0.0))
+    centred_x = np.where(is_chosen, x - mean_x[:, np.newaxis], 0.0)
+    spread, rounding = np.vecdot(centred_x, x), 4.0 * np.finfo(float).eps * count * mean_x**2
+    spread = np.where(spread > rounding, spread, 0.0)
+    return mean_x, mean_y, divide(np.vecdot(centred_x, y), spread)
 
 
 def compute_polynomial_weights(x: Floats, *, degree: int) -> Floats:
@@ -124,13 +123,13 @@ def compute_polynomial_weights(x: Floats, *, degree: int) -> Floats:
 
     Parameters
     ----------
-    x : shape (n,), positions of the values, best near zero
+    x : shape (n,), positions of the values, preferably near zero
     degree : degree of the polynomial
 
     Returns
     -------
-    shape (degree + 1, n). The products of the weights and the values, shape (..., n), are the
-    coefficients, the constant first.
+    shape (degree + 1, n). The products of the weights and the values are the coefficients, with the
+    constant first.
 
     Examples
     --------
@@ -140,8 +139,7 @@ def compute_polynomial_weights(x: Floats, *, degree: int) -> Floats:
     """
     scale = float(np.abs(x).max()) or 1.0
     powers = np.arange(degree + 1.0)[:, np.newaxis]
-    weights: Floats = np.linalg.pinv((x / scale) ** powers).T / scale**powers
-    return weights
+    return np.asarray(np.linalg.pinv((x / scale) ** powers).T / scale**powers)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -150,7 +148,7 @@ class CommonPath:
 
     Parameters
     ----------
-    samples : shape (k,), indices of the samples, or the slice of all in order
+    samples : shape (k,), indices of the samples; a slice for all samples in order
     displacement : shape (k,), m, displacements of the reference curve
     slope : shape (k,), N/m, slopes of the reference curve
     """
@@ -170,18 +168,18 @@ class CommonPath:
 
         Notes
         -----
-        If the displacement does not increase over these fiftieths, the slope is that from the first
-        to the last sample, or zero if the displacement does not increase between these either.
+        If the displacement does not increase over the two fiftieths, the slope is that from the
+        first to the last sample. If it does not increase between these either, the slope is zero.
         """
-        in_time = np.argsort(samples)
-        d, f = displacement[samples[in_time]], force[samples[in_time]]
+        time_order = np.argsort(samples)
+        d, f = displacement[samples[time_order]], force[samples[time_order]]
         last = len(d) - 1
         rows, half_width = np.arange(last + 1), max(1, last // 50)
         start, stop = np.maximum(rows - half_width, 0), np.minimum(rows + half_width, last)
         run, rise, stroke = d[stop] - d[start], f[stop] - f[start], d[-1] - d[0]
-        overall = (f[-1] - f[0]) / stroke if stroke > 0.0 else 0.0
+        mean_slope = (f[-1] - f[0]) / stroke if stroke > 0.0 else 0.0
         slope = np.empty(last + 1)
-        slope[in_time] = np.where(run > 0.0, rise / np.where(run > 0.0, run, 1.0), overall)
+        slope[time_order] = np.where(run > 0.0, rise / np.where(run > 0.0, run, 1.0), mean_slope)
         is_all = np.array_equal(samples, np.arange(len(force)))
         return cls(slice(None) if is_all else samples, displacement[samples], slope)
 
@@ -200,10 +198,11 @@ class CommonPath:
 
         Notes
         -----
-        With a displacement from cameras, noise gives each replicate its own displacements. A
-        function that is linear in the force at fixed displacements then applies to all of them. The
-        second order is neglected: noise of the displacement makes a least-squares slope smaller, by
-        its variance over that of the displacements.
+        With a displacement from cameras, each replicate has its own noise of the displacement. The
+        moved forces of all replicates belong to the same displacements, so that one function that
+        is linear in the forces applies to all of them. The second order is neglected: noise of the
+        displacement makes a least-squares slope smaller, by the variance of the noise over that of
+        the displacements.
         """
         path_force: Floats = force[..., self.samples]
         if displacement is None:
@@ -231,9 +230,9 @@ class SampleNoise:
 
     Parameters
     ----------
-    smooth : shape (n,), m or N, the curve without noise
+    smooth_values : shape (n,), m or N, the curve without noise
     deviations : shape (n,), m or N, deviations of single samples from the mean of their block
-    unfiltered : shape (n,), m or N, the same deviations before `filters`
+    unfiltered_deviations : shape (n,), m or N, the same deviations before `filters`
     filters : filters of the quantity, applied to each piece; empty if its unfiltered record has
         another number of samples
     cuts : samples at which a new piece begins
@@ -243,16 +242,16 @@ class SampleNoise:
     rng : random generator with a fixed seed
     """
 
-    smooth: Floats
+    smooth_values: Floats
     deviations: Floats
-    unfiltered: Floats
+    unfiltered_deviations: Floats
     filters: tuple[Filter, ...]
     cuts: tuple[int, ...]
     blocks: Ints | None
     rng: np.random.Generator
 
     @classmethod
-    def around(
+    def select(
         cls, test: ReducedTest, trace: Trace, quantity: Quantity, stretch: slice, centre: int
     ) -> SampleNoise | None:
         """Select the samples of a quantity around a sample of the curve.
@@ -263,21 +262,22 @@ class SampleNoise:
         trace : the curve without noise, as the replicates have it
         quantity : quantity whose samples are needed
         stretch : samples of `trace` that may be used
-        centre : index of one of them, such as the peak
+        centre : index of the central sample, such as the peak
 
         Returns
         -------
         The noise; None if the replicates have all samples, or if too few samples have a value.
         """
+        # Numbers of samples on each side, in all, and in a block; ratio to the usual deviation.
         max_samples, min_samples, min_block_samples, max_scatter_ratio = 20_000, 20, 1.5, 30.0
         name, signal = getattr(test.signals, quantity), test.force
-        is_fast = quantity == "force" and test.force.clock != test.clocks.curve_clock
-        if not is_fast:
+        has_own_clock = quantity == "force" and test.force.clock != test.clocks.curve_clock
+        if not has_own_clock:
             time, values = test.required_curve.time, getattr(test.required_curve, quantity)
             signal = replace(test.displacement, time=time, values=values)
         unfiltered = test.unfiltered if quantity == "force" else test.signals.raw[name]
         filters = test.signals.filters.get(name, ())
-        has_single_samples = is_fast and have_no_filter_effect(filters)
+        has_single_samples = has_own_clock and have_no_effect(filters)
         if unfiltered is None or len(unfiltered.time) != len(signal.time):
             unfiltered, filters = signal, ()
         rng = make_generator(test.seed, f"single {quantity}")
@@ -295,7 +295,7 @@ class SampleNoise:
         rows = np.stack([x.values[samples] - smooth for x in (signal, unfiltered)])
         is_valid = ~np.isnan(rows).any(axis=0)
         if quantity == "force" and trace.failed_at is not None and is_valid.any():
-            # Samples of a block that contains a break are far off its mean.
+            # In a block that contains a break, samples are far from the mean of the block.
             scatter = np.quantile(np.abs(rows[0, is_valid]), 0.9)
             is_valid &= np.abs(rows[0]) <= (max_scatter_ratio * scatter or np.inf)
         if is_valid.sum() < min_samples:
@@ -311,38 +311,39 @@ class SampleNoise:
         rows -= np.stack([(np.bincount(blocks, row) / counts)[blocks] for row in rows])
         return cls(smooth, rows[0], rows[1], filters, cuts, blocks + first, rng)
 
-    def compute_peak_effect(self, noise: Floats, sense: float) -> Floats:
-        """Draw the effect of noise on the peak in the sense of loading.
+    def draw_peak_effect(self, noise: Floats, sense: float) -> Floats:
+        """Draw the effect of noise on the peak in the direction of loading.
 
         Parameters
         ----------
         noise : shape (replicates, samples of the curve), m or N, noise of the quantity
-        sense : sign of loading
+        sense : sign of the change of the quantity in loading
 
         Returns
         -------
         shape (replicates,), m or N.
         """
-        # A sample may be the largest up to this many standard deviations of noise below the peak.
+        # With noise, a sample this many standard deviations below the peak may become the largest.
         max_deviations = 8.0
-        smooth = sense * self.smooth
+        smooth = sense * self.smooth_values
         variance = self.deviations.var()
         if self.blocks is not None:
             variance += np.nanvar(noise[:, self.blocks[0] : self.blocks[-1] + 1])
         near_peak = np.flatnonzero(smooth >= smooth.max() - max_deviations * np.sqrt(variance))
-        # All windows of more than half of the samples would share some deviations.
+        # Any two windows longer than half of the samples would share some deviations.
         near_peak = near_peak[near_peak < near_peak[0] + (len(smooth) + 1) // 2]
         filter_reach = min(_measure_filter_reach(self.filters), (len(smooth) - 1) // 4)
         start = max(int(near_peak[0]) - filter_reach, 0)
         stop = min(int(near_peak[-1]) + filter_reach + 1, len(smooth))
-        windows = np.lib.stride_tricks.sliding_window_view(self.unfiltered, stop - start)
+        deviations = self.unfiltered_deviations
+        windows = np.lib.stride_tricks.sliding_window_view(deviations, stop - start)
         rows = self.rng.integers(0, len(windows), len(noise))
         cuts = [cut - start for cut in self.cuts]
         samples = filter_pieces(windows[rows], cuts, self.filters)[:, near_peak - start]
         if self.blocks is not None:
             samples += noise[:, self.blocks[near_peak]]
-        raised: Floats = (smooth[near_peak] + sense * samples).max(axis=1) - smooth.max()
-        return sense * raised
+        peaks = (smooth[near_peak] + sense * samples).max(axis=1)
+        return np.asarray(sense * (peaks - smooth.max()))
 
     def draw_deviations(self, shape: tuple[int, ...]) -> Floats:
         """Draw deviations of single samples from their block, which are zero without blocks."""
@@ -353,14 +354,14 @@ class SampleNoise:
 
 @lru_cache(maxsize=16)
 def _measure_filter_reach(filters: tuple[Filter, ...]) -> int:
-    """Measure over how many samples to each side filters spread a pulse, down to 0.1 %."""
+    """Measure over how many samples on each side filters spread a pulse, down to 0.1 %."""
     middle = 2000
     pulse = np.eye(1, 2 * middle + 1, middle)[0]
     response = np.abs(filter_pieces(pulse, (), filters))
     return int(np.abs(np.flatnonzero(response > 1e-3 * response.max()) - middle).max())
 
 
-def have_no_filter_effect(filters: Sequence[Filter]) -> bool:
+def have_no_effect(filters: Sequence[Filter]) -> bool:
     """Return whether filters leave a pulse of a single sample unchanged."""
     pulse = np.eye(1, 101, 50)[0]
     return all(np.array_equal(filter_function(pulse), pulse) for filter_function, _ in filters)
@@ -374,7 +375,7 @@ def _interpolate_branches(trace: Trace, values: Floats, time: Floats, stretch: s
     trace : the curve
     values : shape (samples of the curve,), force or displacement of the curve
     time : shape (n,), s on the clock of the curve, times of the interpolated values
-    stretch : samples of the curve around those times
+    stretch : samples of the curve around these times
     """
     interpolated = np.empty(len(time))
     turns = [turn for turn in _list_turns(trace) if stretch.start < turn[0] < stretch.stop]
@@ -387,7 +388,7 @@ def _interpolate_branches(trace: Trace, values: Floats, time: Floats, stretch: s
 
 
 def _list_turns(trace: Trace) -> list[tuple[int, float]]:
-    """List the samples of a curve at which a piece begins, with their times."""
+    """List the samples at which a piece of a curve begins, and the times of these turns."""
     turns = {branch.start: branch.start_time for branch in trace.branches}
     turns |= {branch.stop: branch.stop_time for branch in trace.branches}
     if trace.failed_at is not None:
@@ -425,7 +426,7 @@ def replicate_curves(test: ReducedTest) -> Replicates | None:
 
     Returns
     -------
-    The replicates; None without a curve, a branch of it, or an unfiltered force.
+    The replicates; None without a curve, without branches, or without an unfiltered force.
     """
     curve, unfiltered = test.curve, test.unfiltered
     if curve is None or unfiltered is None or not curve.branches:
@@ -444,7 +445,7 @@ def replicate_curves(test: ReducedTest) -> Replicates | None:
         (test.signals.force, _read_forces(test, unfiltered, curve)),
     ):
         grid_filters = _make_grid_filters(test, name, averaged.time)
-        record = filtered if have_no_filter_effect(grid_filters) else raw
+        record = filtered if have_no_effect(grid_filters) else raw
         records.append(average_between(record, starts))
         filters.append(partial(_filter_records, filters=grid_filters, cuts=cuts))
     grid = replace(averaged, displacement=records[0], force=records[1])
@@ -457,7 +458,7 @@ def replicate_curves(test: ReducedTest) -> Replicates | None:
         inputs,
         seed=test.seed,
         compliance=test.compliance,
-        averaged=averaged,
+        averaged_trace=averaged,
     )
 
 
@@ -480,7 +481,7 @@ def make_trace(test: ReducedTest) -> Trace:
 
 
 def select_first_loading(trace: Trace) -> slice:
-    """Select the samples of the first loading, up to a failure in it, or none without a loading.
+    """Select the samples of the first loading up to a failure; none if there is no loading.
 
     Parameters
     ----------
@@ -500,13 +501,13 @@ def _find_block_starts(corners: Sequence[int], curve: Curve) -> Ints:
 
     The last block before a corner includes the remainder.
     """
-    # The shortest branch has fewer blocks than `min_branch_blocks` if `max_blocks` requires longer
-    # ones. A record of fewer than `min_blocks` samples is not averaged.
+    # The shortest branch has fewer than `min_branch_blocks` blocks if `max_blocks` requires longer
+    # blocks. A record of fewer than `min_blocks` samples is not averaged.
     min_blocks, max_blocks, min_branch_blocks = 6_000, 20_000, 500
     count = len(curve.time)
     shortest = min(branch.stop - branch.start for branch in curve.branches)
     size = min(count // min_blocks, shortest // min_branch_blocks)
-    size = max(size, -(-count // max_blocks))
+    size = max(size, -(-count // max_blocks))  # rounded up
     pieces = pairwise([0, *corners, count])
     starts = [np.arange(start, max(stop - size, start) + 1, size) for start, stop in pieces]
     return np.concatenate(starts)
@@ -543,9 +544,9 @@ def _move_to_grid(trace: Trace, starts: Ints) -> Trace:
 
 
 def _read_displacements(test: ReducedTest, curve: Curve) -> tuple[Floats, Floats]:
-    """Return the displacement including that of the frame, filtered and unfiltered.
+    """Return the displacement including that of the load frame, filtered and unfiltered.
 
-    Both are the filtered one if the displacement was thinned.
+    If the displacement was thinned, both are the filtered one.
     """
     filtered = curve.displacement + test.compliance * np.nan_to_num(curve.force)
     raw = test.signals.raw[test.signals.displacement].values
@@ -555,20 +556,20 @@ def _read_displacements(test: ReducedTest, curve: Curve) -> tuple[Floats, Floats
 
 
 def _read_forces(test: ReducedTest, unfiltered: Signal, curve: Curve) -> tuple[Floats, Floats]:
-    """Return the force of the curve, and the unfiltered one on it with slips added back."""
+    """Return the force of the curve, and the unfiltered force at its times, slips added back."""
     force = _sample_on_curve(test, unfiltered, curve.time)
-    force = add_slips_back(force, _list_repaired(test))
+    force = add_slips_back(force, _list_repaired_slips(test))
     # The filter bridges missing samples.
     force = np.where(np.isnan(force), curve.force, force)
     return curve.force, np.where(np.isnan(curve.force), np.nan, force)
 
 
 def _sample_on_curve(test: ReducedTest, signal: Signal, time: Floats) -> Floats:
-    """Sample a signal at the times of the curve, as means around each time if it is faster."""
+    """Sample a signal at the times of the curve, a faster signal by means around these times."""
     if len(signal.time) < 2 * len(time):
         return test.clocks.interpolate(signal, time)
     step, half_step = compute_median_step(signal.time), 0.5 * compute_median_step(time)
-    # Each sample is the mean of a step around it, so the ends are half a step earlier.
+    # Each sample is the mean over a step around it, so the ends are half a step earlier.
     curve_ends = np.array([time - half_step, time + half_step])
     ends = test.clocks.from_curve(curve_ends, signal.clock) - 0.5 * step
     end_samples = np.searchsorted(signal.time[:-1], ends, side="right")
@@ -591,7 +592,7 @@ def _sample_on_curve(test: ReducedTest, signal: Signal, time: Floats) -> Floats:
 
 
 def _make_grid_filters(test: ReducedTest, name: str, time: Floats) -> list[Filter]:
-    """Scale the filters of a signal to the grid, without any for a thinned displacement."""
+    """Scale the filters of a signal to the grid; a thinned displacement has none."""
     signals = test.signals
     raw, step = signals.raw[name].time, compute_median_step(time)
     if name == signals.displacement and len(raw) != len(test.required_curve.time):
@@ -617,7 +618,7 @@ def _filter_records(values: Floats, *, filters: Sequence[Filter], cuts: Sequence
 def _list_inputs(
     test: ReducedTest, starts: Ints, smooth: Callable[[Floats], Floats]
 ) -> Iterator[Input]:
-    """Yield the uncertain inputs of the whole record."""
+    """Yield the uncertain inputs of the whole record; `smooth` smooths values on the grid."""
     yield from _list_scales(test)
     displacement, curve, time = test.displacement, test.required_curve, test.required_curve.time
     drift = test.raw_force.zero_drift * float(np.nanmax(np.abs(curve.force)))
@@ -627,7 +628,7 @@ def _list_inputs(
         yield Input(causes.DRIFT_OF_ZERO, add_drift, stream=f"{causes.DRIFT_OF_ZERO} {index}")
     for cause, signal in displacement.variants.items():
         change = average_between(signal - displacement.values, starts)
-        # The noise of such a change would raise the largest of many samples.
+        # Noise of the change would raise the largest of many samples.
         change = smooth(change) if cause in _CAUSES_BY_FRAME else change
         distribution: Distribution = "uniform" if cause == causes.SHAPE else "normal"
         yield Input(cause, partial(shift_displacement_by, change=change), distribution=distribution)
@@ -641,10 +642,10 @@ def _list_inputs(
     curve_step = len(starts) / len(time)  # in steps of the grid
 
     def delay_end(trace: Trace, x: float) -> Trace:
-        return replace(trace, steps_beyond=x * curve_step)
+        return replace(trace, steps_to_event=x * curve_step)
 
     yield Input(causes.STEP, delay_end, distribution="step", moves_curve=False)
-    for index, slip in enumerate(_list_repaired(test), start=1):
+    for index, slip in enumerate(_list_repaired_slips(test), start=1):
         is_after_slip = np.arange(len(starts)) >= np.searchsorted(starts, slip.stop)
         error = np.where(is_after_slip, slip.drop_interval.standard_error, 0.0)
         add_drop = partial(_add_force, change=error)
@@ -680,7 +681,7 @@ def _list_scales(test: ReducedTest) -> Iterator[Input]:
             yield Input(cause, partial(add, change=step / np.sqrt(12.0)), distribution="uniform")
 
 
-def _list_repaired(test: ReducedTest) -> list[Slip]:
+def _list_repaired_slips(test: ReducedTest) -> list[Slip]:
     """List the slips whose losses are added back to the force."""
     return [slip for slip in test.slips if slip.decision is SlipDecision.REPAIRED]
 
@@ -702,21 +703,21 @@ def add_slips_back(force: Floats, slips: Sequence[Slip | LoadDrop]) -> Floats:
     for slip in slips:
         repaired[slip.stop :] += slip.drop
     for slip in slips:
-        inside = np.arange(slip.start + 1, slip.stop)
+        inner = np.arange(slip.start + 1, slip.stop)
         ends = repaired[[slip.start, slip.stop]]
-        line = np.interp(inside, [slip.start, slip.stop], ends)
-        repaired[inside] = np.where(np.isnan(repaired[inside]), np.nan, line)
+        line = np.interp(inner, [slip.start, slip.stop], ends)
+        repaired[inner] = np.where(np.isnan(repaired[inner]), np.nan, line)
     return repaired
 
 
 def _estimate_converter_step(values: Floats) -> float:
-    """Estimate the step of a converter, or return 0 if it is not coarser than the noise.
+    """Estimate the step of a converter, or return 0 if the step is not coarser than the noise.
 
-    Such a record is constant over more than half of its samples, and becomes constant at least ten
-    times, since no noise shows the values between two levels. The step is the median change.
+    A record with coarse steps is constant over more than half of its samples, and becomes constant
+    at least ten times. Noise would show the values between two levels. The step is the median
+    change.
     """
-    min_constant_fraction = 0.5
-    min_levels = 10
+    min_constant_fraction, min_levels = 0.5, 10
     finite = drop_missing(values)
     is_constant = finite[1:] == finite[:-1]
     if not min_constant_fraction * len(is_constant) < is_constant.sum() < len(is_constant):
@@ -729,8 +730,8 @@ def _estimate_converter_step(values: Floats) -> float:
 def _find_zero_time(test: ReducedTest) -> float:
     """Return the time at which the force was zeroed, s on the clock of the curve.
 
-    It is the middle of the stretch of a mean, or the outer end of that of a line. Without a zero,
-    it is the time of the first sample.
+    For a zero by a mean, it is the middle of the stretch. For a zero by a line, it is the outer end
+    of the stretch. Without a zero, it is the time of the first sample.
     """
     signals, time = test.signals, test.required_curve.time
     name, clock = signals.force, signals.raw[signals.force].clock
@@ -743,7 +744,7 @@ def _find_zero_time(test: ReducedTest) -> float:
 
 
 def _add_force(trace: Trace, x: float, *, change: float | Floats, compliance: float = 0.0) -> Trace:
-    """Add a multiple of a force to a trace, and subtract the displacement of the frame."""
+    """Add a multiple of a force to a trace, and subtract the displacement of the load frame."""
     shift = x * compliance * np.nan_to_num(change)
     return replace(trace, force=trace.force + x * change, displacement=trace.displacement - shift)
 

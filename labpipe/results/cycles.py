@@ -20,7 +20,7 @@ from labpipe.records.signals import Stretch
 from labpipe.results import curves, kinds
 from labpipe.results.kinds import Kind, Part, ReducedTest
 from labpipe.uncertainty.autocorrelation import estimate_fast_noise, scale_limit_by_noise
-from labpipe.uncertainty.replicates import Reading, Trace, read_part
+from labpipe.uncertainty.replicates import Extractor, Trace, restrict
 
 
 def integrate_energy(displacement: Floats, force: Floats) -> Floats:
@@ -39,8 +39,7 @@ def integrate_energy(displacement: Floats, force: Floats) -> Floats:
     np.subtract(displacement[..., 2:], displacement[..., :-2], out=steps[..., 1:-1])
     steps[..., 0] = displacement[..., 1] - displacement[..., 0]
     steps[..., -1] = displacement[..., -1] - displacement[..., -2]
-    work: Floats = 0.5 * np.vecdot(steps, force)
-    return work
+    return np.asarray(0.5 * np.vecdot(steps, force))
 
 
 FOOT_LIMIT_FACTOR = 5.0
@@ -59,16 +58,16 @@ class UnloadingEnd:
 
     Parameters
     ----------
-    kind : the force continues below zero; the string is slack and the displacement at rest; or the
-        foot of the force is extrapolated to zero
-    limit : force up to which a force counts as zero, N
+    kind : ``through zero``: the force continues below zero; ``at rest``: the string is slack and
+        the displacement constant; ``extrapolated``: the foot of the force is extrapolated to zero
+    limit : N, force up to which a force counts as zero
     n : number of samples used for the displacement
     compute : function that returns the displacement at zero force, m, shape (...), from
         displacements and forces of the branch, shape (..., n); NaN for a curve whose force does not
         return to zero
     """
 
-    kind: Literal["through zero", "at rest", "followed"]
+    kind: Literal["through zero", "at rest", "extrapolated"]
     limit: float
     n: int
     compute: Callable[[Floats, Floats], Floats]
@@ -82,24 +81,24 @@ def find_unloading_end(
     force_below: float,
     measured_end: UnloadingEnd | None = None,
 ) -> UnloadingEnd:
-    """Choose the samples for the displacement at zero force after unloading.
+    """Find the end of an unloading, and the samples for the displacement at zero force.
 
     Parameters
     ----------
     time, displacement, force : one unloading branch, shape (n,), s, m, N; NaN are ignored
-    force_below : force within which a force counts as zero, N. It is reduced to a fiftieth of the
-        largest force, then raised to four standard deviations of the noise, where needed
+    force_below : N, force up to which a force counts as zero. It is reduced to a fiftieth of the
+        largest force, then raised to four standard deviations of the noise, if necessary
     measured_end : end of the measured branch, for a smooth branch without noise; else None
 
     Returns
     -------
-    The end and its samples.
+    The end, with the function that computes the displacement.
 
     Raises
     ------
     UnavailableError
-        ``force_not_zero`` if the branch ends before the force is zero; ``too_few_samples`` if too
-        few samples remain.
+        ``force_not_zero`` if the branch ends before the force is zero; ``too_few_samples`` if a fit
+        has too few samples.
 
     Notes
     -----
@@ -115,12 +114,12 @@ def find_unloading_end(
        extrapolated along a line through the last second before zero force, because it may have a
        kink there. The foot is chosen for each curve.
     """
-    max_zero_share = 0.02  # largest force that may count as zero, share of the largest force
+    max_zero_fraction = 0.02  # of the largest force: largest force that may count as zero
     noise_factor = 4.0  # a force above this many standard deviations of the noise is not zero
     finite = curves.find_finite_samples(displacement, force)
     t, d, f = (values[finite] for values in (time, displacement, force))
     curves.require_samples(len(f), 2 * _MIN_CROSSING_SAMPLES, "")
-    lowest_limit = min(force_below, max_zero_share * float(f.max()))
+    lowest_limit = min(force_below, max_zero_fraction * float(f.max()))
     limit = max(noise_factor * float(estimate_fast_noise(f)), lowest_limit)
     limit = limit if measured_end is None else measured_end.limit
     samples_above = np.flatnonzero(f > limit)
@@ -132,7 +131,7 @@ def find_unloading_end(
     if kind is None and np.median(f[-_MIN_CROSSING_SAMPLES:]) < -limit:
         kind = "through zero"
     if kind == "through zero":
-        return _fit_zero_crossing(finite, t, f, limit)
+        return _choose_zero_crossing(finite, t, f, limit)
     last_time = float(t[samples_above[-1]])
     zero_times, slopes, _ = _extrapolate_foot(t - last_time, f[np.newaxis], np.array([[limit]]))
     zero_time = last_time + float(zero_times[0])
@@ -147,7 +146,7 @@ def find_unloading_end(
     if count < _MIN_CROSSING_SAMPLES:
         raise UnavailableError.of("results.few_before_zero", count=count, zero=zero_time)
     compute = partial(_extrapolate_to_zero, finite, t - last_time, (limit, lowest_limit))
-    return UnloadingEnd("followed", limit, count, compute)
+    return UnloadingEnd("extrapolated", limit, count, compute)
 
 
 def _extrapolate_foot(time: Floats, force: Floats, limits: Floats) -> tuple[Floats, Floats, Ints]:
@@ -161,26 +160,28 @@ def _extrapolate_foot(time: Floats, force: Floats, limits: Floats) -> tuple[Floa
 
     Returns
     -------
-    Time of zero force (s), slope of the foot (N/s), and last sample above the limit, or -1; each of
-    shape (rows,). If the force does not fall there, the time is that of the last sample and the
-    slope 0.
+    zero_times : shape (rows,), s, time of zero force
+    slopes : shape (rows,), N/s, slope of the foot. If the force does not fall there, the slope is 0
+        and the time is that of the last sample above the limit
+    last : shape (rows,), index of the last sample above the limit, or -1
     """
     first, last = (find_last_flagged(force > x) for x in (FOOT_LIMIT_FACTOR * limits, limits))
     rows = slice(max(int(first.min()), 0), max(int(last.max()), 0) + 1)
-    numbers = np.arange(rows.start, rows.stop)
-    is_foot = (numbers >= first[:, np.newaxis]) & (numbers <= last[:, np.newaxis])
-    middle, level, slope = curves.fit_chosen_lines(is_foot, time[rows], force[:, rows])
+    indices = np.arange(rows.start, rows.stop)
+    is_foot = (indices >= first[:, np.newaxis]) & (indices <= last[:, np.newaxis])
+    mean_time, mean_force, slope = curves.fit_chosen_lines(is_foot, time[rows], force[:, rows])
     is_falling = (slope < 0.0) & (is_foot.sum(axis=1) >= _MIN_FOOT_SAMPLES)
-    zero_times = np.where(is_falling, middle - divide(level, slope), time[last])
+    zero_times = np.where(is_falling, mean_time - divide(mean_force, slope), time[last])
     return zero_times, np.where(is_falling, slope, 0.0), last
 
 
-def _fit_zero_crossing(finite: Ints, time: Floats, force: Floats, limit: float) -> UnloadingEnd:
+def _choose_zero_crossing(finite: Ints, time: Floats, force: Floats, limit: float) -> UnloadingEnd:
     """Choose the samples around the zero crossing of a force that continues below zero."""
-    middle = time[min(int((force > 0.0).sum()), len(time) - 1)]
-    is_near_crossing = np.abs(time - middle) <= 0.1 * (time[-1] - time[0])
+    crossing_time = time[min(int((force > 0.0).sum()), len(time) - 1)]
+    is_near_crossing = np.abs(time - crossing_time) <= 0.1 * (time[-1] - time[0])
     curves.require_samples(int(is_near_crossing.sum()), _MIN_CROSSING_SAMPLES, " near zero force")
-    samples, centred = convert_to_slice(finite[is_near_crossing]), time[is_near_crossing] - middle
+    samples, centred = convert_to_slice(finite[is_near_crossing]), time[is_near_crossing]
+    centred -= crossing_time
     weights = curves.compute_polynomial_weights(centred, degree=2).T
 
     def compute(displacement: Floats, force: Floats) -> Floats:
@@ -190,14 +191,13 @@ def _fit_zero_crossing(finite: Ints, time: Floats, force: Floats, limit: float) 
             step = divide(level + zero * (slope + zero * curvature), slope + 2.0 * zero * curvature)
             zero = np.clip(zero - step, centred[0], centred[-1])
         position, speed, second = np.moveaxis(displacement[..., samples] @ weights, -1, 0)
-        value: Floats = position + zero * (speed + zero * second)
-        return value
+        return np.asarray(position + zero * (speed + zero * second))
 
     return UnloadingEnd("through zero", limit, len(centred), compute)
 
 
 def _is_resting(t: Floats, d: Floats, f: Floats, is_after_zero: Flags, limit: float) -> bool:
-    """Check whether the force stays within twice the limit and the displacement has no slope."""
+    """Return whether the force stays within twice the limit and the displacement has no slope."""
     if is_after_zero.sum() < _MIN_CROSSING_SAMPLES or np.abs(f[is_after_zero]).max() > 2.0 * limit:
         return False
     centred_time, values = t[is_after_zero] - t[is_after_zero].mean(), d[is_after_zero]
@@ -214,10 +214,10 @@ def _extrapolate_to_zero(
     displacement: Floats,
     force: Floats,
 ) -> Floats:
-    """Return the displacement at which the foot of each curve, extrapolated, is zero.
+    """Compute the displacement at which the extrapolated foot of each curve is zero.
 
-    The displacement is NaN if the force does not return to zero, or if too few samples precede
-    that. `limits_of_zero` are the limits of zero force (N) with and without noise.
+    The displacement is NaN if the force does not return to zero, or if too few samples precede zero
+    force. `limits_of_zero` are the limits of zero force (N) with and without noise.
     """
     samples, (limit, lowest_limit) = convert_to_slice(finite), limits_of_zero
     d, f = np.broadcast_arrays(displacement[..., samples], force[..., samples])
@@ -230,10 +230,10 @@ def _extrapolate_to_zero(
     rows = slice(*np.searchsorted(time, ends))
     t, start = time[rows], zero_times[:, np.newaxis] - _TIME_BEFORE_ZERO
     is_before_zero = (t >= start) & (t <= zero_times[:, np.newaxis])
-    middle, level, slope = curves.fit_chosen_lines(is_before_zero, t, d[:, rows])
+    mean_t, mean_d, slope = curves.fit_chosen_lines(is_before_zero, t, d[:, rows])
     has_reached_zero = (last >= 0) & (last < len(time) - 3)
     has_reached_zero &= is_before_zero.sum(axis=1) >= _MIN_CROSSING_SAMPLES
-    return np.where(has_reached_zero, level + slope * (zero_times - middle), np.nan).reshape(shape)
+    return np.where(has_reached_zero, mean_d + slope * (zero_times - mean_t), np.nan).reshape(shape)
 
 
 def find_last_flagged(flags: Flags) -> Ints:
@@ -251,7 +251,7 @@ class CycleKind(Kind):
     """A kind of result with one number for each cycle of the curve."""
 
     n_complete_branches: ClassVar[int] = 0
-    """Branches of a cycle that must be complete."""
+    """Number of branches of a cycle, from the first, that must be complete."""
     read_range: ClassVar[tuple[float, float]] = (0.0, 2.0)
     """Part of a cycle that the number depends on, counted in branches: 0.9 is nine tenths of the
     loading, 1 its end, 2 the end of unloading."""
@@ -259,7 +259,7 @@ class CycleKind(Kind):
     """Quantity whose largest sample the number depends on."""
 
     @abstractmethod
-    def choose(self, test: ReducedTest, trace: Trace, cycle: int) -> Reading:
+    def choose_samples(self, test: ReducedTest, trace: Trace, cycle: int) -> Extractor:
         """Choose the samples of a cycle on a curve.
 
         Parameters
@@ -270,34 +270,34 @@ class CycleKind(Kind):
         """
 
     def list_doubts(self, test: ReducedTest, branches: list[Branch]) -> tuple[Reason, ...]:
-        """List further doubts about the number of a cycle: a missing sample next to its peak."""
+        """List further doubts about the number of a cycle, such as a missing sample at the peak."""
         if self.peak_quantity is None:
             return ()
         curve, values = test.required_curve, getattr(test.required_curve, self.peak_quantity)
         cycle_values = values[find_cycle_samples(curve, branches[0].cycle)]
         signed_values = find_loading_sign(curve, values) * cycle_values
-        top = int(np.argmax(np.nan_to_num(signed_values, nan=-np.inf)))
-        is_gap = np.isnan(cycle_values[max(top - 1, 0) : top + 2])
-        if is_gap.all() or not is_gap.any():
+        peak = int(np.argmax(np.nan_to_num(signed_values, nan=-np.inf)))
+        is_missing = np.isnan(cycle_values[max(peak - 1, 0) : peak + 2])
+        if is_missing.all() or not is_missing.any():
             return ()
         return (Reason.of("results.gap_at_peak", quantity=self.peak_quantity),)
 
     def measure(self, test: ReducedTest) -> Iterator[Part]:
         """Measure the number of each cycle."""
         for branches in test.require(test.cycles or None):
-            cycle, complete = branches[0].cycle, branches[: self.n_complete_branches]
-            decide = partial(self.choose, test, cycle=cycle)
-            outcome = return_failure(test.measure_one)(decide)
-            doubts = find_truncation(test, complete, self.outputs[0].depends_on)
+            cycle, complete_branches = branches[0].cycle, branches[: self.n_complete_branches]
+            choose_samples = partial(self.choose_samples, test, cycle=cycle)
+            outcome = return_failure(test.measure_one)(choose_samples)
+            doubts = find_truncation_doubts(test, complete_branches, self.outputs[0].depends_on)
             doubts += self.list_doubts(test, branches)
             period, suffix = _find_period(branches, *self.read_range), f".{cycle}"
             yield self.make_result(test, outcome, period=period, doubts=doubts, suffix=suffix)
 
 
 def _find_period(branches: list[Branch], start: float, stop: float) -> Stretch | None:
-    """Return the first and last time of a part of a cycle; None if the cycle has no such branch.
+    """Find the times at which a part of a cycle starts and stops, counted in branches.
 
-    The part goes from `start` to `stop`, see `CycleKind.read_range`.
+    The part is counted as in `CycleKind.read_range`. None if the cycle has no branch at its start.
     """
     if start >= len(branches):
         return None
@@ -309,13 +309,14 @@ def _find_period(branches: list[Branch], start: float, stop: float) -> Stretch |
     return ends[0], ends[1]
 
 
-def find_truncation(
+def find_truncation_doubts(
     test: ReducedTest, branches: list[Branch], quantities: tuple[str, ...] = ("force",)
 ) -> tuple[Reason, ...]:
     """Find a doubt that the record ends before the branches of a result are complete.
 
-    There is no doubt if the record does not end early, if the specimen fails in the last branch, or
-    if the number depends only on the force, which has fallen below 90 % of its peak there.
+    There is no doubt if the record does not end early, or if the specimen fails in the last branch.
+    Nor is there one if the number depends only on the force, and the force has already fallen below
+    90 % of its peak in that branch.
 
     Parameters
     ----------
@@ -323,7 +324,7 @@ def find_truncation(
     branches : branches that must be complete
     quantities : quantities on which the number depends
     """
-    end = min((test.cut_at.get(quantity, np.inf) for quantity in quantities), default=np.inf)
+    end = min((test.cut_times.get(quantity, np.inf) for quantity in quantities), default=np.inf)
     if not branches or end == np.inf:
         return ()
     last, failure, curve = branches[-1], test.failure, test.required_curve
@@ -343,8 +344,9 @@ def find_truncation(
 def find_cycle_samples(curve: Curve | Trace, cycle: int) -> slice:
     """Find the samples of a cycle from its first turn to its last one, both included.
 
-    A rest between two cycles is divided at the extreme displacement of the rest. A last loading
-    without unloading includes the hold after it, up to the last sample with a force.
+    A rest between two cycles is divided at the extreme displacement of the rest. If the last
+    loading has no unloading, the cycle includes the hold after the loading, up to the last sample
+    with a force.
     """
     indices = [index for index, branch in enumerate(curve.branches) if branch.cycle == cycle]
     first, last_branch = indices[0], curve.branches[indices[-1]]
@@ -369,7 +371,7 @@ def _find_turn_before(curve: Curve | Trace, branch_index: int) -> int:
 
 
 def find_loading_sign(curve: Curve | Trace, values: Floats) -> float:
-    """Find the sign of the change of a quantity in the first branch of a curve.
+    """Determine the sign of the change of a quantity in the first branch of a curve.
 
     Parameters
     ----------
@@ -380,7 +382,7 @@ def find_loading_sign(curve: Curve | Trace, values: Floats) -> float:
     return kinds.compute_loading_sign(values[branch.start : branch.stop])
 
 
-def select_cycle(trace: Trace, cycle: int) -> list[Branch]:
+def select_branches(trace: Trace, cycle: int) -> list[Branch]:
     """Return the branches of a cycle of a curve, in order.
 
     Parameters
@@ -405,10 +407,10 @@ class Energy(CycleKind):
     n_complete_branches: ClassVar = 2
     method: ClassVar = "integral of force, trapezoids"
 
-    def choose(self, test: ReducedTest, trace: Trace, cycle: int) -> Reading:
+    def choose_samples(self, test: ReducedTest, trace: Trace, cycle: int) -> Extractor:
         """Choose the samples for the integral of the force over a cycle."""
         del test
-        require_unloading(select_cycle(trace, cycle))
+        require_unloading(select_branches(trace, cycle))
         return choose_work_samples(trace, find_cycle_samples(trace, cycle))
 
 
@@ -425,7 +427,7 @@ def require_unloading(branches: list[Branch]) -> Branch:
     return branches[1]
 
 
-def choose_work_samples(trace: Trace, samples: slice) -> Reading:
+def choose_work_samples(trace: Trace, samples: slice) -> Extractor:
     """Choose the samples for the work (J) over a part of a curve by trapezoids.
 
     Parameters
@@ -444,10 +446,11 @@ def choose_work_samples(trace: Trace, samples: slice) -> Reading:
         raise UnavailableError.of("results.gap_in_cycle", count=missing)
     curves.require_samples(len(force), min_loop_samples, " in the cycle")
     # The error of trapezoids grows with the square of their width (Richardson).
-    every_second = np.append(np.arange(0, len(force) - 1, 2), len(force) - 1)
-    coarse_work = integrate_energy(displacement[every_second], force[every_second])
+    coarse_samples = np.append(np.arange(0, len(force) - 1, 2), len(force) - 1)
+    coarse_work = integrate_energy(displacement[coarse_samples], force[coarse_samples])
     correction = (float(integrate_energy(displacement, force) - coarse_work) / 3.0,)
-    return Reading(read_part(integrate_energy, samples), len(force), sampling_correction=correction)
+    compute = restrict(integrate_energy, samples)
+    return Extractor(compute, len(force), sampling_correction=correction)
 
 
 class ResidualDisplacement(CycleKind):
@@ -466,16 +469,17 @@ class ResidualDisplacement(CycleKind):
         "displacement once the force is back at zero, within {force_below:g} N or less"
     )
 
-    def choose(self, test: ReducedTest, trace: Trace, cycle: int) -> Reading:
+    def choose_samples(self, test: ReducedTest, trace: Trace, cycle: int) -> Extractor:
         """Choose the samples at the end of unloading; a smooth curve ends as the measured one."""
         measured_end = self._find_end(curves.make_trace(test), cycle) if trace.is_smooth else None
-        end, part = self._find_end(trace, cycle, measured_end), select_cycle(trace, cycle)[1]
-        return Reading(read_part(end.compute, slice(part.start, part.stop)), end.n)
+        end, branch = self._find_end(trace, cycle, measured_end), select_branches(trace, cycle)[1]
+        return Extractor(restrict(end.compute, slice(branch.start, branch.stop)), end.n)
 
     def _find_end(
         self, trace: Trace, cycle: int, measured_end: UnloadingEnd | None = None
     ) -> UnloadingEnd:
-        record = cut_branch(trace, require_unloading(select_cycle(trace, cycle)))
+        """Find the end of the unloading of a cycle on a curve."""
+        record = cut_branch(trace, require_unloading(select_branches(trace, cycle)))
         return find_unloading_end(*record, force_below=self.force_below, measured_end=measured_end)
 
 
@@ -491,13 +495,13 @@ def cut_branch(trace: Trace, branch: Branch) -> tuple[Floats, Floats, Floats]:
     return trace.time[rows], trace.displacement[rows], trace.force[rows]
 
 
-def estimate_rise_beyond_top(values: Floats, travel: Floats) -> float:
+def estimate_rise_beyond_peak(values: Floats, travel: Floats) -> float:
     """Estimate how far a curve may rise between its largest sample and the next one.
 
     Parameters
     ----------
-    values : the quantity, positive in the direction of loading, shape (n,)
-    travel : displacement in the direction of loading, shape (n,), m
+    values : shape (n,), values of the quantity, positive in the direction of loading
+    travel : shape (n,), m, displacement in the direction of loading
 
     Returns
     -------
@@ -506,30 +510,31 @@ def estimate_rise_beyond_top(values: Floats, travel: Floats) -> float:
 
     Notes
     -----
-    At a turn of the motion, the curve rises up to the crossing of the lines through two samples on
+    At a turn of the motion, the curve rises to the intersection of the lines through two samples on
     each side. It rises by at most half the smaller step beside the largest sample, because the
-    corner is closer to this sample than to the next. If the motion continues and the fall exceeds
-    three times the rise before it, the specimen breaks, and the curve may rise by one more step.
+    corner is closer to this sample than to the next. If the motion continues and the fall after the
+    largest sample exceeds three times the rise before it, the specimen breaks. The curve may then
+    rise by one more step.
     """
     break_ratio = 3.0  # fall after the largest sample over the rise before it
-    top = int(np.nanargmax(values))
-    if not 0 < top < len(values) - 1:
+    peak = int(np.nanargmax(values))
+    if not 0 < peak < len(values) - 1:
         return 0.0
-    step_before, step_after = values[top] - values[top - 1], values[top] - values[top + 1]
-    is_break = travel[top + 1] > travel[top] and step_after > break_ratio * step_before
-    beyond_top = step_before if is_break else 0.5 * min(step_before, step_after)
-    if travel[top + 1] < travel[top] and 1 < top < len(values) - 2:
-        rise, fall = values[top - 1] - values[top - 2], values[top + 1] - values[top + 2]
+    step_before, step_after = values[peak] - values[peak - 1], values[peak] - values[peak + 1]
+    is_break = travel[peak + 1] > travel[peak] and step_after > break_ratio * step_before
+    max_rise = step_before if is_break else 0.5 * min(step_before, step_after)
+    if travel[peak + 1] < travel[peak] and 1 < peak < len(values) - 2:
+        rise, fall = values[peak - 1] - values[peak - 2], values[peak + 1] - values[peak + 2]
         if rise + fall > 0.0:
-            steps = (values[top + 1] - values[top - 1] + fall - rise) / (rise + fall)
-            crossing = values[top - 1] + rise * (1.0 + steps) - values[top]
-            beyond_top = min(beyond_top, max(crossing, 0.0))
-    return float(beyond_top) if np.isfinite(beyond_top) else 0.0
+            steps = (values[peak + 1] - values[peak - 1] + fall - rise) / (rise + fall)
+            crossing = values[peak - 1] + rise * (1.0 + steps) - values[peak]
+            max_rise = min(max_rise, max(crossing, 0.0))
+    return float(max_rise) if np.isfinite(max_rise) else 0.0
 
 
 def choose_peak_sample(
     test: ReducedTest, trace: Trace, cycle: int, quantity: curves.Quantity = "force"
-) -> Reading:
+) -> Extractor:
     """Choose the largest sample of a cycle in the direction of loading.
 
     Parameters
@@ -554,25 +559,26 @@ def choose_peak_sample(
     if quantity == "force":
         curve_step, force_step = map(curves.compute_mean_step, (trace.time, test.force.time))
         steps = max(steps, curve_step / force_step)
-    rise_beyond = estimate_rise_beyond_top(signed_values, travel) / steps
+    rise_beyond = estimate_rise_beyond_peak(signed_values, travel) / steps
 
     def compute_peak(trace: Trace) -> tuple[Floats]:
         signed_curves = sign * getattr(trace, quantity)[..., samples]
-        return (sign * (np.fmax.reduce(signed_curves, axis=-1) + trace.steps_beyond * rise_beyond),)
+        rise = trace.steps_to_event * rise_beyond
+        return (sign * (np.fmax.reduce(signed_curves, axis=-1) + rise),)
 
     @cache
     def select_noise() -> curves.SampleNoise | None:
         peak = samples.start + int(np.nanargmax(signed_values))
-        return curves.SampleNoise.around(test, trace, quantity, samples, peak)
+        return curves.SampleNoise.select(test, trace, quantity, samples, peak)
 
     def compute_with_noise(noisy_trace: Trace) -> tuple[Floats]:
-        peak_samples = select_noise()
-        if peak_samples is None:
+        sample_noise = select_noise()
+        if sample_noise is None:
             return compute_peak(noisy_trace)
         noise = getattr(noisy_trace, quantity) - values
-        return (compute_peak(trace)[0] + peak_samples.compute_peak_effect(noise, sign),)
+        return (compute_peak(trace)[0] + sample_noise.draw_peak_effect(noise, sign),)
 
-    return Reading(compute_peak, int((~np.isnan(signed_values)).sum()), compute_with_noise)
+    return Extractor(compute_peak, int((~np.isnan(signed_values)).sum()), compute_with_noise)
 
 
 class PeakForce(CycleKind):
@@ -587,17 +593,17 @@ class PeakForce(CycleKind):
     peak_quantity: ClassVar = "force"
     method: ClassVar = "largest force of the cycle after the filter, in the sense of loading"
 
-    def choose(self, test: ReducedTest, trace: Trace, cycle: int) -> Reading:
+    def choose_samples(self, test: ReducedTest, trace: Trace, cycle: int) -> Extractor:
         """Choose the largest sample of the force, from its own signal if that has another clock."""
-        reading, signal = choose_peak_sample(test, trace, cycle), test.force
+        extractor, signal = choose_peak_sample(test, trace, cycle), test.force
         if signal.clock == test.clocks.curve_clock or trace.is_smooth:
-            return reading
+            return extractor
         samples = find_cycle_samples(trace, cycle)
         ends = trace.time[[samples.start, min(samples.stop, len(trace.time)) - 1]]
-        part = np.searchsorted(signal.time, test.clocks.from_curve(ends, signal.clock))
+        signal_ends = np.searchsorted(signal.time, test.clocks.from_curve(ends, signal.clock))
         sign = find_loading_sign(trace, trace.force)
-        largest = np.fmax.reduce(sign * signal.values[slice(*part)], initial=-np.inf)
-        return replace(reading, values=(sign * float(largest),))
+        largest = np.fmax.reduce(sign * signal.values[slice(*signal_ends)], initial=-np.inf)
+        return replace(extractor, values=(sign * float(largest),))
 
 
 class PeakDisplacement(CycleKind):
@@ -615,6 +621,6 @@ class PeakDisplacement(CycleKind):
     peak_quantity: ClassVar = "displacement"
     method: ClassVar = "largest displacement of the cycle, in the sense of loading"
 
-    def choose(self, test: ReducedTest, trace: Trace, cycle: int) -> Reading:
+    def choose_samples(self, test: ReducedTest, trace: Trace, cycle: int) -> Extractor:
         """Choose the largest sample of the displacement."""
         return choose_peak_sample(test, trace, cycle, "displacement")

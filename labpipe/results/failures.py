@@ -19,14 +19,7 @@ import numpy as np
 from labpipe.errors import Fault
 from labpipe.records.arrays import Flags, Floats, Ints
 from labpipe.records.curve import Branch, Curve, Direction, Interval
-from labpipe.records.declarations import (
-    Area,
-    Force,
-    Needs,
-    Output,
-    ShippedCard,
-    WholeNumber,
-)
+from labpipe.records.declarations import Area, Force, Needs, Output, ShippedCard, WholeNumber
 from labpipe.records.estimates import Failure, UnavailableError
 from labpipe.records.quality import Reason
 from labpipe.records.result import Result, Status
@@ -37,7 +30,7 @@ from labpipe.results.cycles import WORK_QUANTITIES, CycleKind, PeakForce
 from labpipe.results.kinds import FailurePoint, Kind, Part, ReducedTest
 from labpipe.statistics.lots import FORCE_LIMIT, PEAK_OVER_LIMIT, judge_sample
 from labpipe.uncertainty.autocorrelation import estimate_fast_noise
-from labpipe.uncertainty.replicates import Reading, Trace
+from labpipe.uncertainty.replicates import Extractor, Trace
 from labpipe.units import parse_quantity
 
 
@@ -69,13 +62,13 @@ def find_loss_start(
     ----------
     time, force : shape (n,), s (or numbers of rows) and N; unfiltered; NaN are ignored
     criteria : criteria for the loss
-    is_unloading : flags of samples in unloading, where a falling force is not a loss, shape (n,);
-        None if there are none
+    is_unloading : shape (n,), whether the sample is in unloading, where a falling force is not a
+        loss; None without unloading
 
     Returns
     -------
-    Index of the sample, or a failure: ``no_break`` if the force is not lost, or is lost slowly or
-    in unloading; ``no_tension`` if the force is never above zero.
+    Index of the sample, or a failure: ``no_break`` if the force is not lost, or if it is lost
+    slowly or in unloading; ``no_tension`` if the force is never above zero.
 
     Notes
     -----
@@ -91,20 +84,16 @@ def find_loss_start(
     peak = float(f.max())
     last_above = int(np.flatnonzero(f >= criteria.force_below * peak)[-1])
     if last_above == len(f) - 1:
-        end, share = f[-1], f[-1] / peak
-        return Failure.of(
-            "results.no_break", end=end, share=share, peak=peak, force_below=criteria.force_below
-        )
+        facts = {"end": f[-1], "share": f[-1] / peak, "force_below": criteria.force_below}
+        return Failure.of("results.no_break", peak=peak, **facts)
     if is_unloading is not None and is_unloading[finite[last_above]]:
         return Failure.of("results.goes_back")
-    end_of_loss = int(np.searchsorted(t, t[last_above] + criteria.within, side="right"))
-    drop = f[last_above] - float(f[last_above + 1 : max(end_of_loss, last_above + 2)].min())
+    loss_stop = int(np.searchsorted(t, t[last_above] + criteria.within, side="right"))
+    drop = f[last_above] - float(f[last_above + 1 : max(loss_stop, last_above + 2)].min())
     first = _find_first_of_loss(t, f, last_above, criteria, peak)
     if first == last_above and drop < criteria.loss * peak:
-        below, loss, within = criteria.force_below, criteria.loss, 1e3 * criteria.within
-        return Failure.of(
-            "results.lost_slowly", force_below=below, peak=peak, loss=loss, within=within
-        )
+        facts = {"force_below": criteria.force_below, "peak": peak, "loss": criteria.loss}
+        return Failure.of("results.lost_slowly", **facts, within=1e3 * criteria.within)
     return int(finite[first])
 
 
@@ -138,7 +127,7 @@ def find_last_above(force: Floats, fraction: float) -> Ints:
 
 
 def _find_first_of_loss(t: Floats, f: Floats, last: int, criteria: LossOfForce, peak: float) -> int:
-    """Find the first sample of the loss, by its size or rate, from a sample of it backwards."""
+    """Find the first sample of a loss by its size or rate, backwards from one of its samples."""
     required_loss = criteria.loss * peak
     while last > 0:
         begin = int(np.searchsorted(t, t[last] - criteria.within))
@@ -172,12 +161,12 @@ def measure_earlier_loss(time: Floats, force: Floats, criteria: LossOfForce) -> 
     end_samples = np.maximum(end_samples, np.arange(1, len(force)))
     largest_after = np.maximum.accumulate(force[::-1])[::-1][end_samples]
     losses = (force[:-1] - largest_after)[force[:-1] - force[end_samples] >= criteria.loss * peak]
-    largest_share = float(losses.max(initial=0.0)) / (peak or inf)
-    return largest_share if largest_share >= criteria.loss else 0.0
+    largest_fraction = float(losses.max(initial=0.0)) / (peak or inf)
+    return largest_fraction if largest_fraction >= criteria.loss else 0.0
 
 
 class FailureResult(Kind):
-    """``failure_displacement`` (m) and ``failure_force`` (N), at which the specimen fails."""
+    """``failure_displacement`` (m) and ``failure_force`` (N): point at which the specimen fails."""
 
     result: ClassVar = "failure"
     outputs: ClassVar = (
@@ -187,11 +176,11 @@ class FailureResult(Kind):
     needs: ClassVar = Needs(branches=True, correction="failure")
 
     def list_methods(self, test: ReducedTest) -> tuple[str, str]:
-        """Return the methods of both numbers, which differ for a slow loss."""
+        """Return the methods of both numbers, which are different for a slow loss."""
         failure = test.failure
-        if isinstance(failure, FailurePoint) and failure.slow_below is not None:
-            sample = f"last sample with {failure.slow_below:.0%} of the peak, which is lost slowly"
-            return sample, f"force at the {sample}"
+        if isinstance(failure, FailurePoint) and failure.slow_loss_limit is not None:
+            fraction = f"{failure.slow_loss_limit:.0%} of the peak, which is lost slowly"
+            return f"last sample with {fraction}", f"force at the last sample with {fraction}"
         return (
             "first sample of the final loss of force; the interval reaches to the next one",
             "force at the first sample of the final loss",
@@ -206,7 +195,7 @@ class FailureResult(Kind):
         yield self.make_result(test, force, output=1, period=period, doubts=doubts)
 
 
-def _choose_failure_samples(test: ReducedTest, trace: Trace) -> Reading:
+def _choose_failure_samples(test: ReducedTest, trace: Trace) -> Extractor:
     """Choose the samples for displacement and force at the failure.
 
     The specimen fails within one sampling step after the sample of the failure. If that sample has
@@ -215,27 +204,27 @@ def _choose_failure_samples(test: ReducedTest, trace: Trace) -> Reading:
     """
     sample = test.require(trace.failed_at)
     failure = test.require(test.failure)
-    if failure.slow_below is not None:
-        select = partial(find_last_above, fraction=failure.slow_below)
+    if failure.slow_loss_limit is not None:
+        select = partial(find_last_above, fraction=failure.slow_loss_limit)
         finite = np.flatnonzero(~np.isnan(trace.force))
-        return _choose_by_force(test, trace, sample, finite, select, is_break=True)
+        return _choose_selected(test, trace, sample, finite, select, is_break=True)
     draw_noise = _make_noise_function(test, trace, sample)
     step, change = _measure_next_step(trace, sample), _measure_usual_step(trace.force, sample)
     loss = _measure_loss(test, failure)
 
     def compute_numbers(trace: Trace) -> tuple[Floats, Floats]:
-        displacement = trace.displacement[..., sample] + trace.steps_beyond * step
-        return displacement, trace.force[..., sample] + trace.steps_beyond * change
+        displacement = trace.displacement[..., sample] + trace.steps_to_event * step
+        return displacement, trace.force[..., sample] + trace.steps_to_event * change
 
     def compute_with_noise(noisy_trace: Trace) -> tuple[Floats, Floats]:
         displacement, force = compute_numbers(noisy_trace)
         displacement = displacement + draw_noise("displacement", force.shape)
         return displacement, force - loss + draw_noise("force", force.shape)
 
-    return Reading(compute_numbers, 1, compute_with_noise)
+    return Extractor(compute_numbers, 1, compute_with_noise)
 
 
-def _choose_by_force(
+def _choose_selected(
     test: ReducedTest,
     trace: Trace,
     sample: int,
@@ -243,15 +232,16 @@ def _choose_by_force(
     select: Callable[[Floats], Ints],
     *,
     is_break: bool,
-) -> Reading:
+) -> Extractor:
     """Choose displacement and force at the sample that a function selects in each curve.
 
     Parameters
     ----------
     test, trace : the test, and one of its curves
     sample : sample selected in that curve
-    finite : samples with a force
-    select : function that selects one of these samples for each row of forces, positive in loading
+    finite : indices of the samples with a force
+    select : function that returns the position in `finite` of one sample for each row of forces,
+        which are positive in loading
     is_break : whether the specimen breaks within one sampling step after the selected sample
     """
     sign = cycles.find_loading_sign(trace, trace.force)
@@ -261,14 +251,14 @@ def _choose_by_force(
         displacement, force = trace.displacement[..., finite], trace.force[..., finite]
         index = np.asarray(select(sign * force))[..., np.newaxis]
         step = np.gradient(displacement, axis=-1)
-        displacement = displacement + step * trace.steps_beyond * is_break
+        displacement = displacement + step * trace.steps_to_event * is_break
         return tuple(np.take_along_axis(x, index, axis=-1)[..., 0] for x in (displacement, force))
 
     def compute_with_noise(noisy_trace: Trace) -> tuple[Floats, ...]:
         noise = draw_noise("force", noisy_trace.force.shape)
         return compute_numbers(replace(noisy_trace, force=noisy_trace.force + noise))
 
-    return Reading(compute_numbers, 1, compute_with_noise)
+    return Extractor(compute_numbers, 1, compute_with_noise)
 
 
 def _find_largest(force: Floats) -> Ints:
@@ -282,13 +272,13 @@ def _make_noise_function(
 ) -> Callable[[Quantity, tuple[int, ...]], Floats]:
     """Make a function that draws the noise of a quantity in the loading up to a sample."""
     loading = slice(find_loading_before(trace, sample).start, sample + 1)
-    select_noise = cache(partial(SampleNoise.around, test, trace, stretch=loading, centre=sample))
+    select_noise = cache(partial(SampleNoise.select, test, trace, stretch=loading, centre=sample))
 
-    def draw(quantity: Quantity, shape: tuple[int, ...]) -> Floats:
+    def draw_noise(quantity: Quantity, shape: tuple[int, ...]) -> Floats:
         noise = select_noise(quantity)
         return np.zeros(shape) if noise is None else noise.draw_deviations(shape)
 
-    return draw
+    return draw_noise
 
 
 def _measure_usual_step(force: Floats, sample: int) -> float:
@@ -301,10 +291,10 @@ def _measure_usual_step(force: Floats, sample: int) -> float:
 def _measure_loss(test: ReducedTest, failure: FailurePoint) -> float:
     """Measure the loss of force in the step to a failure, N.
 
-    The loss is that beyond the usual change of the force in a step, because the force of a specimen
-    that necks also falls in earlier steps. A loss shows that the final loss began in this step. It
-    is 0 if it is below six standard deviations of the noise, or if fewer than eight samples precede
-    the failure, from which the noise cannot be estimated.
+    The loss is counted from the usual change of the force in a step, because the force of a
+    specimen that necks also falls in earlier steps. A loss shows that the final loss began in this
+    step. The loss is 0 if it is below six standard deviations of the noise, or if fewer than eight
+    samples precede the failure, which are too few to estimate the noise.
     """
     curve, sample = test.required_curve, failure.sample
     force = curve.force[:sample][~np.isnan(curve.force[:sample])]
@@ -329,7 +319,7 @@ def _describe_failure(test: ReducedTest) -> tuple[Stretch, tuple[Reason, ...]]:
     """
     failure, curve = test.require(test.failure), test.required_curve
     start = find_loading_before(curve, failure.sample).start
-    doubts = (Reason.of("results.lost_in_steps"),) if failure.lost_before else ()
+    doubts = (Reason.of("results.lost_in_steps"),) if failure.earlier_loss else ()
     return (float(curve.time[start]), float(curve.time[failure.sample])), doubts
 
 
@@ -340,7 +330,7 @@ def find_loading_before(curve: Curve | Trace, sample: int) -> Branch:
 
 
 class PeakForceDisplacement(CycleKind):
-    """``displacement_at_peak_force.<cycle>`` (m), at the largest force of a cycle."""
+    """``displacement_at_peak_force.<cycle>`` (m): displacement at the largest force of a cycle."""
 
     result: ClassVar = "displacement-at-peak-force"
     outputs: ClassVar = (
@@ -354,25 +344,25 @@ class PeakForceDisplacement(CycleKind):
         " the first and the last of several equal ones"
     )
 
-    def choose(self, test: ReducedTest, trace: Trace, cycle: int) -> Reading:
+    def choose_samples(self, test: ReducedTest, trace: Trace, cycle: int) -> Extractor:
         """Choose the displacement at the largest force.
 
         With noise, a neighbouring sample may have the largest force. If the specimen breaks there,
         the peak lies within one sampling step after the sample.
         """
-        rows = cycles.find_cycle_samples(trace, cycle)
-        finite = rows.start + find_finite_samples(trace.displacement[rows], trace.force[rows])
+        part = cycles.find_cycle_samples(trace, cycle)
+        finite = part.start + find_finite_samples(trace.displacement[part], trace.force[part])
         if not len(finite):
             raise UnavailableError.of("results.no_sample")
         displacement, force = (
             cycles.find_loading_sign(trace, values) * values[finite]
             for values in (trace.displacement, trace.force)
         )
-        top = int(_find_largest(force))
-        rise = cycles.estimate_rise_beyond_top(force, displacement)
-        is_break, sample = rise > 0.5 * (force[top] - force[top - 1]), int(finite[top])
-        reading = _choose_by_force(test, trace, sample, finite, _find_largest, is_break=is_break)
-        return replace(reading, n=len(finite))
+        peak = int(_find_largest(force))
+        rise = cycles.estimate_rise_beyond_peak(force, displacement)
+        is_break, sample = rise > 0.5 * (force[peak] - force[peak - 1]), int(finite[peak])
+        extractor = _choose_selected(test, trace, sample, finite, _find_largest, is_break=is_break)
+        return replace(extractor, n=len(finite))
 
 
 class EnergyToBreak(Kind):
@@ -393,7 +383,7 @@ class EnergyToBreak(Kind):
         yield self.make_result(test, outcome, period=period, doubts=doubts)
 
 
-def _choose_work_to_break(test: ReducedTest, trace: Trace) -> Reading:
+def _choose_work_to_break(test: ReducedTest, trace: Trace) -> Extractor:
     """Choose the samples for the work up to the failure."""
     sample = test.require(trace.failed_at)
     loading = slice(find_loading_before(trace, sample).start, sample + 1)
@@ -401,10 +391,10 @@ def _choose_work_to_break(test: ReducedTest, trace: Trace) -> Reading:
     step = _measure_next_step(trace, sample)
 
     def compute_numbers(trace: Trace) -> tuple[Floats]:
-        last_step = trace.steps_beyond * step * trace.force[..., sample]
-        return (np.asarray(work.numbers(trace)[0] + last_step, dtype=np.float64),)
+        last_step = trace.steps_to_event * step * trace.force[..., sample]
+        return (np.asarray(work.compute_numbers(trace)[0] + last_step, dtype=np.float64),)
 
-    return Reading(compute_numbers, work.n)
+    return Extractor(compute_numbers, work.n)
 
 
 CONDUCTOR = "conductor"
@@ -465,7 +455,7 @@ class ForceLimit(Kind):
             yield Fault.of("protocol.no_card_column", ("card",))
 
     def list_methods(self, test: ReducedTest) -> tuple[str, str]:
-        """Return the methods of both numbers; the first names the source of the limit."""
+        """Return the methods of both numbers; that of the limit names the source of the limit."""
         del test
         source = "stated by the protocol"
         if self.card is not None:
@@ -494,26 +484,22 @@ class ForceLimit(Kind):
             estimate=None if peak.estimate is None else peak.estimate / limit,
             budget=tuple(replace(part, change=part.change / limit) for part in peak.budget),
         )
-        ratio = replace(ratio, remark=judge_sample(ratio).text)
         yield Result(FORCE_LIMIT, limit, "N", method=limit_method, remark=section)
-        yield ratio
+        yield replace(ratio, remark=judge_sample(ratio).text)
 
     def _find_limit(self, conductor: str) -> tuple[float, str]:
         """Return the limit for a conductor, N, and the section to which it applies."""
         if self.at_least is not None:
             if self.conductor and _parse_section(self.conductor) != _parse_section(conductor):
-                raise UnavailableError.of(
-                    "results.other_section", stated=self.conductor, found=conductor or "none"
-                )
+                sections = {"stated": self.conductor, "found": conductor or "none"}
+                raise UnavailableError.of("results.other_section", **sections)
             return self.at_least, self.conductor
         if self.card is None:
             raise UnavailableError.of("results.no_limit_stated")
         row = _find_row(self.card, conductor)
         if self.column not in row.limits:
-            names = ", ".join(row.limits)
-            raise UnavailableError.of(
-                "results.limit_not_given", row=row, column=self.column, names=names
-            )
+            facts = {"row": row, "column": self.column, "names": ", ".join(row.limits)}
+            raise UnavailableError.of("results.limit_not_given", **facts)
         return row.limits[self.column], str(row)
 
 
@@ -535,7 +521,7 @@ def _find_row(card: LimitCard, conductor: str) -> CardRow:
     for row_size, row in sizes.items():
         if isclose(row_size, size, rel_tol=MAX_SECTION_DEVIATION):
             return row
-    ordered = sorted(sizes)
-    above = bisect(ordered, size)
-    rows = " and ".join(str(sizes[x]) for x in ordered[max(above - 1, 0) : above + 1])
+    sorted_sizes = sorted(sizes)
+    index = bisect(sorted_sizes, size)
+    rows = " and ".join(str(sizes[x]) for x in sorted_sizes[max(index - 1, 0) : index + 1])
     raise UnavailableError.of("results.section_not_in_card", conductor=conductor, rows=rows)

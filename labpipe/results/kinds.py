@@ -35,8 +35,8 @@ from labpipe.records.quality import Doubt, Finding, Findings, Reason
 from labpipe.records.result import Contribution, Result, Status
 from labpipe.records.signals import Clocks, Signal, Signals, Stretch
 from labpipe.signal.turning_points import estimate_noise_level
-from labpipe.uncertainty.intervals import Measured, measure_numbers
-from labpipe.uncertainty.replicates import Decide, Replicates
+from labpipe.uncertainty.intervals import MeasuredNumber, measure_numbers
+from labpipe.uncertainty.replicates import Choice, Replicates
 
 if TYPE_CHECKING:
     from labpipe.markers.three_point_axis import SpanShape
@@ -49,21 +49,22 @@ class FailurePoint:
 
     Parameters
     ----------
-    sample : index of the sample: the last one before a sudden loss, or above `slow_below` in a
+    sample : index of the sample: the last one before a sudden loss, or above `slow_loss_limit` in a
         slow loss; if only the end of the record shows the loss, the last one with a force
-    lost_before : largest fraction of the peak that was suddenly and permanently lost earlier, by a
-        specimen that failed in steps; else 0
-    slow_below : fraction of the peak below which the force finally falls in a slow loss; None for a
-        sudden loss
+    earlier_loss : largest sudden and permanent loss of force before the failure, as a fraction of
+        the peak, for a specimen that failed in steps; else 0
+    slow_loss_limit : fraction of the peak below which the force finally falls in a slow loss; None
+        for a sudden loss
     """
 
     sample: int
-    lost_before: float = 0.0
-    slow_below: float | None = None
+    earlier_loss: float = 0.0
+    slow_loss_limit: float | None = None
 
 
 NO_LOADING = Failure.of("results.no_cycle")
-_Part = TypeVar("_Part")
+"""Reason why a test without a loading has no results."""
+_Stage = TypeVar("_Stage")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,14 +73,14 @@ class SpanBend:
 
     Parameters
     ----------
-    shape : shape in every frame
-    time : shape (frames,), s, on the clock of the cameras
-    rest : shape (frames,), frames before the loading
+    shape : shape of the specimen in every frame
+    time : shape (frames,), s, times on the clock of the cameras
+    is_at_rest : shape (frames,), whether the frame was taken before the loading
     """
 
     shape: SpanShape
     time: Floats
-    rest: Flags
+    is_at_rest: Flags
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,9 +89,10 @@ class LoadString:
 
     Parameters
     ----------
-    length : m
-    counterweight : kg, at the tip
-    at_rest : whether it carried the counterweight before the test
+    length : m, length from the specimen to the load cell
+    counterweight : kg, mass that hangs at the tip
+    at_rest : state of the string before the test. A taut string carries the counterweight;
+        ``by-data`` means that the data show the state
     """
 
     length: float
@@ -100,20 +102,22 @@ class LoadString:
 
 @dataclass(frozen=True, slots=True)
 class Setup:
-    """Facts of protocol and test sheet on specimen and rig.
+    """Facts about specimen and rig, from protocol and test sheet.
 
     Parameters
     ----------
     sizes : stated sizes of specimen and rig, m (area: m^2), by the keys of the protocol: length,
         span between the supports, and sizes of the cross-section
-    mass_per_length : kg/m; None if not stated
-    uncertainties : standard uncertainties of sizes, m (area: m^2); sizes without one are exact
+    mass_per_length : kg/m, mass of the specimen per length; None if not stated
+    uncertainties : standard uncertainties of sizes, m (area: m^2), by the keys of the sizes; sizes
+        without an uncertainty are exact
     string : string that loads the specimen, or None
     has_markers : whether the specimen carries markers
-    centre_offset, offset_uncertainty, centre_uncertainty : offset of the marker centres from the
-        axis, and standard uncertainties of the offsets along the specimen and of this one, m
-    free_tip : whether the shape may bend up to its tip
-    compliance_stated : whether the protocol states the compliance of frame and grips
+    centre_offset : m, distance from the axis to the marker centres
+    offset_uncertainty : m, standard uncertainty of positions along the specimen
+    centre_uncertainty : m, standard uncertainty of `centre_offset`
+    free_tip : whether the shapes are fitted without a moment at the tip
+    is_compliance_stated : whether the protocol states the compliance of load frame and grips
     limits : limits of the lab
     labels : labels of the test sheet by name
     """
@@ -127,7 +131,7 @@ class Setup:
     offset_uncertainty: float = 0.0
     centre_uncertainty: float = 0.0
     free_tip: bool = False
-    compliance_stated: bool = False
+    is_compliance_stated: bool = False
     limits: Limits = LIMITS
     labels: Mapping[str, str] = field(default_factory=dict)
 
@@ -138,17 +142,18 @@ class Stiffness:
 
     Parameters
     ----------
-    name : name of its result
-    decide : function that chooses its samples on a curve
-    value : N/m
-    period : first and last time of its samples, s
-    window : displacements between which it was measured, m
-    slip_range : range of displacement in which a slip affects it, m; None if no slip does
-    doubts : doubts about its samples
+    name : name of the result
+    choose_samples : function that chooses the samples of the stiffness on a curve
+    value : N/m, the stiffness
+    period : s, first and last time of the samples
+    window : m, displacements between which the stiffness was measured
+    slip_range : m, range of displacement in which a slip affects the stiffness; None if no slip
+        affects it
+    doubts : doubts about the samples
     """
 
     name: str
-    decide: Decide
+    choose_samples: Choice
     value: float
     period: Stretch | None
     window: tuple[float, float]
@@ -158,12 +163,12 @@ class Stiffness:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReducedTest:
-    """A test, at each stage of its reduction, with all data for its results.
+    """A test at any stage of its reduction, with all data for the results.
 
     Parameters
     ----------
-    signals, clocks : signals of the test, and its clocks
-    setup : facts on specimen and rig
+    signals, clocks : signals and clocks of the test
+    setup : facts about specimen and rig
     aligned : the raw signals at the times of the displacement; None without a curve
     curve : corrected curve, or None
     replicates : replicates of the curve, or None
@@ -171,17 +176,18 @@ class ReducedTest:
     shape : shape of the specimen; None if no step fits one
     span : the bent axis between two supports, or why there is none; None if not requested
     bending : measured moment-curvature, or why there is none; None if not requested
-    failure : where the specimen broke, or why no break was found; None if not requested
+    failure : point at which the specimen broke, or why no break was found; None if not requested
     slips : the slip ledger
-    compliance : compliance of frame and grips, m/N, negative if force and displacement have
+    compliance : m/N, compliance of load frame and grips, negative if force and displacement have
         opposite signs in loading; the compliance times the force is subtracted from the
         displacement
-    slack : displacement before the specimen was taut, m, or why it is unknown; None if not
+    slack : m, displacement before the specimen was taut, or why it is unknown; None if not
         requested
     pull : stress and strain with the elastic line, or why there are none; None if not requested
-    cut_at : time at which a record ends within a branch, s on the clock of the curve, by quantity
+    cut_times : s on the clock of the curve, time at which a record ends within a branch, by
+        quantity
     stiffnesses : stiffnesses of earlier results by name
-    findings : findings so far
+    findings : findings up to this stage
     seed : seed of random draws, made from the recorded data
     """
 
@@ -198,71 +204,71 @@ class ReducedTest:
     failure: FailurePoint | Failure | None = None
     slips: tuple[Slip, ...] = ()
     compliance: float = 0.0
-    slack: Measured | Failure | None = None
+    slack: MeasuredNumber | Failure | None = None
     pull: Pull | Failure | None = None
-    cut_at: Mapping[str, float] = field(default_factory=dict)
+    cut_times: Mapping[str, float] = field(default_factory=dict)
     stiffnesses: Mapping[str, Stiffness] = field(default_factory=dict)
     findings: Findings = field(default_factory=Findings)
     seed: bytes = b""
 
     @property
     def force(self) -> Signal:
-        """Return the force of the curve, filtered."""
+        """Force of the curve, filtered."""
         return self.signals.filtered[self.signals.force]
 
     @property
     def displacement(self) -> Signal:
-        """Return the displacement of the curve, filtered."""
+        """Displacement of the curve, filtered."""
         return self.signals.filtered[self.signals.displacement]
 
     @property
     def raw_force(self) -> Signal:
-        """Return the force of the curve, calibrated and zeroed but not filtered."""
+        """Force of the curve, calibrated and zeroed but not filtered."""
         return self.signals.raw[self.signals.force]
 
     @property
     def required_curve(self) -> Curve:
-        """Return the curve of a test with cycles.
+        """Curve of a test with cycles.
 
         Raises
         ------
         ValueError
-            If there is none.
+            If there is no curve.
         """
         if self.curve is None:
             raise ValueError(format_sentence("results.no_curve"))
         return self.curve
 
-    def measure(self, decide: Decide) -> tuple[Measured, ...]:
+    def measure(self, choose: Choice) -> tuple[MeasuredNumber, ...]:
         """Measure numbers of the curve with their uncertainty.
 
         Parameters
         ----------
-        decide : choice of samples, see `labpipe.uncertainty.intervals.measure_numbers`
+        choose : function that chooses samples, see `labpipe.uncertainty.intervals.measure_numbers`
 
         Raises
         ------
         UnavailableError
             If there are no such numbers, or no curve.
         """
-        return measure_numbers(self.require(self.replicates), decide)
+        return measure_numbers(self.require(self.replicates), choose)
 
-    def measure_one(self, decide: Decide) -> Measured:
-        """Measure the first number of a reading, as `measure`."""
-        return self.measure(decide)[0]
+    def measure_one(self, choose: Choice) -> MeasuredNumber:
+        """Measure the first of the numbers that `measure` returns."""
+        return self.measure(choose)[0]
 
-    def require(self, stage: _Part | Failure | None, missing: Failure = NO_LOADING) -> _Part:
+    def require(self, stage: _Stage | Failure | None, missing: Failure = NO_LOADING) -> _Stage:
         """Return a stage of the test.
 
         Parameters
         ----------
-        stage : stage of the test, or the reason for which there is none
+        stage : stage of the test, or the reason why it is not available
         missing : reason for a stage that is None although nothing blocked the test
 
         Raises
         ------
         UnavailableError
-            If there is none.
+            If the stage is not available.
         """
         if stage is None:
             raise UnavailableError(self.findings.blocking_reason or missing)
@@ -272,14 +278,14 @@ class ReducedTest:
 
     @property
     def cycles(self) -> list[list[Branch]]:
-        """Return the branches of the curve by cycle."""
+        """Branches of the curve by cycle."""
         branches = self.curve.branches if self.curve else ()
         cycles = sorted({branch.cycle for branch in branches})
         return [[branch for branch in branches if branch.cycle == cycle] for cycle in cycles]
 
     @property
     def first_loading(self) -> Branch | None:
-        """Return the first loading branch of the curve, or None."""
+        """First loading branch of the curve, or None."""
         return None if self.curve is None else self.curve.first_loading
 
     def find_loading_interval(self, low: float = -np.inf, high: float = np.inf) -> Stretch | None:
@@ -287,12 +293,13 @@ class ReducedTest:
 
         Parameters
         ----------
-        low, high : the displacements, m
+        low, high : m, displacements at the start and at the end of the interval
 
         Returns
         -------
         Times at which the branch first reached `low` and first exceeded `high`, s on the clock of
-        the curve; else the start or the end of the branch. None without a curve or a branch.
+        the curve. If it did not, the start and the end of the branch. None without a curve or a
+        branch.
         """
         curve = self.curve
         if curve is None or not curve.branches:
@@ -314,8 +321,8 @@ class ReducedTest:
 
         Returns
         -------
-        The first reason of each code and quantity whose time overlaps the range, or a stretch in
-        which the quantity was zeroed. A doubt without a time applies to every range.
+        The first reason of each code and quantity whose period overlaps the range, or a stretch in
+        which the quantity was zeroed. A doubt without a period applies to every range.
         """
         reasons: dict[tuple[str, str], Reason] = {}
         for quantity in quantities:
@@ -325,6 +332,7 @@ class ReducedTest:
         return list(reasons.values())
 
     def _overlaps(self, doubt: Doubt, period: Stretch | None) -> bool:
+        """Return whether a doubt overlaps a period, or the stretch of the zero of its quantity."""
         if doubt.period is None or period is None:
             return True
         stretches, signals = [(*period, self.clocks.curve_clock)], self.signals
@@ -333,8 +341,9 @@ class ReducedTest:
                 stretches.append((*zero, signals.raw[name].clock))
         start, stop = (self.clocks.to_curve(edge, doubt.clock) for edge in doubt.period)
         return any(
-            start <= self.clocks.to_curve(end, clock) and self.clocks.to_curve(begin, clock) <= stop
-            for begin, end, clock in stretches
+            start <= self.clocks.to_curve(last, clock)
+            and self.clocks.to_curve(first, clock) <= stop
+            for first, last, clock in stretches
         )
 
 
@@ -347,26 +356,26 @@ def compute_loading_sign(values: Floats) -> float:
 
     Returns
     -------
-    Rise and fall are measured from the first level, the median of the first 1 % of the values. If
-    one is more than twice the other: 1.0 if the rise is larger, -1.0 if the fall is. Otherwise the
-    sign of the value with the largest magnitude. 1.0 if there are no values.
+    The sign of the larger of rise and fall, if it is more than twice the other one; otherwise the
+    sign of the value with the largest magnitude. Rise and fall are measured from the median of the
+    first 1 % of the values. The sign is 1.0 if there are no values.
     """
     finite = drop_missing(values)
     if not len(finite):
         return 1.0
-    first = median(finite[: max(1, len(finite) // 100)])
-    rise, fall = float(finite.max()) - first, first - float(finite.min())
+    first_level = median(finite[: max(1, len(finite) // 100)])
+    rise, fall = float(finite.max()) - first_level, first_level - float(finite.min())
     if max(rise, fall) > 2.0 * min(rise, fall):
         return 1.0 if rise > fall else -1.0
     return 1.0 if finite.max() >= -finite.min() else -1.0
 
 
-Outcome: TypeAlias = Measured | Estimate | Failure
+Outcome: TypeAlias = MeasuredNumber | Estimate | Failure
 Part: TypeAlias = Result | Stiffness | FittedLine | Finding
 """What a kind of result measures: numbers, stiffnesses for later entries, lines for figures, and
 notes on the test."""
 Errors: TypeAlias = Mapping[str, float]
-"""Standard errors from outside the fit, in the unit of the number, by cause."""
+"""Standard errors that the fit does not include, in the unit of the number, by cause."""
 
 
 @dataclass_transform(frozen_default=True, kw_only_default=True)
@@ -376,8 +385,9 @@ class Kind(ABC):
 
     Subclasses become frozen dataclasses without a decorator.
 
-    ``method`` describes how the outputs are measured, ``methods`` each of them if they differ. It
-    may have settings as fields; ``over_mm`` is the setting ``over`` in millimetres.
+    ``method`` describes how all outputs are measured; ``methods`` describes each of them if they
+    differ. Both may have settings as replacement fields. The field ``over_mm`` is the setting
+    ``over`` in millimetres.
     """
 
     result: ClassVar[str]
@@ -426,13 +436,13 @@ class Kind(ABC):
             ]
 
     def compute_results(self, test: ReducedTest) -> list[Result]:
-        """Compute the results of a test as `compute`, without stiffnesses, lines and notes."""
+        """Compute what `compute` returns, without stiffnesses, lines and notes."""
         return [part for part in self.compute(test) if isinstance(part, Result)]
 
     def make_results(
         self, test: ReducedTest, outcomes: Iterable[Outcome], *, first: int = 0, **common: Any
     ) -> Iterator[Result]:
-        """Make the results of several outputs in order, from the `first`, as `make_result`."""
+        """Make the results of consecutive outputs, from the index `first`, as `make_result`."""
         for index, outcome in enumerate(outcomes, start=first):
             yield self.make_result(test, outcome, output=index, **common)
 
@@ -457,38 +467,39 @@ class Kind(ABC):
         outcome : the value with the standard error of its fit, or why it is not available; one
             without an interval gets the normal one
         errors : further standard errors, added to an `Estimate`; ignored for other outcomes
-        output : index in `outputs`; settings are filled into the name of the output
-        method : method of the interval; by default that of `Kind.list_methods`
-        period : s, on the clock of the curve, of the samples used; None for all
+        output : index of the output in `outputs`; settings are filled into the name of the output
+        method : method of the number; if empty, that of `Kind.list_methods`
+        period : s on the clock of the curve, first and last time of the samples; None for all
         doubts : further reasons to doubt the number
         suffix : last part of the name, such as ``.1``
         remark : remark on the number of this test
         """
         settings = {field.name: getattr(self, field.name) for field in fields(self)}
         lengths = {f"{name}_mm": 1e3 * x for name, x in settings.items() if isinstance(x, float)}
-        declared = self.outputs[output]
-        name, made_of = declared.name.format_map(settings) + suffix, settings.get("of", "")
+        declaration = self.outputs[output]
+        name, made_of = declaration.name.format_map(settings) + suffix, settings.get("of", "")
         method = method or self.list_methods(test)[output].format_map(settings | lengths)
         outcome, budget = _widen_estimate(outcome, errors or {})
         if isinstance(outcome, Failure):
-            test_doubts = test.collect_doubts((*declared.depends_on, *_SIGN_QUANTITIES), period)
+            test_doubts = test.collect_doubts((*declaration.depends_on, *_SIGN_QUANTITIES), period)
             curve_doubts = [doubt for doubt in test_doubts if doubt.code in _CURVE_ERRORS]
             is_explained = outcome.code in _EXPLAINED_FAILURES
-            ordered = [*curve_doubts, outcome] if is_explained else [outcome, *curve_doubts]
-            reasons, failed = tuple(dict.fromkeys(ordered)), Status.FAILED
-            return Result(name, None, declared.unit, None, failed, reasons, method, made_of=made_of)
-        by_quantity = outcome.doubts if isinstance(outcome, Measured) else ()
-        quantities = "", *declared.depends_on
-        noise_doubts = [reason for quantity, reason in by_quantity if quantity in quantities]
-        test_doubts = test.collect_doubts(_list_quantities(declared, test), period)
+            all_reasons = [*curve_doubts, outcome] if is_explained else [outcome, *curve_doubts]
+            reasons, unit = tuple(dict.fromkeys(all_reasons)), declaration.unit
+            failure: dict[str, Any] = {"value": None, "status": Status.FAILED, "reasons": reasons}
+            return Result(name, unit=unit, method=method, made_of=made_of, **failure)
+        number_doubts = outcome.doubts if isinstance(outcome, MeasuredNumber) else ()
+        quantities = "", *declaration.depends_on
+        noise_doubts = [reason for quantity, reason in number_doubts if quantity in quantities]
+        test_doubts = test.collect_doubts(_list_quantities(declaration, test), period)
         reasons = tuple(dict.fromkeys([*test_doubts, *doubts, *noise_doubts]))
         drops = [slip.drop for slip in test.slips if slip.decision is SlipDecision.REPAIRED]
-        added = f"{sum(drops):.3g} N of slips added back"
-        remarks = remark, added if drops and declared.is_raised_by_slips else ""
+        slip_remark = f"{sum(drops):.3g} N of slips added back"
+        remarks = remark, slip_remark if drops and declaration.is_raised_by_slips else ""
         return Result(
             name,
             value=outcome.value,
-            unit=declared.unit,
+            unit=declaration.unit,
             interval=outcome.interval or Interval.make_normal(outcome.value, outcome.error),
             status=Status.DOUBTFUL if reasons else Status.OK,
             reasons=reasons,
@@ -496,24 +507,25 @@ class Kind(ABC):
             n=outcome.n,
             made_of=made_of,
             remark="; ".join(filter(None, remarks)),
-            estimate=outcome.estimate if isinstance(outcome, Measured) else None,
+            estimate=outcome.estimate if isinstance(outcome, MeasuredNumber) else None,
             budget=budget,
         )
 
 
-def _list_quantities(declared: Output, test: ReducedTest) -> tuple[str, ...]:
-    """List the quantities of doubts about a number, with signs and the zero of the force.
+def _list_quantities(declaration: Output, test: ReducedTest) -> tuple[str, ...]:
+    """List the quantities whose doubts apply to a number, with signs and the zero of the force.
 
-    A slope depends on that zero only if slack was subtracted, whose end follows from the force.
+    A slope depends on the zero only if slack was subtracted, because the end of the slack depends
+    on the force.
     """
-    signs = {"N": _SIGN_QUANTITIES[:1], "m": _SIGN_QUANTITIES[1:]}.get(declared.unit, ())
-    needs_zero = not declared.is_slope or isinstance(test.slack, Measured)
-    zeros = ("force_zero",) if "force" in declared.depends_on and needs_zero else ()
-    return (*declared.depends_on, *zeros, *signs)
+    signs = {"N": _SIGN_QUANTITIES[:1], "m": _SIGN_QUANTITIES[1:]}.get(declaration.unit, ())
+    needs_zero = not declaration.is_slope or isinstance(test.slack, MeasuredNumber)
+    zeros = ("force_zero",) if "force" in declaration.depends_on and needs_zero else ()
+    return (*declaration.depends_on, *zeros, *signs)
 
 
 def compute_scale_error(test: ReducedTest, outcome: Outcome) -> Errors:
-    """Return the scale error of a number proportional to the force; empty for a failure."""
+    """Compute the scale error of a number proportional to the force; none for a failure."""
     if isinstance(outcome, Failure):
         return {}
     return {SCALE_OF_FORCE: test.raw_force.relative_error * abs(outcome.value)}
@@ -530,11 +542,11 @@ _EXPLAINED_FAILURES = frozenset({"not_reached", "no_travel"})
 
 
 def _widen_estimate(outcome: Outcome, errors: Errors) -> tuple[Outcome, tuple[Contribution, ...]]:
-    """Add errors to an `Estimate`; return the outcome and its budget, a failure if not finite."""
-    budget = outcome.budget if isinstance(outcome, Measured) else ()
+    """Add errors to an `Estimate`, and make the budget; a number that is not finite fails."""
+    budget = outcome.budget if isinstance(outcome, MeasuredNumber) else ()
     if isinstance(outcome, Estimate):
-        fit = outcome.error if outcome.interval is None else outcome.interval.standard_error
-        changes = {FIT: fit, **errors}
+        fit_error = outcome.error if outcome.interval is None else outcome.interval.standard_error
+        changes = {FIT: fit_error, **errors}
         if np.isfinite(list(changes.values())).all():
             budget = tuple(make_contribution(*change) for change in changes.items() if change[1])
         outcome = add_errors(outcome, *errors.values())
@@ -544,7 +556,7 @@ def _widen_estimate(outcome: Outcome, errors: Errors) -> tuple[Outcome, tuple[Co
     return outcome, budget
 
 
-def find_pause(test: ReducedTest, stretch: tuple[float, float]) -> tuple[Reason, ...]:
+def find_pause_doubts(test: ReducedTest, stretch: tuple[float, float]) -> tuple[Reason, ...]:
     """Find a doubt about a range of the first loading with a pause in which the force falls.
 
     Parameters
@@ -554,10 +566,9 @@ def find_pause(test: ReducedTest, stretch: tuple[float, float]) -> tuple[Reason,
 
     Notes
     -----
-    A pause is in those of 20 equal parts of the range that take over five times their median
-    duration; noise may spread it over several parts.
-    The force falls if it loses over 1 % of its change over the range, and over four standard
-    errors.
+    The range is divided into 20 equal parts. A pause is in the parts that take more than five times
+    the median duration; noise may spread it over several parts. The force falls if it decreases by
+    more than 1 % of its change over the range, and by more than four standard errors.
     """
     n_parts, duration_factor, min_fall, n_errors = 20, 5.0, 0.01, 4.0
     curve = test.required_curve
@@ -570,14 +581,14 @@ def find_pause(test: ReducedTest, stretch: tuple[float, float]) -> tuple[Reason,
     edges = np.searchsorted(path, np.linspace(*stretch, n_parts + 1))
     edges = np.minimum(edges, len(path) - 1)
     durations = np.diff(time[edges])
-    long = np.flatnonzero(durations > duration_factor * np.median(durations))
-    if not len(long) or edges[long[-1] + 1] - edges[long[0]] < n_parts:
+    long_parts = np.flatnonzero(durations > duration_factor * np.median(durations))
+    if not len(long_parts) or edges[long_parts[-1] + 1] - edges[long_parts[0]] < n_parts:
         return ()
-    start, stop = edges[long[0]], edges[long[-1] + 1]
+    start, stop = edges[long_parts[0]], edges[long_parts[-1] + 1]
     size = (stop - start) // 10
     change = float(force[edges[-1]] - force[edges[0]]) or np.inf
-    first, last = force[start : start + size], force[stop - 2 * size : stop - size]
-    fall = float(np.nanmean(first) - np.nanmean(last)) / change
+    start_force, end_force = force[start : start + size], force[stop - 2 * size : stop - size]
+    fall = float(np.nanmean(start_force) - np.nanmean(end_force)) / change
     error = estimate_noise_level(force) / np.sqrt(size) / abs(change)
     if not fall > max(min_fall, n_errors * error):
         return ()
@@ -585,33 +596,33 @@ def find_pause(test: ReducedTest, stretch: tuple[float, float]) -> tuple[Reason,
     return (Reason.of("results.pause_in_window", place=place, duration=duration, fall=fall),)
 
 
-def find_marked_slips(test: ReducedTest, stretch: tuple[float, float] | None) -> tuple[Reason, ...]:
-    """Find a doubt about a range of displacement with a slip that was only marked.
+def find_slip_doubts(test: ReducedTest, stretch: tuple[float, float] | None) -> tuple[Reason, ...]:
+    """Find a doubt about a range of displacement with a slip that is marked but not repaired.
 
     Parameters
     ----------
     test : reduced test with its slip ledger
     stretch : ends of the range, m; None if slips have no effect
     """
-    marked = [slip for slip in test.slips if slip.decision is SlipDecision.MARKED]
-    slips = [slip for slip in marked if stretch and stretch[0] <= slip.position <= stretch[1]]
+    slips = [slip for slip in test.slips if slip.decision is SlipDecision.MARKED]
+    slips = [slip for slip in slips if stretch and stretch[0] <= slip.position <= stretch[1]]
     if not slips:
         return ()
     places = ", ".join(f"{1e3 * slip.position:.4g} mm" for slip in slips)
     return (Reason.of("results.slip_in_window", places=places),)
 
 
-def find_machine_compliance(test: ReducedTest, stiffness: float) -> tuple[Reason, ...]:
-    """Find a doubt that the displacement is largely that of frame and grips.
+def find_compliance_doubts(test: ReducedTest, stiffness: float) -> tuple[Reason, ...]:
+    """Find a doubt that a large part of the displacement may be that of load frame and grips.
 
     Parameters
     ----------
     test : reduced test with the limits of the lab
-    stiffness : measured stiffness, N/m
+    stiffness : N/m, measured stiffness
     """
     limits = test.setup.limits
     fraction = limits.machine_compliance * stiffness
-    if test.setup.compliance_stated or not fraction > limits.machine_share:
+    if test.setup.is_compliance_stated or not fraction > limits.machine_share:
         return ()
     usual = 1e6 * limits.machine_compliance
     return (Reason.of("results.machine_compliance", usual=usual, share=fraction),)
@@ -629,11 +640,11 @@ class ClockResult(Kind):
     method: ClassVar = "method by which the clocks of force and motion were joined"
 
     def measure(self, test: ReducedTest) -> Iterator[Part]:
-        """Yield offset and drift of force time against marker time; no drift from one event."""
+        """Yield offset and drift of force time against marker time; one event gives no drift."""
         fit = test.require(test.clocks.force_fit, Failure.of("results.one_clock"))
-        events = len(fit.event_times_motion)
-        offset = Estimate(fit.offset, fit.offset_interval.standard_error, events)
-        drift: Outcome = Estimate(fit.drift, fit.drift_interval.standard_error, events)
+        n_events = len(fit.event_times_motion)
+        offset = Estimate(fit.offset, fit.offset_interval.standard_error, n_events)
+        drift: Outcome = Estimate(fit.drift, fit.drift_interval.standard_error, n_events)
         if np.isnan(fit.drift_interval.lower):
             drift = Failure.of("results.one_event")
         yield from self.make_results(test, (offset, drift), method=fit.method)

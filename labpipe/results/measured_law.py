@@ -1,21 +1,24 @@
 """Measure curvature and moment (the cloud), and fit the law of the first loading.
 
-Markers give the shape and the force gives the moment; no stiffness is assumed. The frame is that of
-the specimen: x along its undeformed axis from the clamped end, y in the plane of bending towards
-the pull. The shapes that follow from a law are compared with the markers. The fit of the law
-differentiates no curve, so its curvatures are much more accurate than those of the cloud, which are
-second derivatives.
+Markers give the shape and the force gives the moment; no stiffness is assumed. The axes are those
+of the specimen: x along its undeformed axis from the clamped end, y in the plane of bending towards
+the pull. The cloud takes curvatures from second derivatives of curves through the markers. The fit
+of the law compares the markers with the shapes that follow from the law. It differentiates no
+curve, so its curvatures are much more accurate.
 
-The wire keeps its length and its direction at the clamp. Its angle in frame f is
+The wire does not stretch, and its direction at the clamp is fixed. The angle of its axis in frame f
+of the cameras is
 
     theta_f(s) = theta_rest(s) + integral from 0 to s of [kappa(M_f) - kappa(M_rest)] ds'
 
-with one law kappa(M) for all cross-sections and frames. Where a weight bent the wire away from the
-pull at rest, it unloads by Masing's rule until it is bent as far towards the pull:
+with one law kappa(M) for all cross-sections and frames. Where a weight bends the wire at rest away
+from the pull, the loading first unloads the wire. Masing's rule then holds until the moment is as
+large towards the pull:
 
     kappa - kappa(M_rest) = 2 kappa((M_f - M_rest) / 2).
 
-x = integral cos theta, y = integral sin theta, and markers are offset along the normal.
+The axis is x = integral cos theta, y = integral sin theta. Marker centres are offset from the axis
+along its normal.
 """
 
 from __future__ import annotations
@@ -41,13 +44,13 @@ from labpipe.records.curve import NORMAL_95, Bending, BendingCloud, MeasuredLaw,
 from labpipe.records.quality import Reason
 
 N_FIT_MEANS = 80
-"""Number of means over consecutive frames in the fit of the first loading: at least this, less than
-twice this.
+"""Number of means over consecutive frames of the first loading in the fit of the law.
 
-The fit has fewer if the loading has fewer frames, or if means have no shape or force.
+All means have the same whole number of frames, so that the loading has between this number of means
+and twice this number. It has fewer if it has fewer frames, or if means have no shape or force.
 """
 N_CLOUD_MEANS = 50
-"""Number of means of the first loading in the cloud, with the limits of `N_FIT_MEANS`."""
+"""Number of means of the first loading in the cloud, counted as `N_FIT_MEANS`."""
 N_CLOUD_STATIONS = 17
 """Number of equidistant stations along the specimen in the cloud."""
 RECTANGULAR_DEVIATION = 1.0 / np.sqrt(3.0)
@@ -56,14 +59,15 @@ RECTANGULAR_DEVIATION = 1.0 / np.sqrt(3.0)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TipPull:
-    """The force at the tip, from the reading of the load cell.
+    """Pull of a string and a weight on the tip, for any reading of the load cell.
 
     Parameters
     ----------
-    string_length : m, from the load cell to the tip; None for a force normal to the clamped axis
+    string_length : m, length of the string from its anchor at the load cell to the tip; None for a
+        force normal to the clamped axis
     tip_weight : N, weight that hangs at the tip
     tension_at_rest : N, tension of the string before the loading, which the zeroed force omits
-    anchor_x : m, position of the load cell along x
+    anchor_x : m, position of the anchor along x
     self_weight : N/m, weight of the level specimen per length
     """
 
@@ -84,12 +88,12 @@ class TipPull:
         Returns
         -------
         shape (n, 2), N, along x and y. The y component is NaN if the tip is farther from the anchor
-        along x than the string is long; the x component is not.
+        along x than the string is long; the x component is then finite.
 
         Notes
         -----
-        The load cell is above the tip at rest, so the string leans towards the anchor as the tip
-        moves inward: sin(beta) = (anchor_x - tip_x) / string_length.
+        The angle beta of the string from the y axis increases as the tip moves away from the anchor
+        along x: sin(beta) = (anchor_x - tip_x) / string_length.
         """
         tension = reading + self.tension_at_rest
         sine = (self.anchor_x - tip_x) / (self.string_length or np.inf)
@@ -125,16 +129,16 @@ def evaluate_curves(coefficients: Floats, length: float, arc_length: Floats) -> 
 
     Returns
     -------
-    Positions, directions and curvatures of the n curves at the stations.
+    Positions, angles and curvatures of the n curves at the stations.
 
     Notes
     -----
-    kappa = (x' y'' - y' x'') / (x'^2 + y'^2)^(3/2): the parameter of a fitted curve is only nearly
-    its arc length.
+    The curvature is kappa = (x' y'' - y' x'') / (x'^2 + y'^2)^(3/2). It is not x' y'' - y' x'',
+    because the parameter s of a fitted curve is only approximately its arc length.
     """
-    powers, u = np.moveaxis(coefficients[:, :2], -1, 0), arc_length / length
+    series, u = np.moveaxis(coefficients[:, :2], -1, 0), arc_length / length
     (x, y), (dx, dy), (ddx, ddy) = (
-        np.moveaxis(polyval(u, polyder(powers, order)), 1, 0) / length**order for order in range(3)
+        np.moveaxis(polyval(u, polyder(series, order)), 1, 0) / length**order for order in range(3)
     )
     curvature = (dx * ddy - dy * ddx) / np.hypot(dx, dy) ** 3
     return StationCurves(x, y, np.arctan2(dy, dx), curvature)
@@ -142,16 +146,17 @@ def evaluate_curves(coefficients: Floats, length: float, arc_length: Floats) -> 
 
 @dataclass(frozen=True, slots=True)
 class BendingErrors:
-    """Standard errors of force and positions.
+    """Standard errors of force and positions, and an alternative tension at rest.
 
     Parameters
     ----------
     force_noise : N, noise of the force in one frame
     force_zero : N, error of the zero of the force
     force_scale : error of the scale of the force, as a fraction of the force
-    end_position : m, error of the clamped end, and of the pull point, along the specimen
-    alternative_tension : N, a tension at rest as probable as the assumed one, or None
-    centre_offset : m, error of the distance of the marker centres from the axis
+    end_position : m, error of the position of the clamped end along the specimen, and of that of
+        the pull point
+    alternative_tension : N, another tension at rest that is as probable as the assumed one, or None
+    centre_offset : m, error of the distance from the axis to the marker centres
     """
 
     force_noise: float
@@ -164,20 +169,20 @@ class BendingErrors:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FittedMeans:
-    """Means over consecutive frames of a branch, with shape and force, and the curves through them.
+    """Means of markers and force over consecutive frames of a branch, and curves through the means.
 
     Parameters
     ----------
-    time, force : shape (n,), s, N, mean time and mean force
-    branch : shape (n,), index of the branch
+    time, force : shape (n,), s and N, mean time and mean force
+    branch : shape (n,), index of the branch of each mean
     markers : shape (n, markers, 3), m, mean positions from the clamped end; NaN if a marker was not
         measured in every frame of the mean
     frames_per_mean : number of frames of one mean
     coefficients : shape (n, 3, terms), m, power series of the fitted curves
-    finer_series : shape (n, 3, terms + 1), m; None if the markers do not determine one more
-        coefficient
-    tip_gain : shape (n,), standard error of the tip in x or y, whichever is larger, per standard
-        deviation of a marker coordinate
+    finer_series : shape (n, 3, terms + 1), m, power series with one more coefficient; None if
+        the markers do not determine it
+    tip_gain : shape (n,), standard error of the tip coordinate x or y, whichever is larger, over
+        the standard deviation of a marker coordinate
     """
 
     time: Floats
@@ -198,8 +203,8 @@ class SpecimenAtRest:
     ----------
     markers : shape (markers, 3), m, mean positions from the clamped end
     coefficients : shape (1, 3, terms), m, power series of the mean curve
-    finer_series : shape (1, 3, terms + 1), m; (1, 3, terms) if the markers do not determine
-        one more coefficient
+    finer_series : shape (1, 3, terms + 1), m, power series with one more coefficient; that of
+        `coefficients` if the markers do not determine it
     n_frames : number of frames that show all markers
     marker_noise : m, standard deviation of a marker coordinate; NaN without residuals
     """
@@ -217,49 +222,52 @@ def average_frames(shape: Shape, branch: Ints, *, frames_per_mean: int) -> tuple
     Parameters
     ----------
     shape : marker positions. A marker is averaged if it has a position in all frames of a mean, and
-        was measured in three quarters of them; its other positions were filled across short gaps
-    branch : shape (frames,), index of the branch; frames of a negative one are excluded
+        was measured in at least three quarters of them; the others were filled across short gaps
+    branch : shape (frames,), index of the branch of each frame; frames with a negative index are
+        excluded
     frames_per_mean : number of frames of one mean; the remainder of a branch is excluded
 
     Returns
     -------
     rows : shape (n, frames_per_mean), indices of the frames of each mean, in order of time
-    markers : shape (n, markers, 3), m, mean positions from the clamped end
+    markers : shape (n, markers, 3), m, mean positions from the clamped end; NaN for a marker
+        that is not averaged
     """
-    edges = np.concatenate([[0], np.flatnonzero(np.diff(branch)) + 1, [len(branch)]])
-    groups = [
-        np.arange(first, last - frames_per_mean + 1, frames_per_mean)
-        for first, last in pairwise(edges)
-        if branch[first] >= 0
+    min_measured_fraction = 0.75
+    branch_ends = np.concatenate([[0], np.flatnonzero(np.diff(branch)) + 1, [len(branch)]])
+    first_rows = [
+        np.arange(start, stop - frames_per_mean + 1, frames_per_mean)
+        for start, stop in pairwise(branch_ends)
+        if branch[start] >= 0
     ]
-    rows = np.concatenate([np.zeros(0, np.int64), *groups])[:, None] + np.arange(frames_per_mean)
+    rows = np.concatenate([np.arange(0), *first_rows])[:, None] + np.arange(frames_per_mean)
     indices = rows[..., None], np.flatnonzero(_flag_markers(shape))
     flags = shape.flags[indices]
     is_measured = np.isin(flags, (PointFlag.MEASURED, PointFlag.RELABELLED))
-    is_used = is_measured.mean(axis=1, keepdims=True) >= 0.75
+    is_used = is_measured.mean(axis=1, keepdims=True) >= min_measured_fraction
     is_used = is_used & (is_measured | (flags == PointFlag.FILLED))
     return rows, np.where(is_used[..., None], shape.positions[indices], np.nan).mean(axis=1)
 
 
 def _flag_markers(shape: Shape) -> Flags:
-    """Return which points of a shape are markers, not constructed points: shape (points,)."""
+    """Flag the points of a shape that are markers, not constructed points, shape (points,)."""
     return np.asarray(~(shape.flags == PointFlag.CONSTRUCTED).any(axis=0), dtype=np.bool_)
 
 
 @dataclass(frozen=True, eq=False)
 class BendingTest:
-    """A bending test with shape and curve, in arrays of shape (frames,).
+    """Shapes and forces of a bending test. All arrays have shape (frames,).
 
     Parameters
     ----------
-    shape : shape fitted in every frame, with clamped end and pull point
-    force : N, force of the curve at the time of the frames; NaN outside the curve
-    branch, cycle : index of the branch, and number of the cycle, of the curve at the frames
+    shape : shape of the specimen in every frame, with clamped end and pull point
+    force : N, force of the curve at the time of each frame; NaN outside the curve
+    branch, cycle : index of the branch, and number of the cycle, of the curve at each frame
     first_branch : index of the branch of the first loading
     is_at_rest : whether the frame was taken before the loading
-    centre_offset : m, axis to marker centre, positive towards the pull
+    centre_offset : m, distance from the axis to the marker centres, positive towards the pull
     free_tip : whether the shapes were fitted without a moment at the tip
-    pull : pull of string and weights at the tip
+    pull : pull of string and weight on the tip
     errors : standard errors of force and positions
     """
 
@@ -287,19 +295,23 @@ class BendingTest:
         markers : shape (n, markers, 3), m, positions
         extra_terms : number of coefficients in addition to those of the shapes
 
+        Returns
+        -------
+        One curve for each row of `markers`.
+
         Raises
         ------
         ValueError
             If no frame has a curve.
         """
         length, coefficients = self.shape.length, self.shape.coefficients
-        fitted = np.flatnonzero(np.isfinite(coefficients).all(axis=(1, 2)))
-        if not len(fitted):
+        fitted_frames = np.flatnonzero(np.isfinite(coefficients).all(axis=(1, 2)))
+        if not len(fitted_frames):
             raise ValueError(format_sentence("results.no_fitted_frame"))
-        direction, terms = coefficients[fitted[0], :, 1] / length, coefficients.shape[2]
+        direction = coefficients[fitted_frames[0], :, 1] / length
         ends = EndConditions(length=length, direction=direction, free_tip=self.free_tip)
-        arc_length, offset = self.marker_arc_length, self.centre_offset
-        return fit_frames(markers, arc_length, offset, ends, terms=terms + extra_terms)
+        terms = coefficients.shape[2] + extra_terms
+        return fit_frames(markers, self.marker_arc_length, self.centre_offset, ends, terms=terms)
 
     @cached_property
     def specimen_at_rest(self) -> SpecimenAtRest:
@@ -328,7 +340,8 @@ class BendingTest:
 
         Parameters
         ----------
-        branch : shape (frames,), index of the branch; frames of a negative one are excluded
+        branch : shape (frames,), index of the branch of each frame; frames with a negative index
+            are excluded
         frames_per_mean : number of frames of one mean
 
         Returns
@@ -346,7 +359,7 @@ class BendingTest:
         if not is_usable.any():
             raise ValueError(format_sentence("results.no_means"))
         rows, markers = rows[is_usable], markers[is_usable]
-        finer = self.fit_curves(markers, extra_terms=1).coefficients if fit.n_spare > 0 else None
+        finer_fit = self.fit_curves(markers, extra_terms=1) if fit.n_spare > 0 else None
         return FittedMeans(
             time=self.shape.time[rows].mean(axis=1),
             force=force[is_usable],
@@ -354,7 +367,7 @@ class BendingTest:
             markers=markers,
             frames_per_mean=frames_per_mean,
             coefficients=fit.coefficients[is_usable],
-            finer_series=finer,
+            finer_series=None if finer_fit is None else finer_fit.coefficients,
             tip_gain=fit.gain[is_usable, :2].max(axis=1),
         )
 
@@ -369,8 +382,8 @@ class BendingTest:
 
         Returns
         -------
-        shape (n, stations), N m: M(s) = Py (x_L - x) - Px (y_L - y), positive if it bends towards
-        the pull, less the moment of the specimen's weight between s and the tip.
+        shape (n, stations), N m, positive if the moment bends towards the pull: M(s) =
+        Py (x_L - x) - Px (y_L - y), less the moment of the specimen's weight between s and the tip.
         """
         length, pull = self.shape.length, self.pull
         curves = evaluate_curves(coefficients, length, arc_length)
@@ -378,42 +391,44 @@ class BendingTest:
         force = pull.compute_force(reading, tip.x[:, 0])
         moment = force[:, 1:] * (tip.x - curves.x) - force[:, :1] * (tip.y - curves.y)
         x_integral = polyint(coefficients[:, 0].T)
-        from_station = polyval(np.ones(1), x_integral) - polyval(arc_length / length, x_integral)
-        lever = length * from_station - (length - arc_length) * curves.x
-        return np.asarray(moment - pull.self_weight * lever, dtype=np.float64)
+        tip_integral = polyval(np.ones(1), x_integral)
+        integral_to_tip = length * (tip_integral - polyval(arc_length / length, x_integral))
+        first_moment = integral_to_tip - (length - arc_length) * curves.x  # m^2, about the station
+        return np.asarray(moment - pull.self_weight * first_moment, dtype=np.float64)
 
     def compute_curvature_gain(
         self, markers: Floats, curves: StationCurves, arc_length: Floats
     ) -> Floats:
-        """Compute the standard error of curvature per standard deviation of a marker coordinate.
+        """Compute the standard error of curvature over the standard deviation of a coordinate.
 
         Parameters
         ----------
-        markers : shape (n, markers, 3), m, positions to which the curves were fitted; NaN where not
-            visible
+        markers : shape (n, markers, 3), m, positions to which the curves were fitted; NaN for a
+            marker that is not visible
         curves : the fitted curves at the stations
         arc_length : shape (stations,), m, stations from the clamped end
 
         Returns
         -------
-        shape (n, stations), 1/m^2; NaN for too few markers.
+        shape (n, stations), 1/m^2; NaN for a curve with too few markers.
 
         Notes
         -----
-        With n = (-sin, cos) and t = (cos, sin): d kappa = n . d r'' - 2 kappa t . d r', where r''
-        and r' are linear in the markers by the least-squares operator of the fit.
+        With the normal n = (-sin, cos) and the tangent t = (cos, sin) of the curve, d kappa =
+        n . d r'' - 2 kappa t . d r'. The least-squares fit makes r'' and r' linear in the markers.
         """
         length, n = self.shape.length, int(self.shape.coefficients.shape[2])
         basis = build_curve_basis(terms=n, length=length, has_clamp=True, free_tip=self.free_tip)
-        second = polyval(arc_length / length, polyder(basis.matrix, 2)).T / length**2
-        first, is_visible = basis.compute_slopes(arc_length), np.isfinite(markers).all(axis=2)
+        second_derivative = polyval(arc_length / length, polyder(basis.matrix, 2)).T / length**2
+        derivatives = second_derivative, basis.compute_slopes(arc_length)
+        is_visible = np.isfinite(markers).all(axis=2)
         gain = np.full(curves.angle.shape, np.nan)
         for pattern in np.unique(is_visible, axis=0):
             if pattern.sum() < basis.n_unknowns:
                 continue
             design = build_marker_design(basis, self.marker_arc_length[pattern], self.centre_offset)
-            x, y = np.split(np.linalg.pinv(design), 2)
-            operators = np.stack([second @ x, second @ y, first @ x, first @ y])
+            fit_operators = np.split(np.linalg.pinv(design), 2)  # of x and of y
+            operators = np.stack([matrix @ fit for matrix in derivatives for fit in fit_operators])
             gram = np.einsum("isk,jsk->sij", operators, operators)
             has_pattern = (is_visible == pattern).all(axis=1)
             angle, double_curvature = curves.angle[has_pattern], 2.0 * curves.curvature[has_pattern]
@@ -442,14 +457,13 @@ def measure_bending(test: BendingTest) -> Bending:
     """
     cloud = measure_cloud(test)
     try:
-        law = fit_loading_law(test, cloud)
+        return Bending(cloud, fit_loading_law(test, cloud))
     except ValueError as error:
         return Bending(cloud, None, Reason("no_law", str(error)))
-    return Bending(cloud, law)
 
 
 def measure_cloud(test: BendingTest) -> BendingCloud:
-    """Compute curvature and moment, less those at rest.
+    """Compute curvatures and moments, less those at rest, at stations along the specimen.
 
     Parameters
     ----------
@@ -458,7 +472,7 @@ def measure_cloud(test: BendingTest) -> BendingCloud:
     Returns
     -------
     One row per mean over consecutive frames of a branch. `N_CLOUD_MEANS` sets the number of frames
-    of one mean, for all branches. A mean without shape or force is left out.
+    of one mean, for all branches. A mean without a shape or a force is left out.
 
     Raises
     ------
@@ -468,12 +482,13 @@ def measure_cloud(test: BendingTest) -> BendingCloud:
 
     Notes
     -----
-    Moments are those of `BendingTest.compute_moments`, with the specimen's weight. The error of the
-    curvature takes the noise of the markers to be independent from frame to frame. Its systematic
-    error is the change with one more coefficient.
+    Moments are those of `BendingTest.compute_moments`, with the specimen's weight. The standard
+    error of the curvature assumes that the noise of the markers is independent from frame to frame.
+    The systematic error is the change of the curvature with one more coefficient.
     """
-    count = int((test.branch == test.first_branch).sum())
-    means = test.fit_means(test.branch, frames_per_mean=max(1, count // N_CLOUD_MEANS))
+    n_loading_frames = int((test.branch == test.first_branch).sum())
+    frames_per_mean = max(1, n_loading_frames // N_CLOUD_MEANS)
+    means = test.fit_means(test.branch, frames_per_mean=frames_per_mean)
     rest, errors, length = test.specimen_at_rest, test.errors, test.shape.length
     stations = np.linspace(0.0, length, N_CLOUD_STATIONS)
 
@@ -482,22 +497,23 @@ def measure_cloud(test: BendingTest) -> BendingCloud:
 
     loaded_curves = evaluate_curves(means.coefficients, length, stations)
     curvature = loaded_curves.curvature - compute_curvature(rest.coefficients)
-    systematic = np.full(curvature.shape, np.nan)
+    systematic_error = np.full(curvature.shape, np.nan)
     if means.finer_series is not None:
         finer = compute_curvature(means.finer_series) - compute_curvature(rest.finer_series)
-        systematic = np.abs(finer - curvature)
+        systematic_error = np.abs(finer - curvature)
     moment_at_rest = test.compute_moments(rest.coefficients, np.zeros(1), stations)[0]
     moment = test.compute_moments(means.coefficients, means.force, stations) - moment_at_rest
-    n_frames = means.frames_per_mean
-    noise_factor = np.sqrt(1.0 / n_frames + 1.0 / rest.n_frames)
+    noise_factor = np.sqrt(1.0 / frames_per_mean + 1.0 / rest.n_frames)
     gain = test.compute_curvature_gain(means.markers, loaded_curves, stations)
-    force_error = np.hypot(errors.force_zero, errors.force_noise / np.sqrt(n_frames))
-    by_force = force_error * (loaded_curves.x[:, -1:] - loaded_curves.x)
-    # Marker centres farther from the axis shorten the lever by the sine of the tip's angle.
+    force_error = np.hypot(errors.force_zero, errors.force_noise / np.sqrt(frames_per_mean))
+    error_from_force = force_error * (loaded_curves.x[:, -1:] - loaded_curves.x)
+    # If marker centres are farther from the axis, the lever is shorter in proportion to the sine of
+    # the angle at the tip.
     centre_error = errors.centre_offset * np.sin(loaded_curves.angle[:, -1])
-    tip_error = rest.marker_noise * means.tip_gain / np.sqrt(n_frames)
-    by_lever = np.hypot(np.hypot(errors.end_position, centre_error), tip_error) * means.force
-    squares = by_force**2 + (errors.force_scale * moment) ** 2 + by_lever[:, None] ** 2
+    tip_error = rest.marker_noise * means.tip_gain / np.sqrt(frames_per_mean)
+    lever_error = np.hypot(np.hypot(errors.end_position, centre_error), tip_error)
+    error_from_lever = (lever_error * means.force)[:, None]
+    error_from_scale = errors.force_scale * moment
     return BendingCloud(
         time=means.time,
         branch=means.branch,
@@ -506,11 +522,11 @@ def measure_cloud(test: BendingTest) -> BendingCloud:
         arc_length=stations,
         curvature=curvature,
         curvature_error=rest.marker_noise * noise_factor * gain,
-        curvature_systematic=systematic,
+        curvature_systematic=systematic_error,
         moment=moment,
-        moment_error=np.sqrt(squares),
+        moment_error=np.sqrt(error_from_force**2 + error_from_scale**2 + error_from_lever**2),
         moment_at_rest=moment_at_rest,
-        frames_per_mean=n_frames,
+        frames_per_mean=frames_per_mean,
     )
 
 
@@ -520,7 +536,7 @@ def fit_loading_law(test: BendingTest, cloud: BendingCloud) -> MeasuredLaw:
     Parameters
     ----------
     test : shapes and force of the test
-    cloud : moments and curvatures of the test, whose noise limits the range of known curvatures
+    cloud : moments and curvatures of the test; the noise of its curvatures limits the known range
 
     Returns
     -------
@@ -538,13 +554,13 @@ def fit_loading_law(test: BendingTest, cloud: BendingCloud) -> MeasuredLaw:
     frames (zero of the force, a tension at rest removed by the zero, ends of the specimen, distance
     of marker centres from the axis, moments of shapes with one more coefficient) are computed to
     first order and added as independent errors. An equally probable alternative counts with
-    1 / sqrt(3) of its change, the standard deviation of a rectangular distribution. So does a law
-    with half as many knots.
+    1 / sqrt(3) of its change, the standard deviation of a rectangular distribution. So does the
+    change with half as many intervals between knots.
     """
     min_means = 24
-    is_first, rest = test.branch == test.first_branch, test.specimen_at_rest
-    frames_per_mean = max(1, int(is_first.sum()) // N_FIT_MEANS)
-    means = test.fit_means(np.where(is_first, test.branch, -1), frames_per_mean=frames_per_mean)
+    is_loading, rest = test.branch == test.first_branch, test.specimen_at_rest
+    frames_per_mean = max(1, int(is_loading.sum()) // N_FIT_MEANS)
+    means = test.fit_means(np.where(is_loading, test.branch, -1), frames_per_mean=frames_per_mean)
     n_means = len(means.force)
     if n_means < min_means:
         raise ValueError(format_sentence("results.few_means", count=n_means, needed=min_means))
@@ -560,16 +576,16 @@ def fit_loading_law(test: BendingTest, cloud: BendingCloud) -> MeasuredLaw:
         rest_weight=rest.n_frames / frames_per_mean,
         centre_offset=test.centre_offset,
     )
-    largest, at_rest = data.moment.max(), np.abs(data.moment_at_rest).max()
-    if not largest > at_rest:
-        raise ValueError(format_sentence("results.no_moment", largest=largest, at_rest=at_rest))
+    moments = {"largest": data.moment.max(), "at_rest": np.abs(data.moment_at_rest).max()}
+    if not moments["largest"] > moments["at_rest"]:
+        raise ValueError(format_sentence("results.no_moment", **moments))
     fit, knot_error = refine_law(data)
 
     displacement = fit.compute_displacement(data)
     common_errors = [knot_error]
     for alternative, factor in _generate_alternatives(test, means, data):
-        change = fit.compute_displacement(alternative) - displacement
-        common_errors.append(factor * fit.compute_compliance_change(change))
+        displacement_change = fit.compute_displacement(alternative) - displacement
+        common_errors.append(factor * fit.compute_compliance_change(displacement_change))
     return tabulate_law(
         fit,
         common_errors,
@@ -583,50 +599,55 @@ def fit_loading_law(test: BendingTest, cloud: BendingCloud) -> MeasuredLaw:
 def _generate_alternatives(
     test: BendingTest, means: FittedMeans, data: LawData
 ) -> Iterator[tuple[LawData, float]]:
-    """Yield the data for a change of each common input, and standard errors per change."""
+    """Yield the data for a change of each common cause, and how many standard errors it counts."""
     errors, rest, length = test.errors, test.specimen_at_rest, test.shape.length
     points, no_load = data.arc_length, np.zeros(1)
 
     def recompute(
         test: BendingTest = test,
         curves: Floats = means.coefficients,
-        at_rest: Floats = rest.coefficients,
+        rest_curves: Floats = rest.coefficients,
         force_change: float = 0.0,
     ) -> LawData:
         return replace(
             data,
             moment=test.compute_moments(curves, means.force + force_change, points),
-            moment_at_rest=test.compute_moments(at_rest, no_load, points)[0],
+            moment_at_rest=test.compute_moments(rest_curves, no_load, points)[0],
         )
 
+    # The force at rest is not zero.
     yield recompute(force_change=errors.force_zero), 1.0
     if errors.alternative_tension is not None:
+        # The string has another tension at rest.
         pull = replace(test.pull, tension_at_rest=errors.alternative_tension)
         yield recompute(replace(test, pull=pull)), RECTANGULAR_DEVIATION
     if means.finer_series is not None:
-        yield recompute(curves=means.finer_series, at_rest=rest.finer_series), RECTANGULAR_DEVIATION
+        # The fitted curves have one more coefficient.
+        alternative = recompute(curves=means.finer_series, rest_curves=rest.finer_series)
+        yield alternative, RECTANGULAR_DEVIATION
     if errors.end_position > 0.0:
         # The clamped end is farther from the first marker.
-        first = points[data.marker_points[0]]
-        displaced = points + errors.end_position * np.minimum(points / first, 1.0)
-        from_tip = displaced - (displaced[-1] - length)
-        moment = test.compute_moments(means.coefficients, means.force, from_tip)
-        yield replace(data, arc_length=displaced, moment=moment), 1.0
-        # The pull point is farther out.
+        first_marker = points[data.marker_points[0]]
+        shifted_points = points + errors.end_position * np.minimum(points / first_marker, 1.0)
+        stations = shifted_points - (shifted_points[-1] - length)
+        moment = test.compute_moments(means.coefficients, means.force, stations)
+        yield replace(data, arc_length=shifted_points, moment=moment), 1.0
+        # The pull point is farther from the clamped end.
         tip = evaluate_curves(means.coefficients, length, np.array([length]))
         force = test.pull.compute_force(means.force, tip.x[:, 0])
         normal_force = force[:, 1:] * np.cos(tip.angle) - force[:, :1] * np.sin(tip.angle)
         yield replace(data, moment=data.moment + errors.end_position * normal_force), 1.0
     if errors.centre_offset > 0.0:
         # Marker centres are farther from the axis.
-        farther = replace(test, centre_offset=test.centre_offset + errors.centre_offset)
+        changed_test = replace(test, centre_offset=test.centre_offset + errors.centre_offset)
         clamp_angle = data.angle_at_rest[0]
         clamp_normal = np.array([-np.sin(clamp_angle), np.cos(clamp_angle), 0.0])
         marker_shift = errors.centre_offset * clamp_normal
-        curves = farther.fit_curves(means.markers + marker_shift).coefficients
-        at_rest = farther.fit_curves(rest.markers[None] + marker_shift).coefficients
-        alternative = recompute(farther, curves, at_rest)
-        angle, offset = evaluate_curves(at_rest, length, points).angle[0], farther.centre_offset
+        curves = changed_test.fit_curves(means.markers + marker_shift).coefficients
+        rest_curves = changed_test.fit_curves(rest.markers[None] + marker_shift).coefficients
+        alternative = recompute(changed_test, curves, rest_curves)
+        angle = evaluate_curves(rest_curves, length, points).angle[0]
+        offset = changed_test.centre_offset
         yield replace(alternative, angle_at_rest=angle, centre_offset=offset), 1.0
 
 
@@ -637,17 +658,17 @@ def evaluate_law(
 
     Parameters
     ----------
-    knots : shape (knots,), N m, moments of the compliances, from 0 up
+    knots : shape (knots,), N m, moments at the knots, from 0 up
     compliance : shape (knots,), 1/(N m^2), slope of curvature against moment at the knots
-    covariance : shape (knots, knots), 1/(N m^2)^2, of the compliances
+    covariance : shape (knots, knots), 1/(N m^2)^2, covariance of the compliances
     curvature : shape (n,), 1/m, none negative
     scale_error : standard uncertainty of the scale of the force, as a fraction of the force
 
     Returns
     -------
     Values and standard errors, each of shape (n,), of ``moment`` (N m), ``secant`` and ``tangent``
-    (N m^2). Values are NaN beyond the largest curvature of the law, where errors have no meaning,
-    and the secant also at zero curvature. For zero compliance, errors are not finite.
+    (N m^2). Beyond the largest curvature of the law, values are NaN and errors have no meaning. At
+    zero curvature, the secant is NaN. Where the compliance is zero, errors are not finite.
 
     Notes
     -----
@@ -657,16 +678,17 @@ def evaluate_law(
     n_fine = 4000
     basis, fine_moment = LawBasis(knots), np.linspace(0.0, knots[-1], n_fine)
     fine_curvature = basis.compute_curvatures(fine_moment) @ compliance
-    is_in_range = (curvature >= 0.0) & (curvature <= fine_curvature[-1] * (1.0 + 1e-12))
+    largest_curvature = fine_curvature[-1] * (1.0 + 1e-12)  # despite rounding
+    is_in_range = (curvature >= 0.0) & (curvature <= largest_curvature)
     moment = np.where(is_in_range, np.interp(curvature, fine_curvature, fine_moment), np.nan)
     finite_moment = np.nan_to_num(moment)
     weights = basis.compute_compliances(finite_moment)
     interval = np.clip(np.searchsorted(knots, finite_moment, side="right") - 1, 0, len(knots) - 2)
     compliance_slope = (np.diff(compliance) / np.diff(knots))[interval]
 
-    def propagate(gradient: Floats, scale: Floats) -> Floats:
-        squares = np.einsum("nk,kj,nj->n", gradient, covariance, gradient)
-        return np.asarray(np.sqrt(np.maximum(squares, 0.0) + scale**2), dtype=np.float64)
+    def compute_error(gradient: Floats, error_from_scale: Floats) -> Floats:
+        variance = np.maximum(np.einsum("nk,kj,nj->n", gradient, covariance, gradient), 0.0)
+        return np.asarray(np.sqrt(variance + error_from_scale**2), dtype=np.float64)
 
     with np.errstate(divide="ignore", invalid="ignore"):
         local_compliance = weights @ compliance
@@ -674,8 +696,8 @@ def evaluate_law(
         compliance_gradient = weights + compliance_slope[:, None] * moment_gradient
         tangent_gradient = -compliance_gradient / local_compliance[:, None] ** 2
         tangent = 1.0 / local_compliance
-        moment_error = propagate(moment_gradient, scale_error * moment)
-        tangent_error = propagate(tangent_gradient, scale_error * tangent)
+        moment_error = compute_error(moment_gradient, scale_error * moment)
+        tangent_error = compute_error(tangent_gradient, scale_error * tangent)
         return {
             "moment": (moment, moment_error),
             "secant": (moment / curvature, moment_error / curvature),
@@ -696,13 +718,13 @@ def tabulate_law(
 
     Parameters
     ----------
-    fit : compliances of the law, with the covariance of their scatter
+    fit : compliances of the law, with their covariance from the scatter of the markers
     common_errors : standard errors from causes common to all frames, as changes of the compliances,
         each of shape (knots,)
     scale_error : standard uncertainty of the scale of the force, as a fraction of the force
     noise : m, standard deviation of a marker coordinate in a mean of the fit
     curvature_noise : 1/m, median standard error of the cloud's curvatures in the first loading
-    n_frames : number of frames used
+    n_frames : number of frames used for the fit
 
     Returns
     -------
@@ -719,20 +741,20 @@ def tabulate_law(
     covariance = fit.covariance + sum(np.outer(error, error) for error in common_errors)
     largest_curvature = float(fit.basis.compute_curvatures(knots[-1:])[0] @ compliance)
     curvature = largest_curvature * (np.arange(n_rows) / (n_rows - 1)) ** 2
-    points = evaluate_law(knots, compliance, covariance, curvature, scale_error=scale_error)
+    quantities = evaluate_law(knots, compliance, covariance, curvature, scale_error=scale_error)
     floor = NORMAL_95 * curvature_noise
-    moment, moment_error = points["moment"]
+    moment, moment_error = quantities["moment"]
     is_known = (curvature > floor) & (NORMAL_95 * moment_error < moment)
     columns = dict[str, Floats]()
-    for name, (values, errors) in points.items():
+    for name, (values, errors) in quantities.items():
         has_interval = np.isfinite(errors) if name == "moment" else is_known
         value = values if name == "moment" else np.where(is_known, values, np.nan)
         margin = NORMAL_95 * np.where(has_interval, errors, np.nan)
         columns |= {name: value, f"{name}_lower": value - margin, f"{name}_upper": value + margin}
-    unknown, reason = curvature[1:][~is_known[1:]], None
-    if n_unknown := len(unknown):
-        facts = {"unknown": n_unknown, "count": n_rows - 1, "last": unknown.max(), "floor": floor}
-        reason = Reason.of("results.law_below_noise", **facts)
+    unknown_curvatures, reason = curvature[1:][~is_known[1:]], None
+    if n_unknown := len(unknown_curvatures):
+        facts = {"unknown": n_unknown, "count": n_rows - 1, "last": unknown_curvatures.max()}
+        reason = Reason.of("results.law_below_noise", **facts, floor=floor)
     return MeasuredLaw(
         curvature=curvature,
         **columns,
@@ -751,7 +773,7 @@ def tabulate_law(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LawFit:
-    """A fitted law, and its dependence on the markers.
+    """A fitted law, and the dependence of its compliances on the markers.
 
     Parameters
     ----------
@@ -760,9 +782,10 @@ class LawFit:
     covariance : shape (knots, knots), 1/(N m^2)^2, from the scatter of the markers about the law
     sensitivity : shape (knots, n, 2 markers), change of the compliances per metre of a marker
         coordinate
-    residual : m, root mean square misfit per coordinate
-    n_coordinates : number of measured marker coordinates in all frames
-    noise_variance : m^2, variance of independent noise that would scatter the compliances as much
+    residual : m, root mean square misfit of a marker coordinate
+    n_coordinates : number of measured marker coordinates in all means
+    noise_variance : m^2, variance of independent noise of the coordinates that would give the
+        compliances about the same covariance
     """
 
     basis: LawBasis
@@ -774,7 +797,7 @@ class LawFit:
     noise_variance: float
 
     def compute_displacement(self, data: LawData) -> Floats:
-        """Compute the displacement of the markers by the law, shape (n, 2 markers), m."""
+        """Compute the displacement of the markers from rest by the law, shape (n, 2 markers), m."""
         return data.compute_displacement(data.compute_rotations(self.basis) @ self.compliance)
 
     def compute_compliance_change(self, change: Floats) -> Floats:
@@ -782,7 +805,8 @@ class LawFit:
 
         Parameters
         ----------
-        change : shape (n, 2 markers), m, change of the displacement that the same law gives
+        change : shape (n, 2 markers), m, change of the displacement that the data give with the
+            same law
 
         Returns
         -------
@@ -792,7 +816,7 @@ class LawFit:
 
 
 def refine_law(data: LawData) -> tuple[LawFit, Floats]:
-    """Fit a law with 13 knots, or with 25 if they fit the markers much better.
+    """Fit a law with 13 knots, or with 25 if these fit the markers significantly better.
 
     Parameters
     ----------
@@ -807,25 +831,25 @@ def refine_law(data: LawData) -> tuple[LawFit, Floats]:
     Raises
     ------
     ValueError
-        As `fit_law`, for any of 7, 13 and 25 knots: all three laws are fitted.
+        As `fit_law`, for 7, 13 or 25 knots, since all three laws are fitted.
 
     Notes
     -----
-    Thirteen knots describe a smooth law to 0.1 % of its moment. A wire whose strands all slip at
-    once has a law with a kink. The intervals are therefore halved if that reduces the sum of
-    squares by more than log n times the variance of the noise for each added knot (Schwarz, Ann.
-    Stat. 6 (1978) 461).
+    Thirteen knots describe a smooth law to 0.1 % of its moment. A wire whose strands all begin to
+    slip at the same moment has a law with a kink. The intervals between knots are therefore halved
+    if that reduces the sum of squares by more than log n times the variance of the noise for each
+    added knot (Schwarz, Ann. Stat. 6 (1978) 461).
     """
     knot_counts = (7, 13, 25)
     largest = float(data.moment.max())
     coarse, fit, fine = (fit_law(data, choose_knots(largest, count)) for count in knot_counts)
-    gain = fine.n_coordinates * (fit.residual**2 - fine.residual**2)
-    penalty = fine.noise_variance * np.log(fine.n_coordinates)
-    if gain > penalty * (knot_counts[2] - knot_counts[1]):
+    reduction = fine.n_coordinates * (fit.residual**2 - fine.residual**2)
+    penalty_per_knot = fine.noise_variance * np.log(fine.n_coordinates)
+    if reduction > penalty_per_knot * (knot_counts[2] - knot_counts[1]):
         coarse, fit = fit, fine
     # The knots of the coarse law are among those of the fine one.
-    coarse_law: Floats = coarse.basis.compute_compliances(fit.basis.knots) @ coarse.compliance
-    return fit, RECTANGULAR_DEVIATION * (coarse_law - fit.compliance)
+    coarse_compliance = coarse.basis.compute_compliances(fit.basis.knots) @ coarse.compliance
+    return fit, RECTANGULAR_DEVIATION * np.asarray(coarse_compliance - fit.compliance)
 
 
 def fit_law(data: LawData, basis: LawBasis) -> LawFit:
@@ -847,19 +871,19 @@ def fit_law(data: LawData, basis: LawBasis) -> LawFit:
 
     Notes
     -----
-    The method is Gauss-Newton, from one compliance for all knots. A step to a negative compliance
-    is replaced by non-negative least squares (Lawson and Hanson, Solving Least Squares Problems,
-    1974, chapter 23). Every marker coordinate has its own offset, known from the frames at rest,
-    which are one more row of the design. The covariance therefore includes the noise of the mean at
-    rest, which is common to all frames. It is a sandwich estimator with the long-run covariance of
-    the residuals between coordinates (Newey and West, Econometrica 55 (1987) 703), because an error
-    of the clamp's pivot or of the force moves all coordinates, and that of a smoothed force lasts
-    for several frames.
+    The method is Gauss-Newton, and starts with the same compliance at all knots. A step to a
+    negative compliance is replaced by non-negative least squares (Lawson and Hanson, Solving Least
+    Squares Problems, 1974, chapter 23). Every marker coordinate has an unknown offset, and the
+    frames at rest are one more row of the design. The covariance of the compliances therefore
+    includes the noise of the mean at rest, which is common to all frames. It is a sandwich
+    estimator with the long-run covariance of the residuals between coordinates (Newey and West,
+    Econometrica 55 (1987) 703), because an error of the clamp's pivot or of the force moves all
+    coordinates, and an error of a smoothed force lasts for several frames.
     """
     max_steps = 12
     relative_tolerance = 1e-7
     is_measured = np.isfinite(data.displacement)
-    measured = np.where(is_measured, data.displacement, 0.0)
+    measured_displacement = np.where(is_measured, data.displacement, 0.0)
     weight = is_measured.sum(axis=0) + data.rest_weight
 
     def subtract_offsets(values: Floats) -> Floats:
@@ -871,78 +895,82 @@ def fit_law(data: LawData, basis: LawBasis) -> LawFit:
 
     rotations, ones = data.compute_rotations(basis), np.ones(len(basis.knots))
     unit_displacement = data.compute_derivatives(rotations, 0.0 * ones) @ ones
-    scale = float((unit_displacement**2).sum())
-    if not scale > 0.0:
+    squared_norm = float((unit_displacement**2).sum())
+    if not squared_norm > 0.0:
         raise ValueError(format_sentence("results.no_change_of_moment"))
-    compliance: Floats = ones * abs(float((unit_displacement * measured).sum())) / scale
+    mean_compliance = float((unit_displacement * measured_displacement).sum()) / squared_norm
+    compliance: Floats = ones * abs(mean_compliance)
     for _ in range(max_steps):
-        misfit = measured - data.compute_displacement(rotations @ compliance)
+        misfit = measured_displacement - data.compute_displacement(rotations @ compliance)
         residuals = subtract_offsets(misfit[..., None])
         design = subtract_offsets(data.compute_derivatives(rotations, compliance))
         rows = design.reshape(-1, len(ones))
-        normal = rows.T @ rows
-        solution = _solve_non_negative(normal, rows.T @ residuals.ravel() + normal @ compliance)
-        change = float(np.abs(solution - compliance).max() / np.abs(solution).max())
+        normal_matrix = rows.T @ rows
+        right_side = rows.T @ residuals.ravel() + normal_matrix @ compliance
+        solution = _solve_non_negative(normal_matrix, right_side)
+        relative_change = float(np.abs(solution - compliance).max() / np.abs(solution).max())
         compliance = solution
-        if change < relative_tolerance:
+        if relative_change < relative_tolerance:
             break
-    residuals, count = residuals[:-1, :, 0], int(is_measured.sum())
-    sensitivity = np.einsum("kj,nmj->knm", _invert(normal), design)[:, :-1]
+    loaded_residuals, count = residuals[:-1, :, 0], int(is_measured.sum())
+    sensitivity = np.einsum("kj,nmj->knm", _invert(normal_matrix), design)[:, :-1]
     degrees_of_freedom = max(float(count) - len(ones) - is_measured.shape[1], 1.0)
-    noise = _estimate_long_run_covariance(residuals, is_measured) * count / degrees_of_freedom
+    noise = (
+        _estimate_long_run_covariance(loaded_residuals, is_measured) * count / degrees_of_freedom
+    )
     covariance = np.einsum("knm,ml,jnl->kj", sensitivity, noise, sensitivity, optimize=True)
     return LawFit(
         basis=basis,
         compliance=compliance,
         covariance=covariance,
         sensitivity=sensitivity,
-        residual=float(np.sqrt((residuals**2).sum() / max(count, 1))),
+        residual=float(np.sqrt((loaded_residuals**2).sum() / max(count, 1))),
         n_coordinates=count,
-        noise_variance=float(np.trace(covariance @ normal)) / len(ones),
+        noise_variance=float(np.trace(covariance @ normal_matrix)) / len(ones),
     )
 
 
-def _solve_non_negative(normal: Floats, right: Floats) -> Floats:
+def _solve_non_negative(normal_matrix: Floats, right_side: Floats) -> Floats:
     """Solve normal equations for compliances, none of them negative."""
-    solution: Floats = _invert(normal) @ right
+    solution: Floats = _invert(normal_matrix) @ right_side
     if (solution >= 0.0).all():
         return solution
-    from scipy.optimize import nnls  # a slow import, which few tests need
+    from scipy.optimize import nnls  # a slow import, which few laws need
 
-    scale = np.sqrt(np.diag(normal))
-    triangle = np.linalg.cholesky(normal / np.outer(scale, scale))
-    return nnls(triangle.T, np.linalg.solve(triangle, right / scale))[0] / scale
+    scale = np.sqrt(np.diag(normal_matrix))
+    triangle = np.linalg.cholesky(normal_matrix / np.outer(scale, scale))
+    return nnls(triangle.T, np.linalg.solve(triangle, right_side / scale))[0] / scale
 
 
-def _invert(normal: Floats) -> Floats:
+def _invert(normal_matrix: Floats) -> Floats:
     """Invert a matrix of normal equations, scaled to a unit diagonal."""
     max_condition = 1e12
-    scale = np.sqrt(np.diag(normal))
-    if not (scale > 0.0).all() or np.linalg.cond(normal / np.outer(scale, scale)) > max_condition:
+    scale = np.sqrt(np.diag(normal_matrix))
+    scales = np.outer(scale, scale)
+    if not (scale > 0.0).all() or np.linalg.cond(normal_matrix / scales) > max_condition:
         raise ValueError(format_sentence("results.law_not_determined", knots=len(scale)))
-    inverse = np.linalg.inv(normal / np.outer(scale, scale)) / np.outer(scale, scale)
-    return np.asarray(inverse, dtype=np.float64)
+    return np.asarray(np.linalg.inv(normal_matrix / scales) / scales, dtype=np.float64)
 
 
 def _estimate_long_run_covariance(residuals: Floats, is_measured: Flags) -> Floats:
-    """Estimate the long-run covariance between columns of residuals, with Bartlett's weights."""
+    """Estimate the long-run covariance of residuals (n, 2 markers), with Bartlett's weights."""
     count = len(residuals)
-    lags = min(round(4.0 * (count / 100.0) ** (2.0 / 9.0)) + 1, count // 4)
+    max_lag = min(round(4.0 * (count / 100.0) ** (2.0 / 9.0)) + 1, count // 4)
     weights = is_measured.astype(np.float64)
-    total = residuals.T @ residuals / np.maximum(weights.T @ weights, 1.0)
-    for lag in range(1, lags + 1):
+    covariance = residuals.T @ residuals / np.maximum(weights.T @ weights, 1.0)
+    for lag in range(1, max_lag + 1):
         pair_counts = np.maximum(weights[lag:].T @ weights[:-lag], 1.0)
         lagged = residuals[lag:].T @ residuals[:-lag] / pair_counts
-        total += (1.0 - lag / (lags + 1.0)) * (lagged + lagged.T)
-    return np.asarray(total, dtype=np.float64)
+        covariance += (1.0 - lag / (max_lag + 1.0)) * (lagged + lagged.T)
+    return np.asarray(covariance, dtype=np.float64)
 
 
-def divide_wire(markers: Floats, length: float) -> tuple[Floats, Ints]:
-    """Divide a wire finely, with points at the markers and at the tip.
+def divide_wire(marker_arc_length: Floats, length: float) -> tuple[Floats, Ints]:
+    """Divide a wire by points at the clamped end, the markers and the tip, and between them.
 
     Parameters
     ----------
-    markers : shape (markers,), m, arc lengths of the markers from the clamped end
+    marker_arc_length : shape (markers,), m, arc lengths of the markers from the clamped end
     length : m, free length of the wire
 
     Returns
@@ -950,16 +978,16 @@ def divide_wire(markers: Floats, length: float) -> tuple[Floats, Ints]:
     points : shape (points,), m, arc lengths from the clamped end to the tip
     marker_points : shape (markers,), indices of the points that are markers
     """
-    max_step = 0.0015  # m
-    ends = np.concatenate([[0.0], markers, [length]])
-    ends = ends[np.concatenate([[True], np.diff(ends) > 1e-9])]
-    counts = np.maximum(np.ceil(np.diff(ends) / max_step).astype(np.int64), 1)
+    max_step, rounding = 0.0015, 1e-9  # m
+    ends = np.concatenate([[0.0], marker_arc_length, [length]])
+    ends = ends[np.concatenate([[True], np.diff(ends) > rounding])]
+    step_counts = np.maximum(np.ceil(np.diff(ends) / max_step).astype(np.int64), 1)
     segments = [
-        np.linspace(first, last, count, endpoint=False)
-        for (first, last), count in zip(pairwise(ends), counts, strict=True)
+        np.linspace(start, stop, step_count, endpoint=False)
+        for (start, stop), step_count in zip(pairwise(ends), step_counts, strict=True)
     ]
     points = np.concatenate([*segments, ends[-1:]])
-    return points, np.searchsorted(points, markers - 1e-10).astype(np.int64)
+    return points, np.searchsorted(points, marker_arc_length - 0.1 * rounding).astype(np.int64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -970,14 +998,14 @@ class LawData:
     ----------
     arc_length : shape (points,), m, points along the wire from the clamped end to the tip
     marker_points : shape (markers,), indices of the points that are markers
-    moment : shape (n, points), N m, moments of n means over loaded frames
+    moment : shape (n, points), N m, moments in n means over frames of the loading
     moment_at_rest : shape (points,), N m, moments before the loading
     angle_at_rest : shape (points,), rad, direction of the wire before the loading
     markers : shape (n, markers, 2), m, mean positions in the plane of bending, from the clamped
-        end; NaN are ignored
+        end; NaN for a marker without a position, which is ignored
     markers_at_rest : shape (markers, 2), m, mean positions before the loading
     rest_weight : number of frames at rest over number of frames of a mean
-    centre_offset : m, axis to marker centre, positive towards the pull
+    centre_offset : m, distance from the axis to the marker centres, positive towards the pull
     """
 
     arc_length: Floats
@@ -992,7 +1020,7 @@ class LawData:
 
     @property
     def displacement(self) -> Floats:
-        """Displacement of the markers from rest, shape (n, 2 markers), m: x of all, then y."""
+        """Displacement of the markers from rest, shape (n, 2 markers), m: all x, then all y."""
         displacement = self.markers - self.markers_at_rest
         return np.concatenate([displacement[..., 0], displacement[..., 1]], axis=1)
 
@@ -1021,8 +1049,8 @@ class LawData:
         shape (n, 2 markers), m: x of all markers, then y.
         """
         angles = self.angle_at_rest + rotation, self.angle_at_rest[None]
-        loaded, at_rest = (self._place_centres(np.cos(x), np.sin(x)) for x in angles)
-        return loaded - at_rest
+        centres, rest_centres = (self._place_centres(np.cos(a), np.sin(a)) for a in angles)
+        return centres - rest_centres
 
     def compute_derivatives(self, rotations: Floats, compliance: Floats) -> Floats:
         """Compute the derivatives of the displacement with respect to the compliances.
@@ -1040,7 +1068,7 @@ class LawData:
         return self._place_centres(-np.sin(angle) * rotations, np.cos(angle) * rotations)
 
     def _place_centres(self, dx: Floats, dy: Floats) -> Floats:
-        """Integrate tangents (dx, dy), and add the offset normal to them, at the markers."""
+        """Integrate tangents (dx, dy) up to the markers, and add the offset along the normals."""
         offset = self.centre_offset
         x, y = self._integrate(dx) - offset * dy, self._integrate(dy) + offset * dx
         return np.concatenate([x[:, self.marker_points], y[:, self.marker_points]], axis=1)
@@ -1055,9 +1083,9 @@ class LawData:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LawBasis:
-    """Basis of laws whose compliance d kappa / d M is linear between knots.
+    """Basis functions of laws whose compliance d kappa / d M is linear between knots.
 
-    The compliance is constant beyond the last knot.
+    The compliance depends on the magnitude of M alone, and is constant beyond the last knot.
 
     Parameters
     ----------
@@ -1076,23 +1104,23 @@ class LawBasis:
 
         The curvature is an odd function of the moment.
         """
-        widths, size = np.diff(self.knots), np.abs(moment)
-        size_in_range = np.clip(size, 0.0, self.knots[-1])
-        lengths = np.clip(size_in_range[..., None] - self.knots[:-1], 0, widths)
-        by_upper_knot = lengths**2 / (2.0 * widths)
-        curvatures = np.zeros((*np.shape(size), len(self.knots)))
-        curvatures[..., :-1] += lengths - by_upper_knot
-        curvatures[..., 1:] += by_upper_knot
-        curvatures[..., -1] += np.maximum(size - self.knots[-1], 0.0)
+        widths, magnitude = np.diff(self.knots), np.abs(moment)
+        clipped = np.clip(magnitude, 0.0, self.knots[-1])
+        spans = np.clip(clipped[..., None] - self.knots[:-1], 0, widths)
+        upper_weights = spans**2 / (2.0 * widths)
+        curvatures = np.zeros((*np.shape(magnitude), len(self.knots)))
+        curvatures[..., :-1] += spans - upper_weights
+        curvatures[..., 1:] += upper_weights
+        curvatures[..., -1] += np.maximum(magnitude - self.knots[-1], 0.0)
         return np.asarray(np.sign(moment)[..., None] * curvatures, dtype=np.float64)
 
     def compute_curvature_changes(self, start_moment: Floats, moment: Floats) -> Floats:
-        """Compute curvature less that at the start, per unit of compliance at each knot.
+        """Compute curvatures less those at the start, per unit of compliance at each knot.
 
         Parameters
         ----------
-        start_moment : shape (points,), N m, moments that a first loading reached
-        moment : shape (n, points), N m, moments after them
+        start_moment : shape (points,), N m, moments at the start, reached by a first loading
+        moment : shape (n, points), N m, later moments
 
         Returns
         -------

@@ -1,8 +1,8 @@
 """Measure the moment-curvature law of a test, and find the state of its string at rest.
 
 A string that is taut at rest carries the load at the tip: the counterweight, and 3/8 of the weight
-of the wire, as a prop at the tip would. Under a slack string the wire carries that load itself: it
-hangs, and is bent downwards before it is bent upwards. Four observations distinguish the two:
+of the wire, as a prop at the tip would. Under a slack string, the wire carries this load. It then
+hangs, and is bent downwards before it is bent upwards. Four observations distinguish the states:
 
 - the string becomes slack in a later cycle, and the tip moves with the clamp. The force is then
   below that at rest by the tension at rest;
@@ -32,10 +32,11 @@ from labpipe.results.measured_law import BendingErrors, BendingTest, TipPull, me
 from labpipe.units import GRAVITY
 
 MIN_SLACK_TRAVEL = 0.2e-3
-"""m; a string was slack if the clamp is ahead of the tip by more than this."""
+"""Smallest travel of the clamp ahead of the tip, m, that shows a slack string."""
 HANGING_FRACTION, LEANING_FRACTION = 0.5, 0.1
-"""Fractions of the deflection under the load at the tip. A wire whose tip is lower than the first
-hung. One whose tip is lower than the second is reported, since wires are not quite straight."""
+"""Fractions of the deflection under the load at the tip. A wire hung if its tip is lower than the
+first one. A tip that is lower than the second one is reported, since wires are not quite straight.
+"""
 _N_MEAN_SAMPLES = 50
 """Number of samples over which a force is averaged."""
 
@@ -56,9 +57,9 @@ class RestEvidence:
         the largest deflection if the force stays below
     tip_load : N, the counterweight and 3/8 of the wire's weight
     force_error : N, standard error of the next two forces
-    lowest_force : N, lowest mean force after the rest, where it is 0; NaN if unknown
-    slack_force : N, force while the string is slack after the first loading, 0 at rest; NaN if the
-        string is never slack
+    lowest_force : N, lowest mean force after the first loading, less that at rest; NaN if unknown
+    slack_force : N, force while the string is slack after the first loading, less that at rest; NaN
+        if the string is never slack
     wire_load : N, 3/8 of the wire's weight, which `tip_load` includes
     """
 
@@ -95,29 +96,29 @@ class RestEvidence:
     def state(self) -> State:
         """State of the string at rest, from the most direct evidence."""
         taut_fraction, slack_fraction = 0.75, 0.25  # of the load at the tip
-        straight_fraction = 0.25  # of the deflection under that load, since wires are curled
-        # A string that was under tension at rest loses more force than by drift and noise.
+        straight_fraction = 0.25  # of the deflection under that load, since wires are curved
+        # If the string was under tension at rest, the force falls by more than drift and noise.
         min_loss = max(0.05 * self.tip_load, 5.0 * self.force_error)
         has_lost_tension = self.lowest_force < -min_loss
-        carried_nothing = self.clamp_lead > MIN_SLACK_TRAVEL and not has_lost_tension
+        is_unloaded = self.clamp_lead > MIN_SLACK_TRAVEL and not has_lost_tension
         if np.isfinite(self.slack_force):
             if -self.slack_force >= taut_fraction * self.tip_load:
                 return "taut"
             if -self.slack_force > slack_fraction * self.tip_load:
                 return "part"
-            carried_nothing = True
+            is_unloaded = True
         sag = self.sag_fraction
-        if carried_nothing:
+        if is_unloaded:
             if sag > HANGING_FRACTION:
                 return "slack"
             return "off the wire" if abs(sag) <= LEANING_FRACTION else "unknown"
-        if sag > HANGING_FRACTION:  # the string just reaches a hanging wire, or the wire is curled
+        if sag > HANGING_FRACTION:  # the string just reaches a hanging wire, or the wire is curved
             return "unknown" if has_lost_tension else "slack"
         return "taut" if has_lost_tension or abs(sag) <= straight_fraction else "unknown"
 
     @property
     def summary(self) -> str:
-        """The evidence as a sentence."""
+        """Sentence on the evidence."""
         facts = []
         if np.isfinite(self.sag):
             sag, reach, load = 1e3 * self.sag, 1e3 * self.load_deflection, self.load_name
@@ -168,7 +169,7 @@ def collect_rest_evidence(
 
     Returns
     -------
-    The evidence; NaN for what the test does not show.
+    The evidence, with NaN where the test shows none.
     """
     # In this range of deflections, m, the string pulls, and the clamp leads the tip by the slack.
     lead_range = (0.5e-3, 3e-3)
@@ -231,9 +232,9 @@ def _collect_slack_forces(travel: Floats, curve: Curve, first_loading: Branch) -
 
 
 def _average_stretches(travel: Floats, curve: Curve, branch: Branch) -> Floats:
-    """Average travel, deflection and force over stretches of equal counts, shape (n, 3).
+    """Average travel, deflection and force over stretches with equal sample counts, shape (n, 3).
 
-    There are as many stretches as the branch has quarters of a millimetre of travel.
+    The mean travel of a stretch is a quarter of a millimetre.
     """
     stretch_travel = 0.25e-3  # m
     rows = slice(branch.start, branch.stop)
@@ -251,11 +252,12 @@ class StringState:
 
     Parameters
     ----------
-    state : ``taut``: the string carried all of the load at the tip; ``slack``: it carried nothing,
-        and the wire hung; ``off the wire``: it carried nothing, yet the wire did not hang;
-        ``part``: it carried the measured part of the load; ``unknown``: the test does not show it
+    state : ``taut``: the string carried all of the load at the tip; ``slack``: the string carried
+        nothing, and the wire hung; ``off the wire``: the string carried nothing, yet the wire did
+        not hang; ``part``: the string carried the measured part of the load; ``unknown``: the test
+        does not show the state
     tension : N, tension of the string at rest
-    weight : N, counterweight at the tip; 0 if it did not pull there
+    weight : N, counterweight at the tip; 0 if it did not pull at the tip
     alternative_tension : N, another tension at rest that the intervals include, or None
     evidence : sentence on the evidence, with its numbers
     """
@@ -311,7 +313,7 @@ def decide_string_state(evidence: RestEvidence) -> StringState:
 def make_stated_state(
     at_rest: Literal["taut", "slack"], weight: float, wire_load: float = 0.0
 ) -> StringState:
-    """Build the state of a string at rest that the protocol states.
+    """Make the state of a string at rest that the protocol states.
 
     Parameters
     ----------
@@ -338,14 +340,14 @@ def measure_moment_curvature(test: ReducedTest) -> tuple[Bending | Failure | Non
     bending : cloud and law, or the reason why there are none; None without curve, shape or loading
     findings : notes on the assumptions, and on the data of the law
     """
-    curve, shape, first = test.curve, test.shape, test.first_loading
-    if curve is None or shape is None or first is None:
+    curve, shape, loading = test.curve, test.shape, test.first_loading
+    if curve is None or shape is None or loading is None:
         return None, []
     if not test.setup.has_markers:
         return Failure.of("results.no_marker_block"), []
     start, stop = test.signals.zero_stretches["deflection"]
     is_at_rest = np.asarray((shape.time >= start) & (shape.time <= stop), dtype=np.bool_)
-    pull, alternative_tension, findings = _make_tip_pull(test, curve, shape, first, is_at_rest)
+    pull, alternative_tension, findings = _make_tip_pull(test, curve, shape, loading, is_at_rest)
     force = np.interp(shape.time, curve.time, curve.force, left=np.nan, right=np.nan)
     force_at_rest = drop_missing(force[is_at_rest])
     branch: Ints = np.full(len(shape.time), AT_REST, dtype=np.int64)
@@ -366,7 +368,7 @@ def measure_moment_curvature(test: ReducedTest) -> tuple[Bending | Failure | Non
         force=force,
         branch=branch,
         cycle=cycle,
-        first_branch=curve.branches.index(first),
+        first_branch=curve.branches.index(loading),
         is_at_rest=is_at_rest,
         centre_offset=test.setup.centre_offset,
         free_tip=test.setup.free_tip,
@@ -395,9 +397,9 @@ def measure_moment_curvature(test: ReducedTest) -> tuple[Bending | Failure | Non
 
 
 def _make_tip_pull(
-    test: ReducedTest, curve: Curve, shape: Shape, first: Branch, is_at_rest: Flags
+    test: ReducedTest, curve: Curve, shape: Shape, loading: Branch, is_at_rest: Flags
 ) -> tuple[TipPull, float | None, list[Finding]]:
-    """Build the pull at the tip, an alternative tension at rest or None, and findings."""
+    """Make the pull at the tip, an alternative tension at rest or None, and findings."""
     # The last point of a power series in arc length / length is the sum of its coefficients.
     tip_x = float(np.nanmean(shape.coefficients[is_at_rest], axis=0)[0].sum())
     string = test.setup.string
@@ -412,7 +414,7 @@ def _make_tip_pull(
     if string.at_rest != "by-data":
         state = make_stated_state(string.at_rest, weight, wire_load)
     else:
-        records = test.aligned, shape, curve, first
+        records = test.aligned, shape, curve, loading
         state = decide_string_state(collect_rest_evidence(*records, weight, wire_load=wire_load))
     pull = TipPull(string.length, state.weight, state.tension, tip_x, self_weight)
     return pull, state.alternative_tension, [Finding(state.note)]

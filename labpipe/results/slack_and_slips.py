@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from scipy.special import stdtr, stdtrit
@@ -24,14 +24,15 @@ from labpipe.uncertainty.autocorrelation import (
     cut_smooth_stretches,
     fit_linear,
 )
-from labpipe.uncertainty.intervals import Measured, SmoothNumbers, measure_numbers
-from labpipe.uncertainty.replicates import Decide, Input, Reading, Replicates, Trace, read_part
+from labpipe.uncertainty.intervals import MeasuredNumber, SmoothNumbers, measure_numbers
+from labpipe.uncertainty.replicates import Choice, Extractor, Input, Replicates, Trace, restrict
 
 MAD_FACTOR = 1.4826
 """Ratio of the standard deviation of normal noise to its median absolute deviation."""
 MAD_FREEDOM_RATIO = 0.37
 """Ratio of the degrees of freedom of a median absolute deviation to those of a variance."""
 _MIN_SIDE_SAMPLES = 8
+"""Smallest number of samples on each side of a drop."""
 _STRETCH_SAMPLES = 100
 """Number of samples of the stretches from which the noise is estimated."""
 
@@ -44,10 +45,11 @@ class LoadDrop:
     ----------
     start, stop : last sample before the loss and first sample after it
     middle : middle of the most probable drop, in samples; the mean of drops that fit equally well
-    drop, drop_interval : loss of force and its 95 % interval, N
-    earliest_start, latest_stop : earliest start and latest stop, in samples, of the drops with
-        whole starts and lengths that are possible according to `fit_load_drop`
-    keeps_slope : whether the slope after it is at least 0.3 of that before, within two errors
+    drop, drop_interval : N, loss of force and its 95 % interval
+    earliest_start, latest_stop : earliest start and latest stop, in samples, of the possible drops
+        (see `fit_load_drop`) with integer starts and lengths
+    keeps_slope : whether the slope after the drop is at least 0.3 of that before it, within two
+        standard errors
     """
 
     start: int
@@ -61,14 +63,15 @@ class LoadDrop:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PullCurve:
+class LoadingCurve:
     """A loading curve that is searched for drops.
 
     Parameters
     ----------
-    d, f : shape (n,), m, N, samples or means of neighbours, without NaN, evenly spaced
+    d, f : shape (n,), m and N, displacement and force of samples or of means over blocks of
+        samples, evenly spaced, without NaN
     longest_drop : number of samples of the longest drop
-    block_margin : 1 for means, because a drop may lie inside one of them; 0 for samples
+    block_margin : 1 for means, because a drop may lie inside a block; 0 for samples
     """
 
     d: Floats
@@ -76,17 +79,17 @@ class PullCurve:
     longest_drop: int
     block_margin: int
 
-    def add_back(self, drops: Sequence[LoadDrop]) -> PullCurve:
+    def add_back(self, drops: Sequence[LoadDrop]) -> LoadingCurve:
         """Add drops back to the curve, interpolated between their start and stop."""
         return replace(self, f=curves.add_slips_back(self.f, drops))
 
 
-def fit_load_drop(pull: PullCurve, sample: int) -> LoadDrop | None:
+def fit_load_drop(curve: LoadingCurve, sample: int) -> LoadDrop | None:
     """Fit a sudden loss of force near a sample.
 
     Parameters
     ----------
-    pull : the curve, with all other drops added back
+    curve : the curve, with all other drops added back
     sample : index of a sample near the drop
 
     Returns
@@ -104,23 +107,25 @@ def fit_load_drop(pull: PullCurve, sample: int) -> LoadDrop | None:
     Todd and van der Klaauw, Econometrica 69 (2001) 201). The force is assumed to fall linearly.
     Starts are tried every quarter sample; lengths every quarter sample up to two samples and every
     whole sample beyond. All pairs of start and length are tried in first-order autoregressive
-    noise, whose correlation comes from the whole curve. Those whose whitened sum of squares exceeds
-    the smallest by at most 3.84 variances are possible. Each sample inside any possible drop has
-    its own level. The loss is the step by generalised least squares, with its interval
+    noise, whose correlation is estimated from the whole curve. A pair is a possible drop if its
+    whitened sum of squares exceeds the smallest one by at most 3.84 variances. Each sample inside
+    any possible drop has its own level. The loss is the step by generalised least squares, with its
+    interval (`fit_linear`). The rest of the curve adds information on the noise.
+    The loss is the step by generalised least squares, with its interval
     (`fit_linear`). The rest of the curve adds information on the noise.
 
     The false-alarm rate of 1e-3 for a whole curve is shared by all samples and lengths. The test is
     a one-sided t-test of the sums of squares in the window.
     """
-    # Number of samples beyond the longest drop on each side, and the degree of the polynomial,
-    # whose misfit stays below the noise. The longest window is tried first.
+    # Number of samples beyond the longest drop on each side, and degree of the polynomial, so that
+    # the misfit of the polynomial is below the noise. The longest window is tried first.
     side_lengths = ((25, 3), (15, 2), (10, 1))
-    correlation = _estimate_correlation(pull.f)
+    correlation = _estimate_correlation(curve.f)
     for side, degree in side_lengths:
-        reach = pull.longest_drop + side
-        start, stop = max(0, sample - reach), min(len(pull.f), sample + reach + 1)
+        reach = curve.longest_drop + side
+        start, stop = max(0, sample - reach), min(len(curve.f), sample + reach + 1)
         if sample - start >= _MIN_SIDE_SAMPLES and stop - sample > _MIN_SIDE_SAMPLES:
-            drop = _Window(pull, start, stop, degree, correlation).fit_drop(sample)
+            drop = _Window(curve, start, stop, degree, correlation).fit_drop(sample)
             if drop is not None:
                 return drop
     return None
@@ -132,13 +137,13 @@ class _Window:
 
     Parameters
     ----------
-    pull : the curve
+    curve : the curve
     start, stop : first sample, and the one after the last
     degree : degree of the polynomial through the samples
     correlation : lag-one correlation of the noise
     """
 
-    pull: PullCurve
+    curve: LoadingCurve
     start: int
     stop: int
     degree: int
@@ -150,7 +155,7 @@ class _Window:
         # variances: chi-squared with one degree of freedom, 95 %.
         max_excess_variances = 3.84
         start_step = 0.25  # samples
-        pull, longest = self.pull, self.pull.longest_drop
+        curve, longest = self.curve, self.curve.longest_drop
         first, last = max(self.start + 4, sample - longest), min(self.stop - 5, sample + longest)
         lengths = np.append(np.arange(start_step, 2.0, start_step), np.arange(2.0, longest + 2.0))
         starts = np.arange(first, last, start_step)
@@ -165,7 +170,7 @@ class _Window:
         if best_drop[1] > longest or no_drop_cost <= min_cost:
             return None
         t = float(np.sqrt((no_drop_cost - min_cost) / variance)) if variance > 0.0 else np.inf
-        false_alarm_rate = 1e-3 / (len(pull.f) * (longest + 1))
+        false_alarm_rate = 1e-3 / (len(curve.f) * (longest + 1))
         if not stdtr(freedom, -t) <= false_alarm_rate:
             return None
         is_whole, excess = np.all(drops % 1.0 == 0.0, axis=1), max_excess_variances * variance
@@ -174,9 +179,9 @@ class _Window:
 
     def _compute_costs(self, drops: Floats) -> tuple[Floats, float]:
         """Compute whitened sums of squares of linear drops, and the sum without a drop."""
-        rows = np.arange(self.start, self.stop)
+        rows, curve = np.arange(self.start, self.stop), self.curve
         ramps = np.clip((rows[:, None] - drops[:, 0]) / drops[:, 1], 0.0, 1.0)
-        powers, f = np.column_stack(_make_powers(self.pull.d[rows], self.degree)), self.pull.f[rows]
+        powers, f = np.column_stack(_make_powers(curve.d[rows], self.degree)), curve.f[rows]
         base, ramps, target = (
             values[1:] - self.correlation * values[:-1] for values in (powers, ramps, f - f[0])
         )
@@ -185,31 +190,31 @@ class _Window:
         norms, cost = np.maximum(np.sum(ramps**2, axis=0), 1e-12), float(target @ target)
         return np.maximum(cost - np.minimum(target @ ramps, 0.0) ** 2 / norms, 0.0), cost
 
-    def _measure_drop(self, best: Floats, possible: Floats, whole_drops: Floats) -> LoadDrop | None:
-        """Measure the most probable drop, with allowance for all possible ones.
+    def _measure_drop(self, drop: Floats, drops: Floats, whole_drops: Floats) -> LoadDrop | None:
+        """Measure the most probable drop, with allowance for all possible drops.
 
-        A drop is a row of start and length, in samples; those of `whole_drops` are integers.
+        A drop is a row of start and length, in samples; `whole_drops` are those with integers.
         """
         min_slope_ratio = 0.3
-        pull, window = self.pull, slice(self.start, self.stop)
-        start, stop = int(np.floor(best[0])), int(np.ceil(best.sum()))
-        first = int(np.floor(possible[:, 0].min())) + 1 - pull.block_margin
-        last = int(np.ceil(possible.sum(axis=1).max())) + pull.block_margin
+        curve, window = self.curve, slice(self.start, self.stop)
+        start, stop = int(np.floor(drop[0])), int(np.ceil(drop.sum()))
+        first = int(np.floor(drops[:, 0].min())) + 1 - curve.block_margin
+        last = int(np.ceil(drops.sum(axis=1).max())) + curve.block_margin
         if min(first - 1 - self.start, self.stop - last) < 4:
             return None
-        rows, f = np.arange(self.start, self.stop), pull.f[window]
+        rows, f = np.arange(self.start, self.stop), curve.f[window]
         is_after = (rows >= stop).astype(np.float64)
-        powers = _make_powers(pull.d[window], self.degree)
-        # A sample that may be inside has its own level, otherwise the loss would be too small.
+        powers = _make_powers(curve.d[window], self.degree)
+        # A sample that may be inside the drop has its own level. Otherwise, the loss is too small.
         inside_levels = np.eye(len(rows))[:, first - self.start : last - self.start]
         design = np.column_stack([is_after, *powers, inside_levels])
         cut = partial(cut_smooth_stretches, width=_STRETCH_SAMPLES)
-        stretches_outside = [*cut(pull.f[: self.start]), *cut(pull.f[self.stop :])]
-        drop = fit_linear(design, f, weighted=True, other_stretches=stretches_outside).estimate(0)
-        steps = np.diff(pull.f[max(first - 1, self.start) : last + 1])
-        # Where the force rises everywhere, only its slope changes.
-        is_lost = drop.interval is not None and drop.interval.upper < 0.0
-        if drop.interval is None or not is_lost or float(steps.min(initial=0.0)) >= 0.0:
+        stretches = [*cut(curve.f[: self.start]), *cut(curve.f[self.stop :])]
+        loss = fit_linear(design, f, is_weighted=True, other_stretches=stretches).make_estimate(0)
+        steps = np.diff(curve.f[max(first - 1, self.start) : last + 1])
+        # If the force rises throughout, only the slope changes.
+        is_lost = loss.interval is not None and loss.interval.upper < 0.0
+        if loss.interval is None or not is_lost or float(steps.min(initial=0.0)) >= 0.0:
             return None
         lines = np.column_stack([*powers[:2], is_after, powers[1] * is_after, inside_levels])
         line_fit = fit_linear(lines, f)
@@ -218,9 +223,9 @@ class _Window:
         return LoadDrop(
             start=start,
             stop=stop,
-            middle=float(best[0] + 0.5 * best[1]),
-            drop=-drop.value,
-            drop_interval=Interval(-drop.interval.upper, -drop.interval.lower),
+            middle=float(drop[0] + 0.5 * drop[1]),
+            drop=-loss.value,
+            drop_interval=Interval(-loss.interval.upper, -loss.interval.lower),
             earliest_start=int(whole_drops[:, 0].min()),
             latest_stop=int(whole_drops.sum(axis=1).max()),
             keeps_slope=slope + change + 2.0 * error >= min_slope_ratio * slope,
@@ -236,7 +241,7 @@ def _make_powers(x: Floats, degree: int) -> list[Floats]:
 def _estimate_correlation(f: Floats) -> float:
     """Estimate the lag-one correlation of the noise.
 
-    It follows from the median over stretches of the correlation of residuals about a cubic.
+    The estimate follows from the median correlation of the residuals of stretches about a cubic.
     """
     width = min(_STRETCH_SAMPLES, len(f))
     basis = build_polynomial_basis(width, 4)
@@ -253,8 +258,7 @@ def _estimate_correlation(f: Floats) -> float:
 def _compute_expected_correlations(width: int) -> tuple[Floats, Floats]:
     """Tabulate lag-one correlations of the noise, and of its residuals about a cubic.
 
-    Residuals of a fit are less correlated than the noise (Kendall, Biometrika 41
-    (1954)).
+    Residuals of a fit are less correlated than the noise (Kendall, Biometrika 41 (1954)).
     """
     noise_correlations = np.array([*np.linspace(0.0, 0.9, 10), 0.94, 0.97, 0.985])
     basis = build_polynomial_basis(width, 4)
@@ -313,19 +317,19 @@ def find_slips(
     """
     finite = curves.find_finite_samples(displacement, force)
     curves.require_samples(len(finite), _MIN_SEARCHED_SAMPLES, " in the branch")
-    # A larger drop is a failure: grips slide in small steps, while a torn strand loses its part of
-    # the section, and adding that back would invent strength.
+    # A larger drop is a failure. Grips slide in small steps, but a torn strand loses its part of
+    # the section. Adding this loss back would overestimate the strength.
     max_drop_fraction, min_recovered_fraction = 0.2, 0.5  # of the force before the drop
     size, longest_blocks = _choose_block_size(displacement[finite])
     starts = np.arange(0, len(finite) - size + 1, size)  # the last block includes the remainder
     d, f = (average_between(values[finite], starts) for values in (displacement, force))
-    pull = PullCurve(d, f, longest_blocks, int(size > 1))
+    curve = LoadingCurve(d, f, longest_blocks, int(size > 1))
     slips = list[Slip]()
-    for drop in _find_drops(pull, min_drop):
+    for drop in _find_drops(curve, min_drop):
         max_drop = max_drop_fraction * median(f[max(drop.start - 4, 0) : drop.start + 1])
         needed_force = min_recovered_fraction * f[: drop.start + 1].max()
-        recovers = drop.keeps_slope and f[drop.stop :].max() >= needed_force
-        if not (min_drop <= drop.drop <= max_drop and recovers):
+        has_recovered = drop.keeps_slope and f[drop.stop :].max() >= needed_force
+        if not (min_drop <= drop.drop <= max_drop and has_recovered):
             continue
         ends = float(d[drop.earliest_start]), float(d[drop.latest_stop])
         middle, half_range = 0.5 * sum(ends), 0.475 * (ends[1] - ends[0])
@@ -337,7 +341,7 @@ def find_slips(
 
 
 def _choose_block_size(d: Floats) -> tuple[int, int]:
-    """Choose the number of samples of a block, and that of blocks in the longest slip."""
+    """Choose the number of samples of a block, and the number of blocks of the longest slip."""
     min_slip_blocks, max_slip_fraction, max_slip_length = 8, 0.02, 1e-3  # of the travel; m
     travel = float(np.ptp(d))
     slip_length = min(max_slip_fraction * travel, max_slip_length)
@@ -346,36 +350,36 @@ def _choose_block_size(d: Floats) -> tuple[int, int]:
     return size, int(np.clip(np.ceil(samples / size), 2, 2 * min_slip_blocks))
 
 
-def _find_drops(pull: PullCurve, min_drop: float) -> list[LoadDrop]:
-    """Find the sudden drops, in order, that remain distinct with all others added back.
+def _find_drops(curve: LoadingCurve, min_drop: float) -> list[LoadDrop]:
+    """Find the sudden drops that remain distinct with all others added back, in order.
 
     The most distinct drop is found first, and added back before the next search.
     """
-    drops, remaining = list[LoadDrop](), pull
-    is_open = np.ones(len(pull.f), dtype=np.bool_)
+    drops, repaired_curve = list[LoadDrop](), curve
+    is_searched = np.ones(len(curve.f), dtype=np.bool_)
     while True:
-        distinctness = np.where(is_open, _compute_distinctness(remaining.f, min_drop), 0.0)
+        distinctness = np.where(is_searched, _compute_distinctness(repaired_curve.f, min_drop), 0.0)
         sample = int(np.argmax(distinctness))
         if distinctness[sample] <= 1.0:
             break
-        drop = fit_load_drop(remaining, sample)
-        if drop is None or not is_open[drop.start : drop.stop].any():
-            is_open[max(sample - _MIN_SIDE_SAMPLES, 0) : sample + _MIN_SIDE_SAMPLES + 1] = False
+        drop = fit_load_drop(repaired_curve, sample)
+        if drop is None or not is_searched[drop.start : drop.stop].any():
+            is_searched[max(sample - _MIN_SIDE_SAMPLES, 0) : sample + _MIN_SIDE_SAMPLES + 1] = False
             continue
         drops.append(drop)
-        remaining = remaining.add_back([drop])
-        is_open[max(min(sample, drop.start) - 1, 0) : max(sample, drop.stop) + 1] = False
+        repaired_curve = repaired_curve.add_back([drop])
+        is_searched[max(min(sample, drop.start) - 1, 0) : max(sample, drop.stop) + 1] = False
     if len(drops) > 1:
-        single_drop_curves = [pull.add_back([x for x in drops if x is not drop]) for drop in drops]
+        single_drop_curves = [curve.add_back([x for x in drops if x is not drop]) for drop in drops]
         refits = map(fit_load_drop, single_drop_curves, [drop.start for drop in drops])
         drops = [fit for fit in refits if fit is not None]
     return sorted(drops, key=lambda drop: drop.start)
 
 
 def _compute_distinctness(f: Floats, min_drop: float) -> Floats:
-    """Compute how distinct a drop after each sample is, with candidates above 1."""
+    """Compute how distinct a drop after each sample is; a candidate has a value above 1."""
     window_lengths = (3, 6, 12, 24, 48)
-    # Probability of such a drop in noise at a given sample.
+    # Probability of a candidate at a given sample by noise alone.
     false_alarm_rate = 1e-5
     distinctness = np.zeros(len(f))
     if not np.ptp(f) > 0.0:
@@ -399,7 +403,7 @@ def _compute_distinctness(f: Floats, min_drop: float) -> Floats:
     return distinctness
 
 
-def list_slack_doubts(measured_slack: Measured) -> tuple[Reason, ...]:
+def list_slack_doubts(measured_slack: MeasuredNumber) -> tuple[Reason, ...]:
     """List doubts about displacements that are measured from a doubtful slack."""
     return tuple(
         Reason(reason.code, format_sentence("results.doubtful_slack", why=reason.message))
@@ -418,9 +422,9 @@ class SlipResults(Kind):
     needs: ClassVar = Needs(branches=True, correction="slips")
 
     def measure(self, test: ReducedTest) -> Iterator[Part]:
-        """Yield position and drop of each slip of the ledger."""
+        """Yield the position and the loss of force of each slip of the ledger."""
         slack_error, doubts = 0.0, tuple[Reason, ...]()
-        if isinstance(test.slack, Measured):
+        if isinstance(test.slack, MeasuredNumber):
             slack_error, doubts = test.slack.error, list_slack_doubts(test.slack)
         for index, slip in enumerate(test.slips, start=1):
             time = test.required_curve.time
@@ -431,11 +435,10 @@ class SlipResults(Kind):
             errors = {SLACK: slack_error, SCALE_OF_DISPLACEMENT: scale_error}
             method = f"step in a polynomial around a sudden fall of the force; {slip.decision}"
             period = float(time[slip.start]), float(time[slip.stop])
-            make_result = partial(
-                self.make_result, test, method=method, period=period, suffix=f".{index}"
-            )
-            yield make_result(position, errors, doubts=doubts)
-            yield make_result(drop, compute_scale_error(test, drop), output=1)
+            context: dict[str, Any] = {"method": method, "period": period, "suffix": f".{index}"}
+            yield self.make_result(test, position, errors, doubts=doubts, **context)
+            scale_errors = compute_scale_error(test, drop)
+            yield self.make_result(test, drop, scale_errors, output=1, **context)
 
 
 def find_linear_region(
@@ -485,9 +488,8 @@ def find_linear_region(
     if peak == 0:
         raise UnavailableError.of("results.not_rising")
     if first == 0:
-        raise UnavailableError.of(
-            "results.begins_above", begin=f[0], share=start_fraction, largest=f[peak]
-        )
+        facts = {"begin": f[0], "share": start_fraction, "largest": f[peak]}
+        raise UnavailableError.of("results.begins_above", **facts)
     curves.require_samples(max(last - first, 0), min_region_samples, " in the linear region")
     region = slice(first, last)
     if np.isnan(curves.compute_zero_crossing(d[region], f[region])):
@@ -503,7 +505,7 @@ def _find_crossing(force: Floats, level: float) -> int:
     return (int(np.argmax(is_above)) + int(np.flatnonzero(~is_above)[-1]) + 1) // 2
 
 
-def choose_slack_samples(trace: Trace, *, start_fraction: float, stop_fraction: float) -> Reading:
+def choose_slack_samples(trace: Trace, *, start_fraction: float, stop_fraction: float) -> Extractor:
     """Choose the samples for the displacement at which the linear region meets zero force.
 
     Parameters
@@ -513,7 +515,7 @@ def choose_slack_samples(trace: Trace, *, start_fraction: float, stop_fraction: 
 
     Returns
     -------
-    The reading of the slack, m.
+    The function that computes the slack, m, with the number of samples.
 
     Raises
     ------
@@ -528,18 +530,18 @@ def choose_slack_samples(trace: Trace, *, start_fraction: float, stop_fraction: 
         stop_fraction=stop_fraction,
     )
     samples = np.arange(stretch.start, stretch.stop)[region]
-    slack = read_part(curves.compute_zero_crossing, convert_to_slice(samples))
-    return Reading(slack, len(samples), ends_at_samples=True)
+    slack = restrict(curves.compute_zero_crossing, convert_to_slice(samples))
+    return Extractor(slack, len(samples), ends_at_samples=True)
 
 
-def subtract_slack(replicates: Replicates, decide: Decide, measured_slack: Measured) -> Replicates:
+def subtract_slack(replicates: Replicates, choose: Choice, slack: MeasuredNumber) -> Replicates:
     """Subtract the measured slack from all curves, and add its noise as an input.
 
     Parameters
     ----------
     replicates : replicates of a curve whose slack can be measured
-    decide : function that chooses the samples of the slack
-    measured_slack : slack of the measured curve, m
+    choose : function that chooses the samples of the slack
+    slack : slack of the measured curve, m
 
     Returns
     -------
@@ -548,28 +550,29 @@ def subtract_slack(replicates: Replicates, decide: Decide, measured_slack: Measu
     that input. The effect of another input on the slack is subtracted from its effect on the
     displacement, so that an error of the zero of the displacement cancels.
     """
-    draws = measure_numbers(replace(replicates, inputs=()), decide)[0].deviations
+    draws = measure_numbers(replace(replicates, inputs=()), choose)[0].deviations
     draws = np.where(np.isnan(draws), np.nanmean(draws), draws)
     error = float(np.std(draws))
-    inputs = tuple(_subtract_slack_effect(x, replicates.smooth, decide) for x in replicates.inputs)
+    smooth_trace = replicates.smooth_trace
+    inputs = tuple(_subtract_slack_effect(x, smooth_trace, choose) for x in replicates.inputs)
     corrected = replace(replicates, inputs=inputs)
     if not error:
-        return corrected.shift_displacement(-measured_slack.value)
+        return corrected.shift_displacement(-slack.value)
     shift = partial(curves.shift_displacement_by, change=-error)
-    doubts = list_slack_doubts(measured_slack)
-    slack_input = Input(SLACK, shift, draws=draws / error, doubts=doubts)
-    return corrected.shift_displacement(-measured_slack.value, slack_input)
+    doubts = list_slack_doubts(slack)
+    slack_input = Input(SLACK, shift, drawn_errors=draws / error, doubts=doubts)
+    return corrected.shift_displacement(-slack.value, slack_input)
 
 
-def _subtract_slack_effect(quantity: Input, smooth: Trace, decide: Decide) -> Input:
+def _subtract_slack_effect(quantity: Input, smooth: Trace, choose: Choice) -> Input:
     """Subtract the effect of an input on the slack from its effect on the displacement.
 
-    Without a slack of the smooth curve, the input remains as it is.
+    If the smooth curve has no slack, the input is returned unchanged.
     """
-    reading = return_failure(decide)(smooth)
-    if isinstance(reading, Failure):
+    extractor = return_failure(choose)(smooth)
+    if isinstance(extractor, Failure):
         return quantity
-    smooth_slack = SmoothNumbers.of(decide, smooth, reading)
+    smooth_slack = SmoothNumbers.of(choose, smooth, extractor)
     lower, upper = (float(smooth_slack.compute_change(quantity, x)[0]) for x in (-1.0, 1.0))
 
     def perturb(trace: Trace, x: float) -> Trace:

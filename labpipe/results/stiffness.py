@@ -1,4 +1,4 @@
-"""Measure stiffnesses of loadings and unloadings, results from them, and machine compliance."""
+"""Measure stiffnesses, results that are computed from stiffnesses, and machine compliance."""
 
 from __future__ import annotations
 
@@ -30,10 +30,11 @@ from labpipe.results.cycles import CycleKind
 from labpipe.results.kinds import Kind, Part, ReducedTest, Stiffness
 from labpipe.signal.filters import compute_moving_average
 from labpipe.uncertainty.autocorrelation import estimate_fast_noise, scale_limit_by_noise
-from labpipe.uncertainty.intervals import Measured
-from labpipe.uncertainty.replicates import Reading, Trace, combine_numbers, read_part
+from labpipe.uncertainty.intervals import MeasuredNumber
+from labpipe.uncertainty.replicates import Extractor, Trace, combine_numbers, restrict
 
 _MIN_FOOT_SAMPLES = 8
+"""Smallest number of samples of the foot of the force."""
 _MIN_SIGNIFICANT_ERRORS = 3.0
 """Number of standard errors above which a divisor is distinguished from its noise."""
 
@@ -61,8 +62,7 @@ class ForceOnset:
         Parameters
         ----------
         values : shape (..., n), m or s, displacement or time of the branch
-        force : shape (..., n), N; NaN in the same samples as the reference branch; noise hides a
-            part of the foot of each curve
+        force : shape (..., n), N; NaN in the same samples as the reference branch
 
         Returns
         -------
@@ -75,15 +75,15 @@ class ForceOnset:
         limit = scale_limit_by_noise(self.limit, f)[:, np.newaxis]
         indices, count = np.arange(f.shape[1]), f.shape[1]
         first = cycles.find_last_flagged((f <= limit) & (indices < self.peak_index)) + 1
-        earliest = int(first.min())
-        indices = indices[earliest:]
-        is_above = f[:, earliest:] > cycles.FOOT_LIMIT_FACTOR * limit
-        is_above &= indices >= first[:, None]
-        last = np.where(is_above.any(1), earliest + np.argmax(is_above, 1), count)
-        last = np.maximum(last, first + self.min_foot_samples)
-        columns = slice(earliest, min(int(last.max()), count))
-        indices = indices[: columns.stop - earliest]
-        is_foot = (indices >= first[:, np.newaxis]) & (indices < last[:, np.newaxis])
+        min_first = int(first.min())
+        indices = indices[min_first:]
+        is_beyond_foot = f[:, min_first:] > cycles.FOOT_LIMIT_FACTOR * limit
+        is_beyond_foot &= indices >= first[:, None]
+        stop = np.where(is_beyond_foot.any(1), min_first + np.argmax(is_beyond_foot, 1), count)
+        stop = np.maximum(stop, first + self.min_foot_samples)
+        columns = slice(min_first, min(int(stop.max()), count))
+        indices = indices[: columns.stop - min_first]
+        is_foot = (indices >= first[:, np.newaxis]) & (indices < stop[:, np.newaxis])
         mean_x, mean_f, slope = curves.fit_chosen_lines(is_foot, x[:, columns], f[:, columns])
         zero = mean_x - mean_f / np.where(slope > 0.0, slope, np.nan)
         return zero.reshape(shape), first.reshape(shape)
@@ -97,19 +97,20 @@ class ForceOnset:
 
         Returns
         -------
-        start : shape (...), m; that of the first sample if the line through the foot does not rise
-        first_sample : shape (...), index in the branch
+        start : shape (...), m, displacement at zero force; that of the first sample above zero if
+            the line through the foot does not rise
+        first_sample : shape (...), index of the first sample above zero in the branch
         """
-        zero, first = self.extrapolate_to_zero(displacement, force)
+        zero, index = self.extrapolate_to_zero(displacement, force)
         samples = self.samples
-        first_sample = first + samples.start if isinstance(samples, slice) else samples[first]
+        first_sample = index + samples.start if isinstance(samples, slice) else samples[index]
         paths = np.broadcast_to(displacement, (*first_sample.shape, displacement.shape[-1]))
         at_sample = np.take_along_axis(paths, first_sample[..., np.newaxis], axis=-1)[..., 0]
         return np.where(np.isnan(zero), at_sample, zero), first_sample
 
 
 def find_force_onset(
-    displacement: Floats, force: Floats, *, limit: float | None = None, steps: int = 1
+    displacement: Floats, force: Floats, *, limit: float | None = None, parts: int = 1
 ) -> ForceOnset:
     """Find the samples of a loading branch that determine where its force begins.
 
@@ -119,7 +120,7 @@ def find_force_onset(
         are ignored
     limit : N, largest force that counts as zero, for a curve without noise; None for a limit from
         the noise of the force
-    steps : number of parts into which each sampling step has been divided
+    parts : number of parts into which each sampling step is divided
 
     Returns
     -------
@@ -135,10 +136,10 @@ def find_force_onset(
     -----
     Without `limit`, a force up to four standard deviations of its fast noise counts as zero. The
     foot of the force begins after the last sample within the limit before the largest force, and
-    ends at five times the limit. It has at least eight samples for each part of a sampling step. A
-    straight line through the foot is extrapolated to zero force. If the force comes from below
-    zero, as after bending to the other side, the line interpolates the crossing of zero. Each curve
-    has its own foot, and a limit by its own noise.
+    ends at five times the limit. The foot has at least eight samples for each part of a sampling
+    step. A straight line through the foot is extrapolated to zero force. If the force comes from
+    below zero, as after bending to the other side, the line interpolates the crossing of zero. Each
+    curve has its own foot, and its own limit from its noise.
 
     Examples
     --------
@@ -149,25 +150,27 @@ def find_force_onset(
     2.0
     """
     noise_deviations = 4.0  # standard deviations of noise above which a force is not zero
-    max_extrapolation = 0.02  # fraction of the displacement of the branch
-    finite = curves.find_finite_samples(displacement, force)
-    curves.require_samples(len(finite), 2 * _MIN_FOOT_SAMPLES, "")
-    d, f = displacement[finite], force[finite]
+    max_extrapolation_fraction = 0.02  # of the displacement of the branch
+    finite_samples = curves.find_finite_samples(displacement, force)
+    curves.require_samples(len(finite_samples), 2 * _MIN_FOOT_SAMPLES, "")
+    d, f = displacement[finite_samples], force[finite_samples]
     limit = noise_deviations * float(estimate_fast_noise(f)) if limit is None else limit
     peak_index = int(np.argmax(f))
     if f[peak_index] <= limit:
         raise UnavailableError.of("results.no_force", largest=f[peak_index], limit=limit)
-    onset = ForceOnset(convert_to_slice(finite), peak_index, limit, steps * _MIN_FOOT_SAMPLES)
-    zero, first = onset.extrapolate_to_zero(displacement, force)
-    if not first and not zero >= d[0] - max_extrapolation * float(np.ptp(d)):
+    samples, min_samples = convert_to_slice(finite_samples), parts * _MIN_FOOT_SAMPLES
+    onset = ForceOnset(samples, peak_index, limit, min_samples)
+    zero, index = onset.extrapolate_to_zero(displacement, force)
+    if not index and not zero >= d[0] - max_extrapolation_fraction * float(np.ptp(d)):
         raise UnavailableError.of("results.not_unloaded", begin=f[0], limit=limit)
     return onset
 
 
 _MIN_WINDOW_SAMPLES = 8
+"""Smallest number of samples of a window."""
 _START_FRACTION, _STEADY_FRACTION = 0.02, 0.1
-"""Fractions of a window. Its start reaches up to the first one. Between the two, a machine has
-reached its constant speed."""
+"""Fractions of the length of a window. Up to the first one is the start of the window. Between the
+two, the machine is assumed to have reached its constant speed."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -178,7 +181,7 @@ class WindowSlope:
     ----------
     samples : shape (m,), samples of the branch that have a force and a displacement
     time : shape (m,), s, of these samples
-    path : shape (m,), m, moving average of the path along the branch
+    path : shape (m,), m, moving average of the distance along the branch
     path_so_far : shape (m,), m, largest value of `path` up to each sample
     start, stop : m, ends of the window on the path
     """
@@ -202,7 +205,7 @@ class WindowSlope:
 
         Returns
         -------
-        stretch : the indices in `samples` that contain all windows
+        stretch : range of indices in `samples` that contains all windows
         is_in_window : shape (..., stretch), whether the sample is in each window
         """
         start, stop = (np.add(end, shift) for end in (self.start, self.stop))
@@ -225,14 +228,16 @@ class WindowSlope:
         """Number of samples of the window."""
         return int(self.select_window()[1].sum())
 
-    def compute(
+    def compute_slope(
         self,
         displacement: Floats,
         force: Floats,
         shift: Floats | float = 0.0,
         first_sample: Ints | int = 0,
     ) -> Floats:
-        """Compute the slope, N/m, shape (...); NaN for fewer than 8 samples, or without travel.
+        """Compute the slope in the window of each curve, N/m, shape (...).
+
+        The slope is NaN if the window has fewer than 8 samples, or if the displacement is constant.
 
         Parameters
         ----------
@@ -258,7 +263,7 @@ def choose_window(
     Parameters
     ----------
     time, displacement, force : shape (n,), s, m, N, of the branch; NaN where unknown
-    path : shape (n,), m, distance along the branch, of which the window is a part
+    path : shape (n,), m, distance along the branch, in which the window is defined
     start, stop : m, ends of the window on the path
 
     Returns
@@ -275,8 +280,8 @@ def choose_window(
     The window is cut from the path averaged over at most 11 samples, and ends where the path first
     leaves it, so that noise moves its ends little. The slope is k = sum (t - mean t) F / sum (t -
     mean t) d, with time as the instrument. Ordinary least squares of F on a noisy displacement
-    would be too small, by the ratio of its noise variance to its variance (Fuller, Measurement
-    Error Models, 1987, sec. 1.4).
+    would be too small, by the fraction of the variance of the displacement that is noise (Fuller,
+    Measurement Error Models, 1987, sec. 1.4).
     """
     smooth_path = compute_moving_average(path, window=min(11, len(path) - 1 + len(path) % 2))
     if not (smooth_path > stop).any():
@@ -301,9 +306,10 @@ def choose_turn_samples(trace: Trace, branch: Branch) -> Callable[[Floats], Floa
 
     Returns
     -------
-    A function of values of shape (..., n) that returns those at the turn, shape (...). They are
-    those of the parabola through the first tenth of the branch after the turn, at most 50 samples.
-    If fewer than 8 of these have a displacement, they are those of the branch's first sample.
+    A function that computes the values at the turn, shape (...), from values of shape (..., n). A
+    parabola is fitted through the first tenth of the branch after the turn, at most 50 samples. If
+    fewer than 8 of these have a displacement, the values of the first sample of the branch are
+    returned.
     """
     start = max(branch.start, int(np.searchsorted(trace.time, branch.start_time)))
     first_tenth = np.arange(start, start + min(50, (branch.stop - start) // 10))
@@ -323,8 +329,8 @@ class LoadingSlope:
     ----------
     onset : samples at which the force of the branch begins
     first_taut_sample : first sample of the branch in which the specimen counts as taut
-    slope : window of the branch from that sample on
-    window_distance : m, from the onset to the mean displacement in the window
+    slope : slope over the window, for the branch from the first taut sample on
+    window_distance : m, from the displacement at the onset to the mean displacement in the window
     """
 
     onset: ForceOnset
@@ -332,27 +338,27 @@ class LoadingSlope:
     slope: WindowSlope
     window_distance: float
 
-    def compute(self, displacement: Floats, force: Floats, *, has_noise: bool = False) -> Floats:
-        """Compute the stiffness of branches, N/m, shape (...), or NaN.
+    def compute_slope(self, displacement: Floats, force: Floats, has_noise: bool = False) -> Floats:
+        """Compute the stiffness of each curve, N/m, shape (...), or NaN.
 
         Parameters
         ----------
-        displacement, force : shape (..., n), m, N; the window of each row begins at the onset of
+        displacement, force : shape (..., n), m, N; the window of each curve begins at the onset of
             its force
-        has_noise : whether noise hides a part of the foot, so that a curve counts as taut from its
+        has_noise : whether noise hides a part of the foot. A curve then counts as taut from its
             first sample above zero
         """
         start, first_sample = self.onset.find_start(displacement, force)
         first = np.maximum(first_sample - self.first_taut_sample, 0) if has_noise else 0
         path = displacement[..., self.first_taut_sample :]
         shift = start + self.window_distance - path[..., self.slope.window_samples].mean(axis=-1)
-        return self.slope.compute(path, force[..., self.first_taut_sample :], shift, first)
+        return self.slope.compute_slope(path, force[..., self.first_taut_sample :], shift, first)
 
     @property
-    def start_fraction(self) -> float:
-        """Fraction of the samples of the window that are in its first fiftieth.
+    def start_sample_fraction(self) -> float:
+        """Fraction of the samples of the window that are in the first fiftieth of its length.
 
-        It is large if the motion rests there while the force is above its noise.
+        The fraction is large if the motion rests there while the force is above its noise.
         """
         stretch, is_in_window = self.slope.select_window()
         path = self.slope.path[stretch][is_in_window]
@@ -367,7 +373,7 @@ def choose_loading_window(
     *,
     length: float,
     limit: float | None = None,
-    steps: int = 1,
+    parts: int = 1,
 ) -> LoadingSlope:
     """Choose the samples for the stiffness of a loading branch.
 
@@ -377,7 +383,7 @@ def choose_loading_window(
     length : m, length of the window after the onset of the force
     limit : N, largest force that counts as zero, for a curve without noise; None for a limit from
         the noise of the force
-    steps : number of parts into which each sampling step has been divided
+    parts : number of parts into which each sampling step is divided
 
     Returns
     -------
@@ -392,10 +398,10 @@ def choose_loading_window(
     -----
     A branch counts as taut from the first sample whose force is above its noise. A branch without
     noise counts as taut from the zero of the line through the foot of the force. The difference is
-    an effect of noise. If steps are divided, the branch does not count as taut before the machine
-    moves, because samples at rest with a force above the noise would shift the line.
+    an effect of noise. If sampling steps are divided, the branch does not count as taut before the
+    machine moves, because samples at rest with a force above the noise would shift the line.
     """
-    onset = find_force_onset(displacement, force, limit=limit, steps=steps)
+    onset = find_force_onset(displacement, force, limit=limit, parts=parts)
     zero, first_sample = onset.find_start(displacement, force)
     start, first = float(zero), int(first_sample)
     if limit is not None and not np.isnan(onset.extrapolate_to_zero(displacement, force)[0]):
@@ -403,13 +409,12 @@ def choose_loading_window(
         first = min(int(np.searchsorted(time, zero_time)), first)
     travel = displacement - start
     is_steady = (travel >= _START_FRACTION * length) & (travel <= _STEADY_FRACTION * length)
-    if steps > 1 and is_steady.sum() > 1:
+    if parts > 1 and is_steady.sum() > 1:
         # A machine of constant speed passes the onset at this time.
         start_time = float(curves.compute_zero_crossing(time[is_steady], travel[is_steady]))
         first = max(first, 0 if np.isnan(start_time) else int(np.searchsorted(time, start_time)))
-    taut = slice(first, None)
-    path = displacement[taut]
-    slope = choose_window(time[taut], path, force[taut], path, start=start, stop=start + length)
+    path, ends = displacement[first:], {"start": start, "stop": start + length}
+    slope = choose_window(time[first:], path, force[first:], path, **ends)
     return LoadingSlope(onset, first, slope, float(path[slope.window_samples].mean()) - start)
 
 
@@ -429,8 +434,8 @@ def choose_unloading_window(
     Returns
     -------
     compute_stiffness : function of displacement and force of curves, shape (..., n), m, N, that
-        returns the stiffness, shape (...), N/m, or NaN; in each curve the window has the same
-        distance from the turn
+        returns the stiffness, shape (...), N/m, or NaN. The distance of the window from the turn is
+        the same in all curves
     n_samples : number of samples of the window
 
     Raises
@@ -438,21 +443,22 @@ def choose_unloading_window(
     UnavailableError
         As `choose_window`.
     """
-    read_turn, samples = choose_turn_samples(trace, branch), slice(branch.start, branch.stop)
-    start = float(read_turn(trace.displacement))
+    compute_at_turn, samples = choose_turn_samples(trace, branch), slice(branch.start, branch.stop)
+    start = float(compute_at_turn(trace.displacement))
     time, d, f = cycles.cut_branch(trace, branch)
     slope = choose_window(time, d, f, sense * (start - d), start=0.1 * length, stop=length)
     window_distance = float(d[slope.window_samples].mean()) - start
 
     def compute_stiffness(displacement: Floats, force: Floats) -> Floats:
         d, f = displacement[..., samples], force[..., samples]
-        distance = d[..., slope.window_samples].mean(axis=-1) - read_turn(displacement)
-        return slope.compute(d, f, sense * (distance - window_distance))
+        distance = d[..., slope.window_samples].mean(axis=-1) - compute_at_turn(displacement)
+        return slope.compute_slope(d, f, sense * (distance - window_distance))
 
     return compute_stiffness, slope.n_samples
 
 
 MIN_LINE_SAMPLES = 5
+"""Smallest number of samples of a straight line."""
 
 
 def find_compliance_window(
@@ -464,7 +470,7 @@ def find_compliance_window(
     ----------
     displacement, force : shape (n,), m, N; the loading branch of a stiff-bar test; NaN
         are ignored
-    start, stop : N, ends of the force window; grips and joints settle below it
+    start, stop : N, ends of the range of force; below this range, grips and joints settle
 
     Returns
     -------
@@ -482,8 +488,8 @@ def find_compliance_window(
         largest = float(f.max()) if len(f) else 0.0
         raise UnavailableError.of("results.force_not_reached", largest=largest, stop=stop)
     last = int(np.argmax(f >= stop))
-    below = np.flatnonzero(f[:last] < start)
-    window_samples = finite[int(below[-1]) + 1 if len(below) else 0 : last + 1]
+    low_samples = np.flatnonzero(f[:last] < start)
+    window_samples = finite[int(low_samples[-1]) + 1 if len(low_samples) else 0 : last + 1]
     curves.require_samples(len(window_samples), MIN_LINE_SAMPLES)
     curves.require_travel(force[window_samples], "force")
     return convert_to_slice(window_samples)
@@ -503,13 +509,13 @@ class UnloadingStiffness(CycleKind):
         "line over {over_mm:g} mm off the peak without its first tenth, time as instrument"
     )
 
-    def choose(self, test: ReducedTest, trace: Trace, cycle: int) -> Reading:
+    def choose_samples(self, test: ReducedTest, trace: Trace, cycle: int) -> Extractor:
         """Choose the samples in the length `over` after the turn, without its first tenth."""
         del test
-        branch = cycles.require_unloading(cycles.select_cycle(trace, cycle))
+        branch = cycles.require_unloading(cycles.select_branches(trace, cycle))
         sense = cycles.find_loading_sign(trace, trace.displacement)
         compute, n_samples = choose_unloading_window(trace, branch, length=self.over, sense=sense)
-        return Reading(read_part(compute, slice(None)), n_samples)
+        return Extractor(restrict(compute, slice(None)), n_samples)
 
 
 class LoadingStiffness(CycleKind):
@@ -524,35 +530,35 @@ class LoadingStiffness(CycleKind):
 
     method: ClassVar = "line over {over_mm:g} mm from the onset of the force, time as instrument"
 
-    def choose(self, test: ReducedTest, trace: Trace, cycle: int) -> Reading:
-        """Choose the samples after the onset, with the limit of the measured curve if smooth."""
-        branch = cycles.select_cycle(trace, cycle)[0]
+    def choose_samples(self, test: ReducedTest, trace: Trace, cycle: int) -> Extractor:
+        """Choose the samples after the onset; a smooth curve has the limit of the measured one."""
+        branch = cycles.select_branches(trace, cycle)[0]
         columns, samples = cycles.cut_branch(trace, branch), slice(branch.start, branch.stop)
         limit = self._choose_measured_window(test, cycle).onset.limit if trace.is_smooth else None
-        steps = trace.parts_per_step
-        window = choose_loading_window(*columns, length=self.over, limit=limit, steps=steps)
-        numbers = read_part(window.compute, samples)
-        noisy_numbers = read_part(partial(window.compute, has_noise=True), samples)
-        return Reading(numbers, window.slope.n_samples, noisy_numbers, ends_at_samples=True)
+        parts = trace.parts_per_step
+        window = choose_loading_window(*columns, length=self.over, limit=limit, parts=parts)
+        compute = restrict(window.compute_slope, samples)
+        compute_noisy = restrict(partial(window.compute_slope, has_noise=True), samples)
+        return Extractor(compute, window.slope.n_samples, compute_noisy, ends_at_samples=True)
 
     def list_doubts(self, test: ReducedTest, branches: list[Branch]) -> tuple[Reason, ...]:
         """List a doubt if over 10 % of the samples of the window are in its first fiftieth."""
         # The fraction is five times that of a machine at constant speed.
         window = return_failure(self._choose_measured_window)(test, branches[0].cycle)
-        if isinstance(window, Failure) or window.start_fraction <= 0.1:
+        if isinstance(window, Failure) or window.start_sample_fraction <= 0.1:
             return ()
-        fraction, limit = window.start_fraction, window.onset.limit
+        fraction, limit = window.start_sample_fraction, window.onset.limit
         return (Reason.of("results.rest_in_window", share=fraction, limit=limit),)
 
     def _choose_measured_window(self, test: ReducedTest, cycle: int) -> LoadingSlope:
         """Choose the samples for the stiffness of a cycle on the measured curve."""
         curve = curves.make_trace(test)
-        columns = cycles.cut_branch(curve, cycles.select_cycle(curve, cycle)[0])
+        columns = cycles.cut_branch(curve, cycles.select_branches(curve, cycle)[0])
         return choose_loading_window(*columns, length=self.over)
 
 
 class Hardening(Kind):
-    """``hardening.<cycle>`` (1): ``loading_stiffness`` of a later cycle over that of the first."""
+    """``hardening.<cycle>`` (1): loading stiffness of a later cycle over that of the first one."""
 
     result: ClassVar = "hardening"
     outputs: ClassVar = (Output("hardening", "1", "Hardening", first=2),)
@@ -566,20 +572,22 @@ class Hardening(Kind):
         """Measure the ratio of each later cycle to the first one, in which the scale cancels."""
         first, *later_cycles = test.require(test.cycles or None)
         stiffness = LoadingStiffness(over=self.over)
-        base = return_failure(test.measure_one)(partial(stiffness.choose, test, cycle=1))
+        first_outcome = return_failure(test.measure_one)(
+            partial(stiffness.choose_samples, test, cycle=1)
+        )
         doubts = stiffness.list_doubts(test, first)
 
-        def choose_first(trace: Trace) -> Reading:
-            reading = return_failure(stiffness.choose)(test, trace, 1)
-            if isinstance(reading, Failure):
-                raise UnavailableError.of("results.no_first_stiffness", why=reading.message)
-            return reading
+        def choose_first(trace: Trace) -> Extractor:
+            extractor = return_failure(stiffness.choose_samples)(test, trace, 1)
+            if isinstance(extractor, Failure):
+                raise UnavailableError.of("results.no_first_stiffness", why=extractor.message)
+            return extractor
 
         @return_failure
-        def measure_ratio(cycle: int) -> Measured:
-            choose = partial(stiffness.choose, test, cycle=cycle)
+        def measure_ratio(cycle: int) -> MeasuredNumber:
+            choose = partial(stiffness.choose_samples, test, cycle=cycle)
             ratio = combine_numbers(lambda _, x, first: divide(x, first), choose, choose_first)
-            hardening, first_stiffness = test.measure_one(ratio), test.require(base)
+            hardening, first_stiffness = test.measure_one(ratio), test.require(first_outcome)
             value = first_stiffness.value
             if value <= _MIN_SIGNIFICANT_ERRORS * first_stiffness.error:
                 raise UnavailableError.of("results.first_stiffness_is_noise", value=value)
@@ -624,20 +632,20 @@ class RangeKind(Kind):
         return slice(loading.start + first, loading.start + (beyond or len(displacement)))
 
 
-def _choose_secant_window(trace: Trace, start: float, stop: float) -> Reading:
+def _choose_secant_window(trace: Trace, start: float, stop: float) -> Extractor:
     """Choose the samples for the stiffness between two displacements of the first loading."""
     branch = trace.branches[0]
     time, path, force = cycles.cut_branch(trace, branch)
     samples = slice(branch.start, branch.stop)
     slope = choose_window(time, path, force, path, start=start, stop=stop)
-    window, middle = slope.window_samples, path[slope.window_samples].mean()
+    window, mean_path = slope.window_samples, path[slope.window_samples].mean()
 
     def compute_noisy_stiffness(path: Floats, force: Floats) -> Floats:
-        return slope.compute(path, force, middle - path[..., window].mean(axis=-1))
+        return slope.compute_slope(path, force, mean_path - path[..., window].mean(axis=-1))
 
-    numbers = read_part(slope.compute, samples)
-    noisy_numbers = read_part(compute_noisy_stiffness, samples)
-    return Reading(numbers, slope.n_samples, noisy_numbers, ends_at_samples=True)
+    compute = restrict(slope.compute_slope, samples)
+    compute_noisy = restrict(compute_noisy_stiffness, samples)
+    return Extractor(compute, slope.n_samples, compute_noisy, ends_at_samples=True)
 
 
 class InitialStiffness(RangeKind):
@@ -650,14 +658,14 @@ class InitialStiffness(RangeKind):
     )
 
     def measure(self, test: ReducedTest) -> Iterator[Part]:
-        """Measure the slope with time as the instrument, for the result and for later entries."""
+        """Measure the slope of force against displacement, with time as the instrument."""
         window = self.start, self.stop
-        decide = partial(_choose_secant_window, start=self.start, stop=self.stop)
-        outcome, period = test.measure_one(decide), test.find_loading_interval(*window)
-        doubts = kinds.find_pause(test, window)
+        choose_samples = partial(_choose_secant_window, start=self.start, stop=self.stop)
+        outcome, period = test.measure_one(choose_samples), test.find_loading_interval(*window)
+        doubts = kinds.find_pause_doubts(test, window)
         result = self.make_result(test, outcome, period=period, doubts=doubts)
         yield result
-        yield Stiffness(result.name, decide, outcome.value, period, window, doubts=doubts)
+        yield Stiffness(result.name, choose_samples, outcome.value, period, window, doubts=doubts)
 
 
 class LineStiffness(InitialStiffness):
@@ -680,18 +688,18 @@ class LineStiffness(InitialStiffness):
         if test.shape is not None:
             yield from super().measure(test)
             return
-        slope, curve = test.measure_one(self.decide), curves.make_trace(test)
+        slope, curve = test.measure_one(self.choose_samples), curves.make_trace(test)
         samples = self.select_finite_samples(curve)
         d, f = curve.displacement[samples], curve.force[samples]
         stretch = start, stop = float(d.min()), float(d.max())
         start_force = float(f.mean()) + slope.value * (start - float(d.mean()))
-        period, pause = test.find_loading_interval(*stretch), kinds.find_pause(test, stretch)
-        doubts = kinds.find_marked_slips(test, stretch) + pause
+        period, pause = test.find_loading_interval(*stretch), kinds.find_pause_doubts(test, stretch)
+        doubts = kinds.find_slip_doubts(test, stretch) + pause
         if slope.value <= 0.0:
             doubts = (Reason.of("results.negative_slope"), *doubts)
         yield self.make_result(test, slope, period=period, doubts=doubts)
         window = max(start, 0.0), stop
-        yield Stiffness(self.name, self.decide, slope.value, period, window, stretch, pause)
+        yield Stiffness(self.name, self.choose_samples, slope.value, period, window, stretch, pause)
         yield FittedLine(self.name, slope.value, start_force, *stretch)
 
     def select_finite_samples(self, trace: Trace) -> Ints:
@@ -705,7 +713,7 @@ class LineStiffness(InitialStiffness):
         finite = curves.find_finite_samples(trace.displacement[window], trace.force[window])
         return np.asarray(window.start + finite)
 
-    def decide(self, trace: Trace) -> Reading:
+    def choose_samples(self, trace: Trace) -> Extractor:
         """Choose the samples for the slope of the line over the window.
 
         Parameters
@@ -715,8 +723,8 @@ class LineStiffness(InitialStiffness):
         samples = self.select_finite_samples(trace)
         curves.require_samples(len(samples), MIN_LINE_SAMPLES)
         curves.require_travel(trace.displacement[samples])
-        slope = read_part(curves.compute_slope, convert_to_slice(samples))
-        return Reading(slope, len(samples), ends_at_samples=True)
+        slope = restrict(curves.compute_slope, convert_to_slice(samples))
+        return Extractor(slope, len(samples), ends_at_samples=True)
 
 
 class DerivedKind(Kind):
@@ -739,13 +747,13 @@ class DerivedKind(Kind):
         stiffness = test.require(test.stiffnesses.get(self.of), missing)
         outcome = return_failure(self.measure_outcome)(test, stiffness)
         context = {"period": stiffness.period, **self.collect_context(test, stiffness)}
-        slips = kinds.find_marked_slips(test, stiffness.slip_range)
+        slips = kinds.find_slip_doubts(test, stiffness.slip_range)
         context["doubts"] = slips + stiffness.doubts + context.get("doubts", ())
         yield self.make_result(test, outcome, **context)
 
 
 class NormalisedStiffness(DerivedKind):
-    """``<of>_per_peak_force`` (1/m): a stiffness over the largest force of the same sample."""
+    """``<of>_per_peak_force`` (1/m): a stiffness over the largest force of the same test."""
 
     result: ClassVar = "normalised-stiffness"
     outputs: ClassVar = (Output("{of}_per_peak_force", "1/m"),)
@@ -755,25 +763,25 @@ class NormalisedStiffness(DerivedKind):
     )
 
     def collect_context(self, test: ReducedTest, stiffness: Stiffness) -> dict[str, Any]:
-        """Return the time up to the last peak, and a doubt if the record ends before it."""
+        """Return the period up to the last peak, and a doubt if the record ends earlier."""
         last_loading, period = test.cycles[-1][:1], stiffness.period
         period = period and (period[0], max(period[1], last_loading[0].stop_time))
-        return {"period": period, "doubts": cycles.find_truncation(test, last_loading)}
+        return {"period": period, "doubts": cycles.find_truncation_doubts(test, last_loading)}
 
     def measure_outcome(self, test: ReducedTest, stiffness: Stiffness) -> kinds.Outcome:
-        """Measure a stiffness over the largest force of all cycles, in which a gain cancels."""
+        """Measure a stiffness over the largest force of all cycles; the scale of force cancels."""
         trace = curves.make_trace(test)
         force, cycle_numbers = trace.force, range(1, len(test.cycles) + 1)
-        samples = [cycles.find_cycle_samples(trace, cycle) for cycle in cycle_numbers]
-        peaks = [float(np.fmax.reduce(force[x], initial=-np.inf)) for x in samples]
+        slices = [cycles.find_cycle_samples(trace, cycle) for cycle in cycle_numbers]
+        peaks = [float(np.fmax.reduce(force[x], initial=-np.inf)) for x in slices]
         # The last of equal peaks is chosen.
         largest_cycle = max(cycle_numbers, key=lambda cycle: (peaks[cycle - 1], cycle))
         choose_peak = partial(cycles.choose_peak_sample, test, cycle=largest_cycle)
         peak_force = test.measure_one(choose_peak)
         if peak_force.value <= _MIN_SIGNIFICANT_ERRORS * peak_force.error:
             raise UnavailableError.of("results.no_peak_force", peak=peak_force.value)
-        quotient = combine_numbers(lambda _, x, peak: x / peak, stiffness.decide, choose_peak)
-        return test.measure_one(quotient)
+        choices = stiffness.choose_samples, choose_peak
+        return test.measure_one(combine_numbers(lambda _, x, peak: x / peak, *choices))
 
 
 class Modulus(DerivedKind):
@@ -794,17 +802,17 @@ class Modulus(DerivedKind):
         if "length" not in test.setup.sizes:
             raise UnavailableError.of("results.no_gauge_length")
         compute_area(test.setup.sizes, self.area)
-        return test.measure_one(combine_numbers(self._compute_modulus, stiffness.decide))
+        return test.measure_one(combine_numbers(self._compute_modulus, stiffness.choose_samples))
 
     def _compute_modulus(self, trace: Trace, stiffness: Floats) -> Floats:
-        """Compute the modulus, Pa, NaN if the sizes of a replicate give no area."""
+        """Compute the modulus, Pa; NaN if the area of a replicate is not positive."""
         area = return_failure(compute_area)(trace.sizes, self.area)
         area = np.nan if isinstance(area, Failure) else area
         return np.asarray(stiffness * trace.sizes["length"] / area, dtype=np.float64)
 
     def collect_context(self, test: ReducedTest, stiffness: Stiffness) -> dict[str, Any]:
         """Return a doubt if the displacement may be that of frame and grips."""
-        return {"doubts": kinds.find_machine_compliance(test, stiffness.value)}
+        return {"doubts": kinds.find_compliance_doubts(test, stiffness.value)}
 
 
 _AREAS: Mapping[str, tuple[tuple[str, ...], Callable[..., float]]] = {
@@ -825,30 +833,30 @@ differ. A modulus therefore has to state which one it refers to.
 """
 
 
-def compute_area(sizes: Mapping[str, float], section: str = "") -> float:
+def compute_area(sizes: Mapping[str, float], kind: str = "") -> float:
     """Compute the area of a section, m^2, from its sizes.
 
     Parameters
     ----------
-    sizes : sizes of the specimen, m (the area m^2), by the keys of the protocol
-    section : a key of `_AREAS`; empty for the first one whose sizes are all given
+    sizes : sizes of the specimen, m (area: m^2), by the keys of the protocol
+    kind : kind of area, a key of `_AREAS`; empty for the first one whose sizes are all stated
 
     Raises
     ------
     UnavailableError
-        ``no_area`` without a complete set of sizes, or if they give no area.
+        ``no_area`` without a complete set of sizes, or if the area is not positive.
     """
-    for kind in [section] if section else _AREAS:
-        names, compute = _AREAS[kind]
+    for candidate in [kind] if kind else _AREAS:
+        names, compute = _AREAS[candidate]
         if not all(name in sizes for name in names):
             continue
         area = compute(*(sizes[name] for name in names))
         if not area > 0.0:
-            raise UnavailableError.of("results.bad_area", kind=kind, area=area)
+            raise UnavailableError.of("results.bad_area", kind=candidate, area=area)
         return area
     missing = "specimen.section.area, or its width and thickness, or outer_diameter"
-    if section:
-        missing = " and ".join(f"specimen.section.{name}" for name in _AREAS[section][0])
+    if kind:
+        missing = " and ".join(f"specimen.section.{name}" for name in _AREAS[kind][0])
     raise UnavailableError.of("results.no_area", missing=missing)
 
 
@@ -864,11 +872,11 @@ class ComplianceResult(Kind):
     )
 
     def measure(self, test: ReducedTest) -> Iterator[Part]:
-        """Fit displacement against force, with a rigid bar."""
-        compliance = test.measure_one(self.decide)
+        """Measure the slope of displacement against force of a bar that is assumed rigid."""
+        compliance = test.measure_one(self.choose_samples)
         yield self.make_result(test, compliance, period=test.find_loading_interval())
 
-    def decide(self, trace: Trace) -> Reading:
+    def choose_samples(self, trace: Trace) -> Extractor:
         """Choose the samples for the slope of displacement against force over the window.
 
         Parameters
@@ -879,7 +887,7 @@ class ComplianceResult(Kind):
         d, f = trace.displacement[stretch], trace.force[stretch]
         window = find_compliance_window(d, f, start=self.start, stop=self.stop)
         samples = np.arange(stretch.start, stretch.stop)[window]
-        compute = read_part(lambda d, f: curves.compute_slope(f, d), convert_to_slice(samples))
+        compute = restrict(lambda d, f: curves.compute_slope(f, d), convert_to_slice(samples))
         if (compliance := float(compute(trace)[0])) <= 0.0:
             raise UnavailableError.of("results.not_positive", slope=compliance)
-        return Reading(compute, len(samples), ends_at_samples=True)
+        return Extractor(compute, len(samples), ends_at_samples=True)

@@ -29,11 +29,12 @@ from labpipe.results.curves import make_trace, require_samples
 from labpipe.results.kinds import Kind, Part, ReducedTest
 from labpipe.results.stiffness import compute_area
 from labpipe.uncertainty.autocorrelation import LinearFit, estimate_fast_noise, fit_linear
-from labpipe.uncertainty.intervals import Measured
+from labpipe.uncertainty.intervals import MeasuredNumber
 from labpipe.uncertainty.noise_model import compute_drift_modes
 from labpipe.uncertainty.replicates import Trace
 
 MIN_ELASTIC_SAMPLES = 8
+"""Smallest number of samples of an elastic line."""
 MIN_ELASTIC_RANGE = 0.1
 """Smallest range of stress of an elastic line, as a fraction of the largest stress."""
 MAX_BEND = 0.03
@@ -57,12 +58,12 @@ _CLEAR_DEVIATIONS = 6.0
 
 @dataclass(frozen=True, slots=True)
 class ElasticWindow:
-    """Part of the curve to which the elastic line is fitted.
+    """Settings of the part of the curve to which the elastic line is fitted.
 
     Parameters
     ----------
     start, stop : ends of a stated window; None for the longest straight part
-    of : quantity of these ends: ``strain``, or ``strength`` for fractions of the largest stress
+    of : quantity of the two ends: ``strain``, or ``strength`` for fractions of the largest stress
     straight : smallest square of the correlation coefficient of the longest straight part
     """
 
@@ -89,7 +90,7 @@ class Pull:
     stress_noise, strain_noise : Pa and 1, standard deviations of single samples
     slope_estimate : slope of the elastic line, Pa, with its interval
     slope : Pa, slope of the elastic line
-    mean_strain, mean_stress : 1 and Pa, means of its samples, through which the line passes
+    mean_strain, mean_stress : 1 and Pa, means over the samples of the line, a point of the line
     line_failure : reason why there is no elastic line; None if there is one
     """
 
@@ -116,30 +117,30 @@ class Pull:
         """Index of the sample of the largest stress."""
         return int(np.nanargmax(self.stress))
 
-    def scale(self, stress: float = 1.0, strain: float = 1.0) -> Pull:
+    def scale(self, stress_factor: float, strain_factor: float) -> Pull:
         """Multiply stress and strain by factors, but neither the noise nor `slope_estimate`."""
         return replace(
             self,
-            strain=strain * self.strain,
-            stress=stress * self.stress,
-            slope=self.slope * stress / strain,
-            mean_strain=strain * self.mean_strain,
-            mean_stress=stress * self.mean_stress,
+            strain=strain_factor * self.strain,
+            stress=stress_factor * self.stress,
+            slope=self.slope * stress_factor / strain_factor,
+            mean_strain=strain_factor * self.mean_strain,
+            mean_stress=stress_factor * self.mean_stress,
         )
 
 
 PullFunction: TypeAlias = Callable[[Pull], float]
-"""Function that computes a quantity of a pull."""
+"""Function that computes a quantity from stress and strain."""
 
 
 @return_failure
-def fit_pull(test: ReducedTest, choice: ElasticWindow) -> Pull:
+def fit_pull(test: ReducedTest, settings: ElasticWindow) -> Pull:
     """Compute stress and strain of the loading without unloading loops, and fit the elastic line.
 
     Parameters
     ----------
     test : reduced test with a curve and the sizes of the specimen
-    choice : part of the curve for the elastic line
+    settings : part of the curve for the elastic line
 
     Returns
     -------
@@ -147,13 +148,13 @@ def fit_pull(test: ReducedTest, choice: ElasticWindow) -> Pull:
     an area or a gauge length.
     """
     trace = make_trace(test)
-    samples = _select_new_strains(trace)
+    samples = _select_loading(trace)
     samples = test.require(samples if len(samples) > 1 else None)
     sizes = test.setup.sizes
     force, displacement = trace.force[samples], trace.displacement[samples]
     stress = kinds.compute_loading_sign(force) * force / compute_area(sizes)
-    # After a subtraction of slack, the displacement is counted from its end.
-    has_slack = isinstance(test.slack, Measured)
+    # If slack was subtracted, the displacement is zero at the end of the slack.
+    has_slack = isinstance(test.slack, MeasuredNumber)
     start = 0.0 if has_slack else drop_missing(displacement)[:1].sum()
     sense = kinds.compute_loading_sign(displacement)
     strain = sense * (displacement - start) / get_gauge_length(sizes)
@@ -162,12 +163,12 @@ def fit_pull(test: ReducedTest, choice: ElasticWindow) -> Pull:
         strain=strain,
         stress=stress,
         window=slice(0, 0),
-        is_line_searched=choice.start is None,
+        is_line_searched=settings.start is None,
         stress_noise=_estimate_noise(stress),
         strain_noise=_estimate_noise(strain),
     )
     try:
-        window = _choose_elastic_window(pull, choice)
+        window = _choose_elastic_window(pull, settings)
         x, y = _average_blocks(strain[window], stress[window])
         require_samples(len(x), MIN_ELASTIC_SAMPLES, " of the elastic line")
         fit = _fit_line(x, y)
@@ -175,40 +176,40 @@ def fit_pull(test: ReducedTest, choice: ElasticWindow) -> Pull:
             raise UnavailableError.of("results.no_elastic_line", why="its slope is not positive")
     except UnavailableError as error:
         return replace(pull, line_failure=error.failure)
-    slope = fit.estimate(1)
+    slope = fit.make_estimate(1)
     pull = replace(pull, window=window, slope_estimate=slope, slope=slope.value)
     return replace(pull, mean_strain=float(x.mean()), mean_stress=float(fit.coefficients[0]))
 
 
 def _fit_line(strain: Floats, stress: Floats) -> LinearFit:
-    """Fit a line with a cubic of time through the strain as instrument.
+    """Fit a line, with a cubic in time through the strain as the instrument.
 
-    Noise of the strain would lower the slope of a line by least squares (Durbin, Rev. Int. Stat.
-    Inst. 22 (1954) 23).
+    Noise of the strain would lower the slope of a least-squares line (Durbin, Rev. Int. Stat. Inst.
+    22 (1954) 23).
     """
     cubic = np.vander(np.linspace(-1.0, 1.0, len(strain)), 4)
     smooth = cubic @ np.linalg.lstsq(cubic, strain, rcond=None)[0]
-    rough, centred = strain - smooth, smooth - smooth.mean()
+    noise, centred = strain - smooth, smooth - smooth.mean()
     slope = centred @ stress / (centred @ centred)
-    return fit_linear(np.column_stack([np.ones_like(strain), centred]), stress - slope * rough)
+    return fit_linear(np.column_stack([np.ones_like(strain), centred]), stress - slope * noise)
 
 
-def _select_new_strains(trace: Trace) -> Ints:
+def _select_loading(trace: Trace) -> Ints:
     """Select the samples of the loading up to a failure, without those of unloading loops.
 
     A loop ends where the displacement exceeds that at which the loop began.
     """
-    end = len(trace.time) if trace.failed_at is None else trace.failed_at + 1
-    samples, farthest = [np.empty(0, dtype=np.intp)], -np.inf
+    stop = len(trace.time) if trace.failed_at is None else trace.failed_at + 1
+    samples, largest_so_far = [np.empty(0, dtype=np.intp)], -np.inf
     for branch in trace.branches:
-        if branch.direction is Direction.UNLOADING or branch.start >= end:
+        if branch.direction is Direction.UNLOADING or branch.start >= stop:
             continue
-        loading = np.arange(branch.start, min(branch.stop, end))
+        loading = np.arange(branch.start, min(branch.stop, stop))
         displacement = trace.displacement[loading]
         displacement = kinds.compute_loading_sign(displacement) * displacement
-        is_new = np.fmax.accumulate(displacement) > farthest
+        is_new = np.fmax.accumulate(displacement) > largest_so_far
         samples.append(loading[int(np.argmax(is_new)) :] if is_new.any() else loading[:0])
-        farthest = max(farthest, float(np.fmax.reduce(displacement)))
+        largest_so_far = max(largest_so_far, float(np.fmax.reduce(displacement)))
     return np.concatenate(samples)
 
 
@@ -219,7 +220,7 @@ def _estimate_noise(values: Floats) -> float:
 
 
 def _estimate_rounding(values: Floats) -> float:
-    """Estimate the standard deviation of rounding: all changes are multiples of one step."""
+    """Estimate the standard deviation of rounding from the step between rounded values."""
     changes = np.abs(np.diff(values[~np.isnan(values)]))
     gaps = np.diff(np.sort(np.append(changes, 0.0)))
     gaps = gaps[gaps > 1e-9 * changes.sum()]
@@ -236,26 +237,26 @@ def _average_blocks(strain: Floats, stress: Floats) -> tuple[Floats, Floats]:
     return x, y
 
 
-def _choose_elastic_window(pull: Pull, choice: ElasticWindow) -> slice:
-    """Choose the samples of the elastic line in a stated window, or as longest straight part."""
-    if choice.start is None or choice.stop is None:
-        return _find_longest_straight_part(pull, choice.straight)
-    scale = float(np.nanmax(pull.stress)) if choice.of == "strength" else 1.0
-    values = pull.stress if choice.of == "strength" else pull.strain
-    is_beyond = values > choice.stop * scale
+def _choose_elastic_window(pull: Pull, settings: ElasticWindow) -> slice:
+    """Choose the samples of the elastic line: a stated window, or the longest straight part."""
+    if settings.start is None or settings.stop is None:
+        return _find_longest_straight_part(pull, settings.straight)
+    scale = float(np.nanmax(pull.stress)) if settings.of == "strength" else 1.0
+    values = pull.stress if settings.of == "strength" else pull.strain
+    is_beyond = values > settings.stop * scale
     if not is_beyond.any():
         raise UnavailableError.of("results.elastic_window_not_reached")
-    return slice(int(np.argmax(values >= choice.start * scale)), int(np.argmax(is_beyond)))
+    return slice(int(np.argmax(values >= settings.start * scale)), int(np.argmax(is_beyond)))
 
 
 def _find_longest_straight_part(pull: Pull, min_correlation: float) -> slice:
-    """Find the longest range of stress in which the curve is straight, and nowhere steeper below.
+    """Find the longest range of stress in which the curve is straight, and not steeper below.
 
-    The square of its correlation coefficient is at least `min_correlation`, or that of a straight
-    line with the noise of both signals. One minus this square is the normalised residual of slope
-    determination by analysis of residuals (ASTM E3076, described by the package sdarr). That method
-    takes the window with the smallest residual. The longest window within a limit depends less on
-    noise. Its ends are searched in steps of 1 % of the largest stress.
+    The square of the correlation coefficient in the range is at least `min_correlation`, or that of
+    a straight line with the noise of both signals. One minus this square is the normalised residual
+    of slope determination by analysis of residuals (ASTM E3076, described by the package sdarr).
+    That method uses the window with the smallest residual. The longest window within a limit
+    depends less on noise. Its ends are searched in steps of 1 % of the largest stress.
 
     The elastic range is the steepest part of a curve. The line of a later part that is straight
     lies far above the curve where the curve begins.
@@ -277,7 +278,7 @@ def _find_longest_straight_part(pull: Pull, min_correlation: float) -> slice:
     is_enough = n >= MIN_ELASTIC_SAMPLES
     n = np.where(is_enough, n, 1.0)
     spread_x, spread_y, product = sxx - sx * sx / n, syy - sy * sy / n, sxy - sx * sy / n
-    # Later flow is rougher, so the noise is that of the lower half.
+    # Plastic flow makes the upper half of the curve rougher, so noise is taken from the lower half.
     n_low, noise = int(np.argmax(y[is_finite] >= 0.5)), np.zeros_like(n)
     for values, spread in ((x, spread_x), (y, spread_y)):
         low_values = values[is_finite][:n_low]
@@ -287,7 +288,7 @@ def _find_longest_straight_part(pull: Pull, min_correlation: float) -> slice:
     max_residual = np.maximum(1.0 - min_correlation, max_scatter * noise)
     is_straight = product**2 >= (1.0 - max_residual) * spread_x * spread_y
     is_straight &= is_enough & (max_residual < 1.0) & (spread_x * spread_y > 0.0)
-    # The stress of the line above that of the curve, at the first sample.
+    # At the first sample, the line is at most `MIN_ELASTIC_RANGE` above the curve.
     x_from_first, y_from_first = sx / n - x[is_finite][:1], sy / n - y[is_finite][:1]
     is_low = (y_from_first - MIN_ELASTIC_RANGE) * spread_x <= product * x_from_first
     ranges = 0.01 * np.subtract.outer(np.arange(len(levels)), np.arange(len(levels))).T
@@ -324,14 +325,14 @@ class PullQuantity:
     Parameters
     ----------
     compute : function that computes the quantity of a pull
-    period : first sample on which it depends, and the last one or the one after that
-    has_line : whether it depends on the elastic line
-    errors : further standard errors, by cause
-    doubts : further reasons to doubt it
+    sample_range : first sample on which the quantity depends, and last one or the one after it
+    has_line : whether the quantity depends on the elastic line
+    errors : further standard errors of the quantity, by cause
+    doubts : further reasons to doubt the quantity
     """
 
     compute: PullFunction
-    period: tuple[int, int]
+    sample_range: tuple[int, int]
     has_line: bool = True
     errors: Mapping[str, float] = field(default_factory=dict)
     doubts: tuple[Reason, ...] = ()
@@ -366,18 +367,17 @@ class TensionResult(Kind):
                 outcome = replace(outcome, error=abs(quantity.compute(steeper_pull) - value))
             if quantity.has_line:
                 doubts = (*_list_line_doubts(test, pull, quantity.compute), *doubts)
-            start, stop = pull.time[np.minimum(quantity.period, len(pull.time) - 1)].tolist()
-            period = start, stop
+            start, stop = pull.time[np.minimum(quantity.sample_range, len(pull.time) - 1)].tolist()
             yield self.make_result(
-                test, outcome, errors, output=output, period=period, doubts=doubts
+                test, outcome, errors, output=output, period=(start, stop), doubts=doubts
             )
 
 
 def _change_inputs(test: ReducedTest, pull: Pull) -> Iterator[tuple[str, Pull]]:
     """Yield the pull with each input changed by its standard uncertainty, by cause."""
     setup, sizes = test.setup, test.setup.sizes
-    yield causes.SCALE_OF_FORCE, pull.scale(stress=1.0 + test.raw_force.relative_error)
-    yield causes.SCALE_OF_DISPLACEMENT, pull.scale(strain=1.0 + test.displacement.relative_error)
+    yield causes.SCALE_OF_FORCE, pull.scale(1.0 + test.raw_force.relative_error, 1.0)
+    yield causes.SCALE_OF_DISPLACEMENT, pull.scale(1.0, 1.0 + test.displacement.relative_error)
     zero = test.raw_force.zero_error / compute_area(sizes)
     yield causes.ZERO_OF_FORCE, _add_stress(pull, np.full(len(pull.stress), zero))
     drift = test.raw_force.zero_drift * float(np.nanmax(np.abs(pull.stress)))
@@ -390,7 +390,7 @@ def _change_inputs(test: ReducedTest, pull: Pull) -> Iterator[tuple[str, Pull]]:
         cause = causes.LENGTH if name in ("length", "gauge_length") else causes.SECTION
         area, length = compute_area(sizes) / compute_area(larger), get_gauge_length(sizes)
         yield cause, pull.scale(area, length / get_gauge_length(larger))
-    # Noise acts on single samples that are read; the elastic line has its own error.
+    # This noise affects quantities from single samples; the elastic line has its own error.
     yield causes.NOISE, replace(pull, stress=pull.stress + pull.stress_noise)
     yield causes.NOISE_OF_DISPLACEMENT, replace(pull, strain=pull.strain + pull.strain_noise)
 
@@ -408,15 +408,16 @@ def _list_line_doubts(test: ReducedTest, pull: Pull, compute: PullFunction) -> I
 
     The line is doubtful if it bends, or if the curve later rises above it. Metals do not stiffen,
     so both show that an extensometer slips or jumps, or that the specimen is bent. A line in a
-    stated window is right by definition, and is not examined. Without an extensometer, the
-    displacement may be that of the machine. With one, the extension must not exceed the travel of
-    the machine, since the gauge length lies between the grips. Otherwise a unit may be wrong.
+    stated window is not examined, because the window defines it. Without an extensometer, the
+    displacement may be that of the machine. With an extensometer, the extension cannot exceed the
+    travel of the machine, since the gauge length lies between the grips. If it does, a unit may be
+    wrong.
     """
     if pull.is_line_searched:
         strain, stress = (values[pull.window] for values in (pull.strain, pull.stress))
         is_upper, halves = stress > 0.5 * (np.nanmin(stress) + np.nanmax(stress)), list[float]()
-        for half_mask in (~is_upper, is_upper):
-            x, y = _average_blocks(strain[half_mask], stress[half_mask])
+        for is_in_half in (~is_upper, is_upper):
+            x, y = _average_blocks(strain[is_in_half], stress[is_in_half])
             slope, strain_mean, stress_mean = np.polyfit(x, y, 1)[0], x.mean(), y.mean()
             half_pull = replace(pull, slope=slope, mean_strain=strain_mean, mean_stress=stress_mean)
             halves.append(compute(half_pull))
@@ -433,7 +434,7 @@ def _list_line_doubts(test: ReducedTest, pull: Pull, compute: PullFunction) -> I
     travel, sizes = test.signals.raw.get("displacement"), test.setup.sizes
     length = get_gauge_length(sizes)
     if "gauge_length" not in sizes:
-        yield from kinds.find_machine_compliance(test, pull.slope * compute_area(sizes) / length)
+        yield from kinds.find_compliance_doubts(test, pull.slope * compute_area(sizes) / length)
     elif travel is not None:
         last = int(np.nanargmax(pull.strain))
         extension = 1e3 * length * float(pull.strain[last] - np.nanmin(pull.strain))
@@ -443,8 +444,8 @@ def _list_line_doubts(test: ReducedTest, pull: Pull, compute: PullFunction) -> I
             yield Reason.of("results.extension_exceeds_travel", **facts)
 
 
-def _find_strain_jump(pull: Pull, stop: int) -> tuple[Reason, ...]:
-    """Find a doubt about a jump of the strain up to a sample, as of a knife edge that slips."""
+def _find_jump_doubts(pull: Pull, stop: int) -> tuple[Reason, ...]:
+    """Find a doubt if the strain jumps before a sample, as if a knife edge slipped."""
     finite = np.flatnonzero(~np.isnan(pull.strain[: stop + 7]))
     counts = np.diff(finite)
     steps = np.diff(pull.strain[finite]) / counts  # per sample, so that a gap is no jump
@@ -482,18 +483,18 @@ class ElasticModulus(TensionResult):
     def list_quantities(self, test: ReducedTest, pull: Pull) -> Sequence[PullQuantity]:
         """List the slope of the elastic line, whose residuals may be correlated."""
         del test
-        window, doubts = pull.window, _find_strain_jump(pull, pull.window.stop)
-        # Neighbours are rounded alike, so that rounding moves both ends of the line.
-        strain, period = drop_missing(pull.strain[window]), (window.start, window.stop)
+        window, doubts = pull.window, _find_jump_doubts(pull, pull.window.stop)
+        # Neighbouring values are rounded alike, so rounding moves both ends of the line.
+        strain, sample_range = drop_missing(pull.strain[window]), (window.start, window.stop)
         rounding = np.sqrt(2.0) * pull.slope * _estimate_rounding(strain) / np.ptp(strain)
         errors = {causes.RESOLUTION_OF_DISPLACEMENT: float(rounding)}
-        return [PullQuantity(_read_slope, period, errors=errors, doubts=doubts)]
+        return [PullQuantity(_read_slope, sample_range, errors=errors, doubts=doubts)]
 
     def measure(self, test: ReducedTest) -> Iterator[Part]:
         """Measure the slope, and yield the line for figures."""
         yield from super().measure(test)
         pull = test.require(test.pull)
-        path = test.required_curve.displacement[_select_new_strains(make_trace(test))[pull.window]]
+        path = test.required_curve.displacement[_select_loading(make_trace(test))[pull.window]]
         start, stop = float(np.nanmin(path)), float(np.nanmax(path))
         strain = float(np.nanmin(pull.strain[pull.window]))
         area, length = compute_area(test.setup.sizes), get_gauge_length(test.setup.sizes)
@@ -526,7 +527,7 @@ class ProofStress(TensionResult):
             return float(np.interp(0.0, [below, above], pull.stress[[sample, sample - 1]]))
 
         crossing = _find_meeting_sample(pull, self.offset)
-        doubts = _find_strain_jump(pull, crossing)
+        doubts = _find_jump_doubts(pull, crossing)
         return [PullQuantity(interpolate_stress, (pull.window.start, crossing), doubts=doubts)]
 
 
@@ -622,12 +623,12 @@ class TensileStrength(TensionResult):
 
     def list_quantities(self, test: ReducedTest, pull: Pull) -> Sequence[PullQuantity]:
         """List the largest stress."""
-        strength, period = partial(_read_stress, sample=pull.peak), (0, pull.peak)
-        doubts = _find_end_at_peak(test, pull)
-        return [PullQuantity(strength, period, has_line=False, doubts=doubts)]
+        strength, sample_range = partial(_read_stress, sample=pull.peak), (0, pull.peak)
+        doubts = _find_peak_doubts(test, pull)
+        return [PullQuantity(strength, sample_range, has_line=False, doubts=doubts)]
 
 
-def _find_end_at_peak(test: ReducedTest, pull: Pull) -> tuple[Reason, ...]:
+def _find_peak_doubts(test: ReducedTest, pull: Pull) -> tuple[Reason, ...]:
     """Find a doubt if the record ends without a break, since the force may rise again."""
     if isinstance(test.failure, kinds.FailurePoint):
         return ()
@@ -635,7 +636,7 @@ def _find_end_at_peak(test: ReducedTest, pull: Pull) -> tuple[Reason, ...]:
     return (Reason.of("results.ends_at_peak", share=float(stress[-1] / stress.max())),)
 
 
-def _find_extensometer_end(test: ReducedTest, pull: Pull) -> tuple[Reason, ...]:
+def _find_extensometer_doubts(test: ReducedTest, pull: Pull) -> tuple[Reason, ...]:
     """Find a doubt if the strain stops before the peak while the machine moves on.
 
     After the peak, a specimen may neck outside of the gauge length.
@@ -677,7 +678,7 @@ class MaximumForceElongation(TensionResult):
     def list_quantities(self, test: ReducedTest, pull: Pull) -> Sequence[PullQuantity]:
         """List the total and the plastic strain at the largest force.
 
-        Noise may have made a neighbour of the sample of the true peak the largest one.
+        Because of noise, the largest sample may be a neighbour of the sample at the true peak.
         """
         noise = _estimate_noise(pull.stress[max(pull.peak - 50, 0) : pull.peak + 50])
         is_near_peak = pull.stress >= pull.stress[pull.peak] - 2.0 * noise
@@ -685,16 +686,17 @@ class MaximumForceElongation(TensionResult):
         if np.isnan(pull.strain[[first, last]]).any():
             raise _make_extensometer_error(pull, "the largest force")
         ends = pull.strain[[first, last]] - pull.strain[pull.peak]
-        # Every strain between the ends is as likely: root of the second moment about the sample.
+        # All strains between the ends are equally probable. The spread is the root of their second
+        # moment about the strain of the largest sample.
         spread = float(np.sqrt((ends @ ends + ends.prod()) / 3.0))
-        period = pull.window.start, last + 1
-        doubts = _find_end_at_peak(test, pull) + _find_extensometer_end(test, pull)
-        return _list_elongations(pull.peak, period, {causes.PEAK: spread}, doubts)
+        sample_range = pull.window.start, last + 1
+        doubts = _find_peak_doubts(test, pull) + _find_extensometer_doubts(test, pull)
+        return _list_elongations(pull.peak, sample_range, {causes.PEAK: spread}, doubts)
 
 
 def _list_elongations(
     sample: int,
-    period: tuple[int, int],
+    sample_range: tuple[int, int],
     errors: Mapping[str, float],
     doubts: tuple[Reason, ...] = (),
 ) -> list[PullQuantity]:
@@ -707,7 +709,7 @@ def _list_elongations(
         return compute_strain(pull) - float(pull.stress[sample]) / pull.slope
 
     functions = compute_strain, compute_plastic_strain
-    return [PullQuantity(compute, period, errors=errors, doubts=doubts) for compute in functions]
+    return [PullQuantity(x, sample_range, errors=errors, doubts=doubts) for x in functions]
 
 
 def _make_extensometer_error(pull: Pull, what: str) -> UnavailableError:
@@ -733,8 +735,8 @@ class BreakElongation(TensionResult):
         last = len(pull.stress) - 1
         if np.isnan(pull.strain[last]):
             raise _make_extensometer_error(pull, "the break")
-        # The break is as likely anywhere between this sample and the next one, a step that is taken
-        # to be as long as the one before.
+        # The break is equally probable anywhere between this sample and the next one. The step is
+        # assumed to be as long as the last one.
         error = abs(float(np.diff(pull.strain[-2:])[0])) / np.sqrt(3.0)
-        period, doubts = (pull.window.start, last), _find_extensometer_end(test, pull)
-        return _list_elongations(last, period, {causes.STEP: error}, doubts)
+        sample_range, doubts = (pull.window.start, last), _find_extensometer_doubts(test, pull)
+        return _list_elongations(last, sample_range, {causes.STEP: error}, doubts)

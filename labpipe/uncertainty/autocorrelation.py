@@ -38,26 +38,26 @@ def estimate_long_run_variance(residuals: Floats, *, parameters: int) -> float:
     The estimator of Newey and West, Econometrica 55 (1987) 703, adds the autocovariances up to lag
     min(1.3 n^(1/2), n / 4), weighted by Bartlett's triangle. The sum is increased for the low
     frequencies that the fit has removed, and scaled by n / (n - parameters). The result is at least
-    half the plain variance, and about equal to it for white noise.
+    half the ordinary variance, and about equal to the variance for white noise.
     """
     values = residuals[~np.isnan(residuals)]
     count = len(values)
     if count < parameters + 3:
         return float("nan")
     centred = values - values.mean()
-    lags = min(int(1.3 * np.sqrt(count)), count // 4)
+    max_lag = min(int(1.3 * np.sqrt(count)), count // 4)
     variance = float(centred @ centred) / count
     long_run = variance
-    for lag in range(1, lags + 1):
+    for lag in range(1, max_lag + 1):
         covariance = float(centred[lag:] @ centred[:-lag]) / count
-        long_run += 2.0 * (1.0 - lag / (lags + 1.0)) * covariance
+        long_run += 2.0 * (1.0 - lag / (max_lag + 1.0)) * covariance
     # A fit removes low frequencies from its residuals, so the weighted sum is too small.
-    remaining_fraction = 1.0 - min(0.5, parameters * (lags + 1.0) / count)
+    remaining_fraction = 1.0 - min(0.5, parameters * (max_lag + 1.0) / count)
     return max(long_run / remaining_fraction, 0.5 * variance) * count / (count - parameters)
 
 
 def estimate_fast_noise(values: Floats) -> Floats:
-    """Estimate noise by the standard deviation about a parabola, the median of 20-sample blocks.
+    """Estimate noise by the median standard deviation about a parabola of 20-sample blocks.
 
     Parameters
     ----------
@@ -79,8 +79,7 @@ def estimate_fast_noise(values: Floats) -> Floats:
     rows = values[..., : count * size].reshape(*values.shape[:-1], count, size)
     basis = build_polynomial_basis(size, 3)
     residuals = rows - rows @ basis @ basis.T
-    deviation: Floats = np.median(np.sqrt(np.sum(residuals**2, axis=-1) / (size - 3)), axis=-1)
-    return deviation
+    return np.asarray(np.median(np.sqrt(np.sum(residuals**2, axis=-1) / (size - 3)), axis=-1))
 
 
 def scale_limit_by_noise(limit: float, rows: Floats) -> Floats:
@@ -135,7 +134,7 @@ class Processes:
         Parameters
         ----------
         angle : shape (k,), frequency, rad per sample
-        rows : indices of the processes
+        rows : indices of the processes, or a slice
 
         Returns
         -------
@@ -159,7 +158,7 @@ def list_autoregressive_processes(
     Parameters
     ----------
     times : shape (n,), correlation times, samples, increasing
-    floors : white noise added to correlated noise, as fractions of the spectrum at frequency zero
+    floors : amounts of added white noise, as fractions of the spectrum at frequency zero
 
     Returns
     -------
@@ -205,7 +204,9 @@ def choose_processes(count: int, terms: int) -> Processes:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SpectrumLikelihood:
-    """Likelihood of each of g candidate spectra, given stretches of a signal with the same basis.
+    """Likelihood of each of g candidate spectra, given stretches of a signal.
+
+    All stretches have the same length and the same basis of p functions.
 
     Parameters
     ----------
@@ -284,7 +285,7 @@ class SpectrumLikelihood:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SpectrumPosterior:
-    """Posterior probability of each of g spectra from all stretches.
+    """Posterior probability of each of g candidate spectra, from all stretches.
 
     Parameters
     ----------
@@ -365,9 +366,9 @@ def compute_covariance(basis: Floats, processes: Processes) -> Floats:
 
 
 def _weigh_products(weights: Floats, columns: Floats) -> Floats:
-    """Compute the weighted sums of all products of two columns, shape (g, p, p).
+    """Compute the sums of all products of two columns, shape (g, p, p).
 
-    weights : shape (g, terms); columns : shape (terms, p)
+    The columns have the shape (terms, p), and the weights of their terms the shape (g, terms).
     """
     count = columns.shape[1]
     products = (columns[:, :, None] * columns[:, None, :]).reshape(len(columns), -1)
@@ -392,8 +393,8 @@ class LinearFit:
     half_widths: Floats
     n: int
 
-    def estimate(self, index: int) -> Estimate:
-        """Return one coefficient with its standard error and 95 % interval."""
+    def make_estimate(self, index: int) -> Estimate:
+        """Make the estimate of one coefficient, with its standard error and 95 % interval."""
         value, half_width = float(self.coefficients[index]), float(self.half_widths[index])
         error = float(np.sqrt(self.covariance[index, index]))
         return Estimate(value, error, self.n, Interval(value - half_width, value + half_width))
@@ -403,7 +404,7 @@ def fit_linear(
     design: Floats,
     values: Floats,
     *,
-    weighted: bool = False,
+    is_weighted: bool = False,
     other_stretches: Sequence[Floats] = (),
 ) -> LinearFit:
     """Fit a linear model by least squares, with intervals valid for serially correlated residuals.
@@ -412,8 +413,8 @@ def fit_linear(
     ----------
     design : shape (n, p), full rank, rows evenly sampled in time and without NaN
     values : shape (n,), without NaN
-    weighted : False for ordinary least squares; True for generalised least squares, which is better
-        for a jump in strongly correlated noise
+    is_weighted : False for ordinary least squares; True for generalised least squares, which is
+        more accurate for a jump in strongly correlated noise
     other_stretches : further smooth stretches of the same signal, at least 8 samples each, without
         NaN and at the same sampling rate. The noise is also estimated from their residuals about a
         cubic, because a short window alone does not show the correlation time
@@ -441,8 +442,8 @@ def fit_linear(
     time, on a logarithmic scale, is proportional to its power -0.4. It is shared equally by noise
     with and without added white noise. White noise alone has the prior of the shortest time.
 
-    Only the 128 lowest frequencies are used (all frequencies of the window if `weighted`), because
-    hum, filters and rounding contain no information about the mean over a window (as in the
+    Only the 128 lowest frequencies are used (all frequencies of the window if `is_weighted`). Hum,
+    filters and rounding contain no information about the mean over a window (as in the
     equal-weighted cosine estimator: Lazarus et al., J. Bus. Econ. Stat. 36 (2018) 541). A curve
     that the model does not fit looks like slow noise and widens the interval.
 
@@ -458,9 +459,9 @@ def fit_linear(
     basis, to_coefficients = orthonormalise(design)
     projections = basis @ values
     max_samples = max([count, *map(len, other_stretches)])
-    max_cosines = max_samples if weighted else min(max_samples, MAX_COSINES)
+    max_cosines = max_samples if is_weighted else min(max_samples, MAX_COSINES)
     processes = choose_processes(max_samples, max_cosines)
-    n_cosines, residuals = count if weighted else MAX_COSINES, values - projections @ basis
+    n_cosines, residuals = count if is_weighted else MAX_COSINES, values - projections @ basis
     window = SpectrumLikelihood.from_values(basis, residuals, processes, n_cosines)
     likelihoods = [window]
     for length in sorted(set(map(len, other_stretches))):
@@ -471,7 +472,7 @@ def fit_linear(
         likelihoods.append(likelihood)
     noise = SpectrumPosterior.combine(likelihoods, processes.prior)
     shifts, unit_covariance = window.shifts[:, 0], window.unit_covariance
-    if not weighted:
+    if not is_weighted:
         shifts = np.zeros_like(shifts)
         unit_covariance = window.compute_least_squares_covariance()
         if other_stretches:
@@ -510,8 +511,8 @@ def orthonormalise(design: Floats) -> tuple[Floats, Floats]:
 def _compute_half_widths(noise: SpectrumPosterior, variances: Floats, offsets: Floats) -> Floats:
     """Compute the half widths that contain 95 % of the mixture of t-distributions.
 
-    Newton's method is used. For large offsets the coverage is not concave in the half width, so a
-    step ends at a tenth of the first half width.
+    Newton's method is used. For large offsets, the coverage is not a concave function of the half
+    width, so half widths are limited to at least a tenth of the first one.
     """
     # Spectra with a lower probability are ignored.
     min_probability = 1e-15
@@ -524,10 +525,10 @@ def _compute_half_widths(noise: SpectrumPosterior, variances: Floats, offsets: F
     weights, spreads = noise.probabilities[is_relevant], positive_deviations[is_relevant]
     centres, dof = offsets[is_relevant] / spreads, noise.dof
     for _ in range(12):
-        high, low = half_widths / spreads - centres, half_widths / spreads + centres
-        coverage = weights @ (stdtr(dof, high) - stdtr(dof, -low))
+        upper, lower = half_widths / spreads - centres, half_widths / spreads + centres
+        coverage = weights @ (stdtr(dof, upper) - stdtr(dof, -lower))
         # Densities of Student's t-distribution.
-        kernels = [(1.0 + t * t / dof) ** (-0.5 * (dof + 1)) for t in (high, low)]
+        kernels = [(1.0 + t * t / dof) ** (-0.5 * (dof + 1)) for t in (upper, lower)]
         density = sum(kernels) / (np.sqrt(dof) * beta(0.5, 0.5 * dof))
         step = (0.95 - coverage) / (weights @ (density / spreads))
         half_widths = np.maximum(half_widths + step, smallest)

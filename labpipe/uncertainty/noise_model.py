@@ -28,27 +28,27 @@ from labpipe.uncertainty.autocorrelation import (
 )
 
 _PIECES_PER_BRANCH = 12
-"""Number of pieces into which the longest branch is cut. With 8, residuals contain the curve, and
-intervals are 3 to 5 times too wide."""
+"""Number of pieces into which the longest branch is cut. With 8 pieces, residuals contain the
+curve, and intervals are 3 to 5 times too wide."""
 _MIN_PIECE_SAMPLES, MIN_NOISE_SAMPLES = 50, 5
-"""Fewest samples of a piece of a long record, and of a branch in which noise is estimated."""
+"""Smallest numbers of samples of a piece of a long record, and of a branch for a noise estimate."""
 SHORT_RECORD_SAMPLES = 150
-"""Samples of the longest branch up to which polynomials are fitted to a whole record."""
+"""Number of samples of the longest branch up to which polynomials are fitted to a whole record."""
 _HALF_WAVES = 48
-"""Half waves of a piece in which noise is modelled: with 128, hum would look correlated."""
+"""Number of half waves of a piece in which noise is modelled. With 128, hum looks correlated."""
 _POLYNOMIAL_COLUMNS = 6
 """Number of coefficients of the polynomial that is removed from a piece: degree five."""
 _CORNER_VARIANCE_RATIO = 4.0
-"""A piece with more than this multiple of the median variance contains a corner or a step."""
+"""Multiple of the median variance above which a piece contains a corner or a step."""
 _FLICKER_POWERS, _FLICKER_CROSSINGS = (0.6, 0.8, 1.0, 1.2, 1.5), (np.pi, 2.0, 0.8, 0.3, 0.12, 0.05)
 """Exponents of flicker noise, whose power falls as frequency^-s; frequencies, rad per sample, at
 which white noise is as large."""
 _MIN_RECORD_WAVES, _BAND_WAVES = 256, 16
-"""Lowest half wave of the longest branch whose power is that of the record; half waves per band."""
+"""Lowest half wave of the longest branch with the power of the record; half waves of a band."""
 _MARGIN_TIMES = 12
-"""Correlation times after which samples of a drawn record count as independent."""
+"""Number of correlation times after which samples of a drawn record count as independent."""
 _BATCH_RECORDS = 50
-"""Records that are drawn at once: few enough to stay in the cache."""
+"""Number of records that are drawn at once, few enough to stay in the cache of the processor."""
 _ROUNDING_FRACTION = 1e-9
 """Fraction of the range of a signal below which residuals are rounding, not noise."""
 
@@ -101,26 +101,22 @@ class NoiseModel:
     def correlation_time(self) -> float:
         """Mean correlation time, samples.
 
-        It is half the power at frequency zero divided by the variance: one half for white noise.
-        Added white noise reduces it. Flicker noise and mirror images count as white noise.
+        The correlation time is half the power at frequency zero divided by the variance, which is
+        one half for white noise. Added white noise reduces the time. Flicker noise and reciprocal
+        spectra count as white noise.
         """
         processes = _list_processes(self.longest, self.count)
-        slow = (1.0 - processes.correlation) / (1.0 + processes.correlation)
-        mixed = processes.floor + (1.0 - processes.floor) * slow
-        variance = np.where(processes.is_reciprocal > 0.0, 1.0, mixed)
+        slow_variance = (1.0 - processes.correlation) / (1.0 + processes.correlation)
+        mixed_variance = processes.floor + (1.0 - processes.floor) * slow_variance
+        variance = np.where(processes.is_reciprocal > 0.0, 1.0, mixed_variance)
         return float(self.probabilities @ (0.5 / variance)[: len(self.probabilities)])
-
-    @property
-    def is_zero(self) -> bool:
-        """Whether the signal has no noise."""
-        return not self.squares.any()
 
     def draw(self, count: int, replicates: int, rng: np.random.Generator) -> Singles:
         """Draw random noise of a record.
 
         Parameters
         ----------
-        count : samples of the record
+        count : number of samples of a record
         replicates : number of records
         rng : random generator
 
@@ -137,7 +133,7 @@ class NoiseModel:
     ) -> Iterator[Singles]:
         """Draw the same random noise as `draw`, but yield a few records at a time."""
         chosen = rng.choice(len(self.probabilities), size=replicates, p=self.probabilities)
-        variance = self.squares[chosen] / rng.chisquare(self.dof, size=replicates)
+        scale = np.sqrt(self.squares[chosen] / rng.chisquare(self.dof, size=replicates))
         processes = _list_processes(self.longest, self.count)
         margin_time = _MARGIN_TIMES * processes.time[chosen].max(initial=0.0)
         if len(self.angles):
@@ -146,12 +142,11 @@ class NoiseModel:
         margin = min(count, ceil(margin_time) + 1)
         length = fft.next_fast_len(count + margin, real=True)
         angle = np.linspace(0.0, np.pi, length // 2 + 1)
-        processes_drawn, process_numbers = np.unique(chosen, return_inverse=True)
+        drawn_processes, process_indices = np.unique(chosen, return_inverse=True)
         # Cosine and sine have half of the power each. The first wave, and the wave at half the
         # sampling rate, have no sine.
-        amplitude = np.sqrt(0.5 * length * processes.compute_spectra(angle, processes_drawn))
+        amplitude = np.sqrt(0.5 * length * processes.compute_spectra(angle, drawn_processes))
         amplitude[:, [0, -1] if length % 2 == 0 else [0]] *= np.sqrt(2.0)
-        scale = np.sqrt(variance)
         first_fast = np.searchsorted(angle, self.angles[0]) if len(self.angles) else len(angle)
         # Fast waves have the power of the record.
         band = np.searchsorted(self.angles, angle[first_fast:], side="right") - 1
@@ -160,9 +155,9 @@ class NoiseModel:
         fast_amplitude = np.repeat(fast_amplitude, 2)
         for first in range(0, replicates, _BATCH_RECORDS):
             rows = slice(first, first + _BATCH_RECORDS)
-            numbers = process_numbers[rows]
-            waves = rng.standard_normal((len(numbers), 2 * len(angle)), dtype=np.float32)
-            amplitudes = scale[rows, None] * slow_amplitude[numbers]
+            indices = process_indices[rows]
+            waves = rng.standard_normal((len(indices), 2 * len(angle)), dtype=np.float32)
+            amplitudes = scale[rows, None] * slow_amplitude[indices]
             waves[:, : 2 * first_fast] *= amplitudes.astype(np.float32)
             waves[:, 2 * first_fast :] *= fast_amplitude
             records = fft.irfft(waves.view(np.complex64), length, axis=1)
@@ -189,8 +184,9 @@ def estimate_noise(
         slow waves; rests that are short, constant or have NaN are ignored. After the motion a force
         relaxes, so a parabola is removed there
     n_signals : number of signals with the same noise process, to which branches and rests belong
-    has_steps : whether the steps of a converter are a separate input. They vary with the slope of
-        the curve, so noise that varies along the record then does not increase the variance
+    has_steps : whether the steps of a converter are a separate input. Such steps vary with the
+        slope of the curve, so noise that varies along the record then does not increase the
+        variance
 
     Returns
     -------
@@ -205,14 +201,15 @@ def estimate_noise(
     A polynomial of degree five is removed from each piece. The residuals are modelled in the
     slowest 48 half waves of a discrete cosine transform, in which such noise is uncorrelated to a
     good approximation (Ahmed, Natarajan and Rao, IEEE Trans. Comput. C-23 (1974) 90). Candidates
-    are white noise, first-order autoregressive noise with and without added white noise, its mirror
-    image, and flicker noise of cameras and amplifiers (power as frequency^-s, s from 0.6 to 1.5).
-    Each has a restricted likelihood (Harville, J. Am. Stat. Assoc. 72 (1977) 320).
+    are white noise, first-order autoregressive noise with and without added white noise, noise with
+    the reciprocal spectrum, and flicker noise of cameras and amplifiers (power as frequency^-s, s
+    from 0.6 to 1.5). Each has a restricted likelihood (Harville, J. Am. Stat. Assoc. 72 (1977)
+    320).
 
-    Faster waves are hum, rounding and converters: their power is that of the record itself, in
-    bands of 16 half waves. A process is not extrapolated to them: a correlation time of ten among
-    20 000 samples is visible only there, and would make the variance 1.6 times too large on
-    average.
+    Faster waves contain hum, rounding and the steps of converters. Their power is that of the
+    record itself, in bands of 16 half waves. Processes are not extrapolated to these waves. A
+    correlation time of ten samples among 20 000 is visible only there, and an extrapolation would
+    make the variance 1.6 times too large on average.
     """
     # A piece contains a kink of the curve if its residuals have a lower probability than this under
     # the most probable process.
@@ -220,7 +217,7 @@ def estimate_noise(
     max_rounds = 6
     # With a smaller fraction of similar pieces, the noise varies along the record, and the variance
     # of the noisier half of the pieces is used.
-    min_alike_fraction = 0.6
+    min_similar_fraction = 0.6
     span = max(map(_compute_range, branches), default=0.0)
     # Constant branches, saturated or frozen, contain no noise.
     pairs = [x for x in zip(branches, smooth_curves, strict=True) if _compute_range(x[0]) > 0.0]
@@ -235,11 +232,11 @@ def estimate_noise(
         return _estimate_short_record_noise(branches, rests, longest, count)
     whole_pieces = [branch[: len(branch) // width * width] for branch in branches]
     pieces = np.concatenate(whole_pieces).reshape(-1, width)
-    moving = pieces[np.ptp(pieces, axis=1) > 0.0]
-    if not len(moving):
+    moving_pieces = pieces[np.ptp(pieces, axis=1) > 0.0]
+    if not len(moving_pieces):
         return _make_zero_noise(longest)
     basis = _build_piece_basis(width)
-    residuals = moving - (moving @ basis) @ basis.T
+    residuals = moving_pieces - (moving_pieces @ basis) @ basis.T
     power = np.sum(residuals**2, axis=1)
     if np.median(power) <= width * (_ROUNDING_FRACTION * span) ** 2:
         return _make_zero_noise(longest)
@@ -249,25 +246,25 @@ def estimate_noise(
     processes = _list_processes(longest, count)
     spectra = processes.compute_spectra(np.pi * np.arange(terms) / width)
     is_level = power <= _CORNER_VARIANCE_RATIO * np.median(power)
-    is_alike = is_level.copy()
+    is_similar = is_level.copy()
     for _ in range(max_rounds):
-        window_likelihood = SpectrumLikelihood.from_cosines(spectra, waves[is_alike], columns)
+        window_likelihood = SpectrumLikelihood.from_cosines(spectra, waves[is_similar], columns)
         posterior = SpectrumPosterior.combine([window_likelihood], processes.prior)
         most_probable = spectra[np.argmax(posterior.probabilities)]
-        whitened = _compute_whitened_squares(most_probable, waves[is_alike], columns)
+        whitened = _compute_whitened_squares(most_probable, waves[is_similar], columns)
         dof = terms - columns.shape[1]
         limit_ratio = chdtri(dof, kink_probability) / chdtri(dof, 0.5)
         has_kink = whitened > np.median(whitened) * limit_ratio
         if not has_kink.any():
             break
-        is_alike[is_alike] = ~has_kink
+        is_similar[is_similar] = ~has_kink
     prior = processes.prior
     if not rests:
         prior = np.where(_flag_observed_processes(processes, width), prior, 0.0)
     likelihoods = [window_likelihood, *(_compute_likelihood(processes, *rest) for rest in rests)]
     variance_factor = 1.0
-    if is_alike.mean() < min_alike_fraction and not has_steps:
-        variance_factor = power[power >= np.median(power)].mean() / power[is_alike].mean()
+    if is_similar.mean() < min_similar_fraction and not has_steps:
+        variance_factor = power[power >= np.median(power)].mean() / power[is_similar].mean()
     fast_waves = _measure_fast_wave_power(branches, smooth_curves, residuals[is_level])
     return _make_noise_model(likelihoods, prior, (longest, count), fast_waves, variance_factor)
 
@@ -281,9 +278,8 @@ def _make_noise_model(
 ) -> NoiseModel:
     """Make the noise model of the posterior, with its variance multiplied by a factor.
 
-    Improbable processes get the probability zero.
-
-    sample_counts : `longest` and `count` of the model; fast_waves : `angles` and `power`
+    `sample_counts` are `longest` and `count` of the model, and `fast_waves` its `angles` and
+    `power`. Improbable processes get the probability zero.
     """
     # Processes below this fraction of the highest probability are not drawn.
     min_probability_ratio = 1e-4
@@ -349,11 +345,9 @@ def _cut_rest_middles(
     rests: Sequence[Floats], min_samples: int, *, is_after_motion: bool = False
 ) -> Iterator[tuple[Floats, Floats]]:
     """Yield each long rest without its tenth next to the motion, and a basis of its drift."""
-    # The tenth of a rest next to the motion is cut off: the motion may have begun there, or not yet
-    # have ended.
-    edge_divisor = 10
-    # A parabola is removed after the motion, where a specimen relaxes.
-    relaxation_columns = 3
+    # A tenth of a rest next to the motion is cut off: the motion may have begun there, or not yet
+    # have ended. A parabola (3 columns) is removed after the motion, where a specimen relaxes.
+    edge_divisor, relaxation_columns = 10, 3
     for rest in rests:
         if len(rest) < min_samples or not np.ptp(rest) > 0.0:  # constant, or with a NaN
             continue
@@ -377,8 +371,7 @@ def _remove_gaps(values: Floats, curve: Floats) -> tuple[Floats, Floats]:
 
 
 def _make_zero_noise(longest: int) -> NoiseModel:
-    empty = np.zeros(0)
-    return NoiseModel(np.ones(1), np.zeros(1), 1, max(longest, 1), 0, empty, empty)
+    return NoiseModel(np.ones(1), np.zeros(1), 1, max(longest, 1), 0, np.zeros(0), np.zeros(0))
 
 
 def _build_piece_basis(width: int, columns: int = _POLYNOMIAL_COLUMNS) -> Floats:
@@ -389,27 +382,23 @@ def _build_piece_basis(width: int, columns: int = _POLYNOMIAL_COLUMNS) -> Floats
 
 
 def _compute_whitened_squares(spectrum: Floats, waves: Floats, columns: Floats) -> Floats:
-    """Return the sum of squares of each piece, whitened by the spectrum, less the fitted part."""
+    """Compute the whitened sum of squares of each piece about the fitted polynomial."""
     score = (waves / spectrum) @ columns
     information = columns.T @ (columns / spectrum[:, None])
     explained = np.sum(score * np.linalg.solve(information, score.T).T, axis=1)
-    squares: Floats = np.sum(waves**2 / spectrum, axis=1) - explained
-    return squares
+    return np.asarray(np.sum(waves**2 / spectrum, axis=1) - explained)
 
 
 def _measure_fast_wave_power(
     branches: Sequence[Floats], smooth_curves: Sequence[Floats], level_residuals: Floats
 ) -> tuple[Floats, Floats]:
-    """Measure the power of fast waves of long branches: first angle of each band, and its power.
+    """Measure the power of fast waves of long branches: first angle and power of each band.
 
-    If corners dominate it, the power is that of pieces without corners, whose residuals about a
-    polynomial are `level_residuals` of shape (pieces, width).
+    If corners dominate the power, it is replaced by that of pieces without corners. Their residuals
+    about a polynomial are `level_residuals`, of shape (pieces, width).
     """
-    branch_residuals = [
-        branch - curve
-        for branch, curve in zip(branches, smooth_curves, strict=True)
-        if len(branch) > 2 * _MIN_RECORD_WAVES
-    ]
+    pairs = zip(branches, smooth_curves, strict=True)
+    branch_residuals = [x - curve for x, curve in pairs if len(x) > 2 * _MIN_RECORD_WAVES]
     if not branch_residuals:
         return np.zeros(0), np.zeros(0)
     longest = max(map(len, branch_residuals))
@@ -466,7 +455,7 @@ def cut_into_polynomials(values: Floats) -> tuple[Piece, ...]:
 
 @lru_cache(maxsize=64)
 def _find_pieces(record: bytes) -> tuple[Piece, ...]:
-    """Find the pieces of a record, cached because noise model and smooth curve both use them."""
+    """Find the pieces of a record. They are cached, since noise model and smooth curve use them."""
     values = np.frombuffer(record)
     # Correlations of neighbouring samples of the noise, up to a correlation time of six samples.
     correlations: tuple[float, ...] = (0.0, 0.3, 0.5, 0.7, 0.85)
@@ -499,7 +488,7 @@ def _find_pieces(record: bytes) -> tuple[Piece, ...]:
 def _list_best_cuts(squares: Floats) -> Iterator[tuple[tuple[int, ...], float, tuple[int, ...]]]:
     """Yield the degrees of up to three pieces, their smallest sum of squares, and their cuts.
 
-    squares : shape (degrees, n + 1, n + 1), residual sums of squares of samples [i, j)
+    `squares`, of shape (degrees, n + 1, n + 1), are residual sums of squares of samples [i, j).
     """
     max_pieces = 3
     # Smallest sum of squares of the samples [0, j), by the degree of each piece, and its last cut.
@@ -521,7 +510,7 @@ def _list_best_cuts(squares: Floats) -> Iterator[tuple[tuple[int, ...], float, t
 def _compute_squares(values: Floats) -> Floats:
     """Compute residual sums of squares of samples [i, j) about polynomials of degree 1 to 3.
 
-    They have the shape (3, n + 1, n + 1), and are infinite for too few samples.
+    The sums have the shape (3, n + 1, n + 1), and are infinite for too few samples.
     """
     max_degree = 3
     count = len(values)
@@ -538,8 +527,8 @@ def _compute_squares(values: Floats) -> Floats:
     return sums
 
 
-MODES = 3
-"""Number of modes of a zero drift: they contain 93 % of the variance of a random walk."""
+N_MODES = 3
+"""Number of modes of a zero drift, which contain 93 % of the variance of a random walk."""
 
 
 def compute_drift_modes(times: Floats, drift: float) -> list[Floats]:
@@ -556,10 +545,10 @@ def compute_drift_modes(times: Floats, drift: float) -> list[Floats]:
 
     Returns
     -------
-    `MODES` arrays of shape (n,), in the unit of `drift`; an empty list for zero drift.
+    `N_MODES` arrays of shape (n,), in the unit of `drift`; an empty list for zero drift.
     """
     if not drift:
         return []
-    frequencies = np.pi * (np.arange(MODES) + 0.5)
+    frequencies = np.pi * (np.arange(N_MODES) + 0.5)
     scale = drift / float(np.sqrt(np.sum(frequencies**-2.0)))
     return [np.sin(w * times / times.max()) * scale / w for w in frequencies.tolist()]

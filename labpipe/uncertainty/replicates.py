@@ -2,10 +2,10 @@
 
 A replicate is the smooth curve with random noise, filtered.
 
-By JCGM 101:2008 (GUM supplement 1), the uncertainty of a number is its spread over draws of all
-quantities on which it depends. The noise of a signal is drawn for every sample of a replicate. An
-input that is the same for the whole record (a gain, a zero, an offset) has one draw per replicate;
-its effect on a number is computed on the smooth curve alone.
+According to JCGM 101:2008 (GUM supplement 1), the uncertainty of a number is its spread over draws
+of all quantities on which it depends. The noise of a signal is drawn for every sample of a
+replicate. An input that is the same for the whole record (a gain, a zero, an offset) has one draw
+per replicate. The effect of the input on a number is computed on the smooth curve alone.
 
 A number is a function of a curve. Its samples (windows, turns, the failure) are chosen once, on one
 curve; the number is then computed for all replicates at once.
@@ -37,7 +37,9 @@ from labpipe.uncertainty.noise_model import (
 N_REPLICATES = 400
 """Number of replicates, for which widths of intervals repeat within 5 %."""
 _BATCH_REPLICATES = 50
+"""Number of replicates for which numbers are computed at once."""
 _MIN_INTERVAL_SAMPLES = 8
+"""Smallest mean number of samples in an interval of a spline."""
 _SPLINE_DEGREE = 3
 
 
@@ -47,12 +49,12 @@ class Trace:
 
     Parameters
     ----------
-    time : shape (n,), s, or numbers of rows
+    time : shape (n,), s; row numbers for a record without times
     displacement, force : shape (..., n), m, N; NaN where unknown
     branches : loading and unloading branches, in samples of the curve
     failed_at : index of the sample of the failure, or None
     sizes : dimensions of specimen and rig, m (an area m^2), keyed by their key in the protocol
-    steps_beyond : time from the last sample before a failure or turn to that event, in sampling
+    steps_to_event : time from the last sample before a failure or turn to this event, in sampling
         steps
     parts_per_step : number of parts into which each original sampling step is divided
     is_smooth : whether the curve has no noise; limits that depend on noise are then taken from the
@@ -65,7 +67,7 @@ class Trace:
     branches: tuple[Branch, ...] = ()
     failed_at: int | None = None
     sizes: Mapping[str, float] = field(default_factory=dict)
-    steps_beyond: float = 0.0
+    steps_to_event: float = 0.0
     parts_per_step: int = 1
     is_smooth: bool = False
 
@@ -74,17 +76,18 @@ class Trace:
 
         Parameters
         ----------
-        parts : number of parts of each step, at least 1
+        parts : number of parts of each step
         has_corners : whether a step is replaced by the continuations of its neighbours to their
-            intersection, instead of linear interpolation
+            intersection. Otherwise it is interpolated linearly
+
+        Returns
+        -------
+        The curve on the finer samples, of which every `parts`-th one is an original sample.
         """
-        if parts == 1:
-            return self
-        count = len(self.time)
-        fine_samples = np.arange((count - 1) * parts + 1) / parts
-        samples = np.arange(count)
+        positions = np.arange(len(self.time))
+        fine_positions = np.arange((len(positions) - 1) * parts + 1) / parts
         time, displacement, force = (
-            np.interp(fine_samples, samples, values)
+            np.interp(fine_positions, positions, values)
             for values in (self.time, self.displacement, self.force)
         )
         if has_corners:
@@ -106,97 +109,101 @@ class Trace:
 
 
 def _compute_corner_excess(values: Floats, parts: int) -> Floats:
-    """Compute the excess of corners over linear interpolation at each part of the steps.
+    """Compute how far corners in all steps exceed linear interpolation, at each part of the steps.
 
-    The corner is the intersection of the neighbouring steps. The excess is zero in a step without
-    such an intersection, and in the first and the last step.
+    The corner of a step is the intersection of its neighbours, continued linearly. The excess is
+    zero in a step without such an intersection, and in the first and the last step.
     """
     excess = np.zeros((len(values) - 1, parts))
     steps = np.diff(values)
     if len(steps) >= 3:
         x = np.arange(parts) / parts
         bends = -np.diff(steps)
-        start, end = bends[:-1], bends[1:]  # change of slope at the start and the end of a step
-        lines = np.stack([np.outer(start, x), np.outer(end, 1.0 - x)])
-        corners = np.where(start > 0.0, lines.min(axis=0).T, lines.max(axis=0).T).T
-        excess[1:-1] = np.where((start * end > 0.0)[:, None], corners, 0.0)
+        start_bend, end_bend = bends[:-1], bends[1:]  # change of slope at both ends of a step
+        lines = np.stack([np.outer(start_bend, x), np.outer(end_bend, 1.0 - x)])
+        corners = np.where(start_bend > 0.0, lines.min(axis=0).T, lines.max(axis=0).T).T
+        excess[1:-1] = np.where((start_bend * end_bend > 0.0)[:, None], corners, 0.0)
     return np.append(excess.ravel(), 0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Reading:
+class Extractor:
     """Functions that compute numbers from chosen samples.
 
     Parameters
     ----------
-    numbers : function that computes the numbers of a trace with the same samples, each of shape
-        (...); NaN for a curve without the number
+    compute_numbers : function that computes the numbers of a trace with the same samples, each of
+        shape (...); NaN for a curve without the number
     n : number of samples used
-    noisy_numbers : the same for curves with noise; None if it is the same function
+    compute_noisy_numbers : the function for curves with noise; None if it is `compute_numbers`
     ends_at_samples : whether the windows end at samples, and nothing else depends on the sampling.
         The numbers on finer samples then show the effect of the sampling
-    depends_on_corners : whether that effect is taken from the measured curve, because the number
-        depends on corners that the smooth curve rounds off
+    depends_on_corners : whether this effect is computed on the measured curve, because the numbers
+        depend on corners that the smooth curve rounds off
     sampling_correction : correction of each number to infinitely fine samples; None if unknown
     values : the numbers of the measured curve if they use more samples than those of the trace,
         else empty
     """
 
-    numbers: Callable[[Trace], tuple[Floats, ...]]
+    compute_numbers: Callable[[Trace], tuple[Floats, ...]]
     n: int
-    noisy_numbers: Callable[[Trace], tuple[Floats, ...]] | None = None
+    compute_noisy_numbers: Callable[[Trace], tuple[Floats, ...]] | None = None
     ends_at_samples: bool = False
     depends_on_corners: bool = False
     sampling_correction: tuple[float, ...] | None = None
     values: tuple[float, ...] = ()
 
     @property
-    def replicate_numbers(self) -> Callable[[Trace], tuple[Floats, ...]]:
-        """Function that computes the numbers of curves with noise."""
-        return self.noisy_numbers or self.numbers
+    def compute_replicates(self) -> Callable[[Trace], tuple[Floats, ...]]:
+        """Function that computes the numbers of replicates, which have noise."""
+        return self.compute_noisy_numbers or self.compute_numbers
 
 
-Decide: TypeAlias = Callable[[Trace], Reading]
+Choice: TypeAlias = Callable[[Trace], Extractor]
 """Function that chooses the samples of numbers on one curve, or raises `UnavailableError`."""
 
 
-def read_part(
+def restrict(
     function: Callable[[Floats, Floats], Floats], samples: Samples
 ) -> Callable[[Trace], tuple[Floats]]:
-    """Make a function that computes a number from a part of a trace.
+    """Restrict a function of displacement and force to some samples of a trace.
 
     Parameters
     ----------
     function : function of displacement and force, shape (..., m), m, N, with values of shape (...)
     samples : the m samples of the trace
+
+    Returns
+    -------
+    A function that computes the number of a trace.
     """
     return lambda trace: (function(trace.displacement[..., samples], trace.force[..., samples]),)
 
 
-def combine_numbers(function: Callable[..., Floats], *parts: Decide) -> Decide:
+def combine_numbers(function: Callable[..., Floats], *choices: Choice) -> Choice:
     """Combine several numbers into one number.
 
     Parameters
     ----------
-    function : function of a trace and the first number of each part
-    parts : functions that choose the samples of the numbers on which the combination depends
+    function : function of a trace and of the first number of each choice
+    choices : functions that choose the samples of the numbers on which the combination depends
+
+    Returns
+    -------
+    The function that chooses the samples of the combination.
     """
 
-    def decide(trace: Trace) -> Reading:
-        readings = [part(trace) for part in parts]
+    def choose_samples(trace: Trace) -> Extractor:
+        extractors = [choose(trace) for choose in choices]
+        return Extractor(
+            lambda trace: (function(trace, *(x.compute_numbers(trace)[0] for x in extractors)),),
+            extractors[0].n,
+            lambda trace: (function(trace, *(x.compute_replicates(trace)[0] for x in extractors)),),
+            ends_at_samples=all(extractor.ends_at_samples for extractor in extractors),
+            depends_on_corners=any(extractor.depends_on_corners for extractor in extractors),
+        )
 
-        def numbers(trace: Trace) -> tuple[Floats]:
-            return (function(trace, *(reading.numbers(trace)[0] for reading in readings)),)
-
-        def noisy_numbers(trace: Trace) -> tuple[Floats]:
-            values = (reading.replicate_numbers(trace)[0] for reading in readings)
-            return (function(trace, *values),)
-
-        ends_at_samples = all(reading.ends_at_samples for reading in readings)
-        depends_on_corners = any(reading.depends_on_corners for reading in readings)
-        return Reading(numbers, readings[0].n, noisy_numbers, ends_at_samples, depends_on_corners)
-
-    return decide
+    return choose_samples
 
 
 Filter: TypeAlias = Callable[[Floats], Floats]
@@ -213,13 +220,13 @@ class Input:
 
     Parameters
     ----------
-    cause : name of the cause, a key of `labpipe.records.causes.IS_COMMON`
+    cause : name of the cause of the error, a key of `labpipe.records.causes.IS_COMMON`
     perturb : function that returns a trace with the input changed by a number of units. The unit is
         the standard uncertainty, or a step for ``step`` and ``ends``
     distribution : distribution of the error
     moves_curve : whether a change of the input changes the curve; windows are then chosen again
-    draws : shape (replicates,), errors in the unit of `perturb`; None if they are not drawn yet
-    stream : name of the random stream; the cause if empty
+    drawn_errors : shape (replicates,), errors in the unit of `perturb`; None if not drawn yet
+    stream : name of the random stream; if empty, the cause is the name
     doubts : reasons why the uncertainty of the input, and of dependent numbers, may be wrong
     """
 
@@ -227,7 +234,7 @@ class Input:
     perturb: Callable[[Trace, float], Trace]
     distribution: Distribution = "normal"
     moves_curve: bool = True
-    draws: Floats | None = None
+    drawn_errors: Floats | None = None
     stream: str = ""
     doubts: tuple[Reason, ...] = ()
 
@@ -248,73 +255,75 @@ class Replicates:
 
     Parameters
     ----------
-    measured : curve from which numbers are computed
-    averaged : the measured curve, averaged over the samples of `smooth`
-    smooth : the curve without noise and filters, possibly on fewer samples
+    measured_trace : curve from which numbers are computed
+    averaged_trace : the measured curve, averaged over the samples of `smooth_trace`
+    smooth_trace : the curve without noise and filters, possibly on fewer samples
     displacement, force : shape (replicates, n), m, N, smooth curve with random noise, filtered
     inputs : uncertain inputs of the whole record
     seed : seed of all random draws
-    noises : noise models, keyed by ``force`` and ``displacement``, of the signals with noise
-    curves : cache of curves made from `smooth`
+    noise_models : noise models of the signals with noise, keyed by ``force`` and ``displacement``
+    cache : cache of curves made from `smooth_trace`
     """
 
-    measured: Trace
-    averaged: Trace
-    smooth: Trace
+    measured_trace: Trace
+    averaged_trace: Trace
+    smooth_trace: Trace
     displacement: Floats
     force: Floats
     inputs: tuple[Input, ...]
     seed: bytes
-    noises: Mapping[str, NoiseModel]
-    curves: CurveCache = field(init=False, default_factory=dict)
+    noise_models: Mapping[str, NoiseModel]
+    cache: CurveCache = field(init=False, default_factory=dict)
 
     def iterate_traces(self) -> Iterator[Trace]:
         """Yield batches of replicates, each as one trace of shape (batch, n)."""
         for first in range(0, len(self.force), _BATCH_REPLICATES):
             rows = slice(first, first + _BATCH_REPLICATES)
             displacement, force = self.displacement[rows], self.force[rows]
-            yield replace(self.smooth, displacement=displacement, force=force)
+            yield replace(self.smooth_trace, displacement=displacement, force=force)
 
-    def draw_input(self, quantity: Input) -> Floats:
+    def draw_errors(self, quantity: Input) -> Floats:
         """Draw the errors of an input, in the unit of `Input.perturb`, shape (replicates,).
 
         Parameters
         ----------
-        quantity : input with draws, or with a distribution and a random stream
+        quantity : the input, with drawn errors, or with a distribution and a random stream
         """
-        if quantity.draws is not None:
-            return quantity.draws
+        if quantity.drawn_errors is not None:
+            return quantity.drawn_errors
         rng, count = make_generator(self.seed, quantity.stream or quantity.cause), len(self.force)
-        # Stratified: the distribution is divided into `count` equal parts, with one draw in each.
+        # The draws are stratified: there is one in each of `count` equal parts of the distribution.
         quantiles = (rng.permutation(count) + rng.uniform(0.0, 1.0, count)) / count
-        draws: dict[Distribution, Callable[[Floats], Floats]] = {
+        compute_errors: dict[Distribution, Callable[[Floats], Floats]] = {
             "normal": ndtri,
             "uniform": lambda x: np.sqrt(3.0) * (2.0 * x - 1.0),
             "step": np.negative,
             "ends": lambda x: -np.rint(x),
         }
-        return np.asarray(draws[quantity.distribution](quantiles), dtype=np.float64)
+        return np.asarray(compute_errors[quantity.distribution](quantiles), dtype=np.float64)
 
     def shift_displacement(self, offset: float, *inputs: Input) -> Replicates:
         """Shift the displacements of the curve and of all replicates.
 
         Parameters
         ----------
-        offset : m, added to every displacement
+        offset : m, length that is added to every displacement
         inputs : uncertain inputs on which the offset depends
         """
+        traces = self.measured_trace, self.averaged_trace, self.smooth_trace
+        shifted_traces = [replace(x, displacement=x.displacement + offset) for x in traces]
         return replace(
             self,
-            measured=replace(self.measured, displacement=self.measured.displacement + offset),
-            averaged=replace(self.averaged, displacement=self.averaged.displacement + offset),
-            smooth=replace(self.smooth, displacement=self.smooth.displacement + offset),
+            measured_trace=shifted_traces[0],
+            averaged_trace=shifted_traces[1],
+            smooth_trace=shifted_traces[2],
             displacement=self.displacement + offset,
             inputs=(*self.inputs, *inputs),
         )
 
 
 def make_generator(seed: bytes, name: str) -> np.random.Generator:
-    """Make a random generator that depends only on seed and name.
+    """Make a random generator that depends only on a seed and a name.
 
     Parameters
     ----------
@@ -349,24 +358,25 @@ def fit_smooth_curve(
     jump: int | None = None,
     branches: Sequence[Branch] | None = None,
 ) -> Floats:
-    """Fit a smooth curve to the pieces of a record: mostly cubic splines with even intervals.
+    """Fit a smooth curve to each piece of a record, and join the pieces.
 
     Parameters
     ----------
-    time, values : shape (n,); NaN stay NaN
+    time, values : shape (n,), s and any unit; NaN stay NaN
     cuts : indices of the samples at which a new piece begins: turns, slips, the failure
-    max_intervals : largest number of spline intervals per piece
+    max_intervals : largest number of spline intervals in a piece
     jump : cut at which the curve may jump; at all other cuts the pieces are joined
     branches : branches with motion; None if the whole record is in motion
 
     Returns
     -------
-    Shape (n,). Pieces of fewer than `MIN_NOISE_SAMPLES` samples are straight lines. Other pieces in
-    motion are polynomials up to `SHORT_RECORD_SAMPLES` samples, and splines beyond. Pieces at rest
-    are splines, or constant where a spline fits no better than the mean.
+    Shape (n,), in the unit of the values. Pieces of fewer than `MIN_NOISE_SAMPLES` samples are
+    straight lines. Other pieces in motion are polynomials if they have at most
+    `SHORT_RECORD_SAMPLES` samples, else cubic splines with equal intervals. Pieces at rest are
+    splines, or constant where a spline fits no better than the mean.
     """
-    # Fewer intervals in pieces at rest: a spline that follows the noise of a plateau reaches the
-    # largest of its samples, and the uncertainty interval of a peak would lie too high.
+    # Pieces at rest have fewer intervals. A spline that follows the noise of a plateau would reach
+    # its largest samples, and the uncertainty interval of a peak would lie too high.
     max_rest_intervals = 4
     min_rest_interval_samples = 50
     from scipy.interpolate import make_lsq_spline
@@ -376,7 +386,7 @@ def fit_smooth_curve(
         is_finite = ~np.isnan(values[start:stop])
         t, y = time[start:stop][is_finite], values[start:stop][is_finite]
         if len(y) < MIN_NOISE_SAMPLES or t[-1] <= t[0]:
-            if len(y) > 2 and np.ptp(t) > 0.0:  # otherwise the samples stay as they are
+            if len(y) > 2 and np.ptp(t) > 0.0:  # otherwise the samples remain unchanged
                 x = t - t.mean()
                 smooth[start:stop][is_finite] = y.mean() + x * (x @ y / (x @ x))
             continue
@@ -403,10 +413,10 @@ def fit_smooth_curve(
 
 
 def _is_constant(values: Floats, curve: Floats, n_parameters: int) -> bool:
-    """Return whether the mean of a rest fits as well as a curve.
+    """Return whether the mean of a piece at rest fits as well as a curve.
 
-    The information criterion of Schwarz, Ann. Stat. 6 (1978) 461, decides. A curve that followed
-    the noise would be highest at an end of the rest, and increase the height of a peak there.
+    The criterion is the information criterion of Schwarz, Ann. Stat. 6 (1978) 461. A curve that
+    follows the noise is highest at an end of the rest, and would raise a peak there.
     """
     count = len(values)
     variance_about_mean, variance_about_curve = np.var(values), np.mean((values - curve) ** 2)
@@ -417,12 +427,13 @@ def _is_constant(values: Floats, curve: Floats, n_parameters: int) -> bool:
 def _join_pieces(values: Floats, cut: int) -> None:
     """Change the two samples at a cut, in place, so that the pieces meet at their intersection.
 
-    A turn is between two samples, not at the cut: a piece that begins one sample early, or ends one
-    late, continues beyond the corner. Both samples are compared with the other piece, extrapolated
-    by one sample. The lower value is taken if the slope decreases at the cut, otherwise the higher
-    value. Pieces farther apart than their slopes explain, as at a slip, are not changed.
+    A turn is between two samples, not at the cut. A piece that begins one sample early, or ends one
+    late, therefore continues beyond the corner. Each of the two samples is compared with the other
+    piece, extrapolated by one sample. The lower value is used if the slope decreases at the cut,
+    otherwise the higher value. Pieces that are farther apart than their slopes explain, as at a
+    slip, are not changed.
     """
-    max_gap_steps = 2.5
+    max_gap_steps = 2.5  # multiple of the larger step beside the cut
     step_before, step_after = values[cut - 1] - values[cut - 2], values[cut + 1] - values[cut]
     extrapolated = np.array([values[cut] - step_after, values[cut - 1] + step_before])
     max_gap = max_gap_steps * max(abs(step_before), abs(step_after))
@@ -433,72 +444,82 @@ def _join_pieces(values: Floats, cut: int) -> None:
 
 def _select_supported_knots(knots: Floats, x: Floats) -> Floats:
     """Select the knots outside gaps of the samples, so that every basis spline has samples."""
-    inner = knots[4:-4]
-    counts = np.diff(np.searchsorted(x, np.append(0.0, inner)))
-    supported = inner[counts > _SPLINE_DEGREE].tolist()
-    while supported and (x > supported[-1]).sum() <= _SPLINE_DEGREE:
-        supported.pop()
-    return np.concatenate([knots[:4], supported, knots[-4:]])
+    inner_knots = knots[4:-4]
+    counts = np.diff(np.searchsorted(x, np.append(0.0, inner_knots)))
+    supported_knots = inner_knots[counts > _SPLINE_DEGREE].tolist()
+    while supported_knots and (x > supported_knots[-1]).sum() <= _SPLINE_DEGREE:
+        supported_knots.pop()
+    return np.concatenate([knots[:4], supported_knots, knots[-4:]])
 
 
 def draw_replicates(
-    measured: Trace,
-    unfiltered: Trace,
+    measured_trace: Trace,
+    unfiltered_trace: Trace,
     cuts: Sequence[int],
     filters: tuple[Filter, Filter],
     inputs: tuple[Input, ...],
     *,
     seed: bytes,
     compliance: float = 0.0,
-    averaged: Trace | None = None,
+    averaged_trace: Trace | None = None,
 ) -> Replicates:
     """Draw replicates of a measured curve.
 
     Parameters
     ----------
-    measured : curve from which numbers are computed
-    unfiltered : the same curve without filters and without correction for compliance, averaged to
-        at most about 20 000 samples
-    cuts : indices of the samples of `unfiltered` at which a new piece begins
+    measured_trace : curve from which numbers are computed
+    unfiltered_trace : the same curve without filters and without correction for compliance,
+        averaged to at most about 20 000 samples
+    cuts : indices of the samples of `unfiltered_trace` at which a new piece begins
     filters : filters of the protocol for displacements and for forces, shape (..., n)
     inputs : uncertain inputs of the whole record
     seed : seed of all random draws
     compliance : m/N; compliance times force is subtracted from the displacements
-    averaged : `measured`, averaged over the samples of `unfiltered`; None if the samples are the
-        same
+    averaged_trace : `measured_trace`, averaged over the samples of `unfiltered_trace`; None if the
+        samples are the same
 
     Returns
     -------
     The replicates, equal for equal arguments.
     """
-    min_noise = 1e-4  # of the range of a signal; the model of less noise is not kept
-    noisy, noises, smooth = [], {}, []
-    jump = None if unfiltered.failed_at is None else unfiltered.failed_at + 1
+    min_noise_fraction = 1e-4  # of the range of a signal; a model of less noise is omitted
+    noisy_records, noise_models, smooth_curves = [], {}, []
+    jump = None if unfiltered_trace.failed_at is None else unfiltered_trace.failed_at + 1
     has_resolution = any(quantity.cause == RESOLUTION_OF_FORCE for quantity in inputs)
     for name, apply_filters in zip(("displacement", "force"), filters, strict=True):
-        values: Floats = getattr(unfiltered, name)
-        curve = fit_smooth_trace(unfiltered, values, cuts, jump=jump)
+        values: Floats = getattr(unfiltered_trace, name)
+        curve = fit_smooth_trace(unfiltered_trace, values, cuts, jump=jump)
         has_steps = has_resolution and name == "force"
-        noise = _estimate_record_noise(values, curve, unfiltered, cuts, has_steps=has_steps)
-        noisy.append(_add_noise_and_filter(curve, noise, apply_filters, make_generator(seed, name)))
-        noises[name] = noise
-        smooth.append(curve)
-    for curves in (smooth, noisy) if compliance else ():
+        noise = _estimate_record_noise(values, curve, unfiltered_trace, cuts, has_steps=has_steps)
+        rng = make_generator(seed, name)
+        noisy_records.append(_add_noise_and_filter(curve, noise, apply_filters, rng))
+        noise_models[name] = noise
+        smooth_curves.append(curve)
+    for curves in (smooth_curves, noisy_records) if compliance else ():
         curves[0] = curves[0] - compliance * curves[1]
-    for name, curve, records in zip([*noises], smooth, noisy, strict=True):
+    for name, curve, records in zip([*noise_models], smooth_curves, noisy_records, strict=True):
         noise_level = np.nanstd(records[:_BATCH_REPLICATES] - curve)
-        if not noise_level > min_noise * (np.nanmax(curve) - np.nanmin(curve)):
-            del noises[name]
-    smooth_trace = replace(unfiltered, displacement=smooth[0], force=smooth[1], is_smooth=True)
-    traces, (displacement, force) = (measured, averaged or measured, smooth_trace), noisy
-    return Replicates(*traces, displacement, force, inputs, seed, noises)
+        if not noise_level > min_noise_fraction * (np.nanmax(curve) - np.nanmin(curve)):
+            del noise_models[name]
+    displacement, force = smooth_curves
+    smooth_trace = replace(unfiltered_trace, displacement=displacement, force=force, is_smooth=True)
+    return Replicates(
+        measured_trace=measured_trace,
+        averaged_trace=averaged_trace or measured_trace,
+        smooth_trace=smooth_trace,
+        displacement=noisy_records[0],
+        force=noisy_records[1],
+        inputs=inputs,
+        seed=seed,
+        noise_models=noise_models,
+    )
 
 
 def _add_noise_and_filter(
     curve: Floats, noise: NoiseModel, apply_filters: Filter, rng: np.random.Generator
 ) -> Floats:
     """Add random noise to a curve and filter the result, shape (replicates, n)."""
-    if noise.is_zero:
+    if not noise.squares.any():  # no noise
         return np.broadcast_to(apply_filters(curve[None]), (N_REPLICATES, len(curve)))
     filtered, first = np.empty((N_REPLICATES, len(curve))), 0
     for batch in noise.draw_batches(len(curve), N_REPLICATES, rng):

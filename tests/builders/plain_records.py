@@ -11,8 +11,8 @@ import numpy as np
 from labpipe.records.arrays import Flags, Floats
 from labpipe.records.curve import Branch, Direction
 from labpipe.records.recording import MarkerTracks
-from labpipe.uncertainty.intervals import Measured, measure_numbers
-from labpipe.uncertainty.replicates import Input, Reading, Replicates, Trace, draw_replicates
+from labpipe.uncertainty.intervals import MeasuredNumber, measure_numbers
+from labpipe.uncertainty.replicates import Extractor, Input, Replicates, Trace, draw_replicates
 
 STIFFNESS = 100.0
 """N/m"""
@@ -97,10 +97,10 @@ def replicates_of(
 
 def measured(
     trace: Trace, numbers: Numbers, *inputs: Input, n: int | None = None, **more: Any
-) -> tuple[Measured, ...]:
+) -> tuple[MeasuredNumber, ...]:
     """Numbers that are read from a curve the same way whatever it is."""
-    reading = Reading(numbers, len(trace.time) if n is None else n)
-    return measure_numbers(replicates_of(trace, *inputs, **more), lambda _: reading)
+    extractor = Extractor(numbers, len(trace.time) if n is None else n)
+    return measure_numbers(replicates_of(trace, *inputs, **more), lambda _: extractor)
 
 
 RATE = 50.0

@@ -94,6 +94,6 @@ def _cell_words(cell: Value) -> str:
 def table_words(table: Table) -> Iterator[str]:
     """Caption, heads, rows and notes of a table; a line each."""
     yield f"[{table.title}]"
-    yield " | ".join(table.heads)
+    yield " | ".join(table.headings)
     yield from (" | ".join(map(_cell_words, row)) for row in table.rows)
     yield from (f"note: {note}" for note in table.notes)

@@ -124,7 +124,7 @@ NOT_IN_SHEET = replace(
 
 
 def rows_of(table: Table) -> list[dict[str, Any]]:
-    return [dict(zip(table.heads, row, strict=True)) for row in table.rows]
+    return [dict(zip(table.headings, row, strict=True)) for row in table.rows]
 
 
 def rows(report: CalibrationReport, name: str) -> list[dict[str, Any]]:

@@ -28,7 +28,7 @@ from labpipe.report.table_records import (
     Chart,
     NumberCell,
     Table,
-    make_unique_heads,
+    make_unique_headings,
     save_tables,
 )
 from labpipe.report.wording import choose_unit
@@ -126,7 +126,7 @@ def test_a_sheet_is_a_table_with_filters_and_heads_that_stay(tmp_path: Path) -> 
     assert book.active is page
     assert [cell.value for cell in bare[1]] == ["a", "A 2"]
     assert not bare.tables
-    heads = make_unique_heads(["a", "A", "", "a", "x" * 300])
+    heads = make_unique_headings(["a", "A", "", "a", "x" * 300])
     assert heads == ["a", "A 2", "column", "a 3", "x" * 250]
 
 

@@ -10,7 +10,7 @@ from labpipe.protocol.load import parse_protocol
 from labpipe.records.arrays import Floats
 from labpipe.records.causes import TANGENT
 from labpipe.records.result import Result
-from labpipe.results.kinks_and_plateaus import _Corner
+from labpipe.results.kinks_and_plateaus import _CornerError
 from tests.builders.pulls import pull, pulled
 from tests.builders.three_point import CONDUIT, BendingRecord
 from tests.builders.three_point import reduced as reduced_bending
@@ -55,12 +55,12 @@ def test_a_corner_before_the_first_tangent_is_no_onset() -> None:
 def test_what_is_left_of_a_corner_when_noise_is_taken_off() -> None:
     """5 mm seen, 3 mm of noise and 1 mm more on average; 2 N seen, all of which is noise."""
     noise = np.array([[1e-3 + 3e-3, 1e-3 - 3e-3], [-4.0, 4.0]])
-    corner = _Corner.of(np.array([6e-3, 2.0]), np.array([1e-3, 0.5]), noise)
+    corner = _CornerError.of(np.array([6e-3, 2.0]), np.array([1e-3, 0.5]), noise)
     assert corner.error == pytest.approx([4e-3, 0.0])  # 5^2 - 3^2 = 4^2
-    assert corner.remaining_ratio == pytest.approx([0.8, 0.0])
+    assert corner.noise_free_ratio == pytest.approx([0.8, 0.0])
     drawn = corner.compute_noise_effect(np.array([[1e-3 + 4e-3], [7.0]]))
     assert drawn[:, 0] == pytest.approx([0.5 * 0.8 * 3e-3, 0.0])
-    nothing = _Corner.of(np.zeros(2), np.zeros(2), np.zeros((2, 5)))
+    nothing = _CornerError.of(np.zeros(2), np.zeros(2), np.zeros((2, 5)))
     assert nothing.error == pytest.approx([0.0, 0.0])
 
 

@@ -65,8 +65,8 @@ def test_a_peak_between_samples_is_one_of_the_force_and_not_of_the_coarser_curve
         fine = np.arange(0.0, 39.1, step)
         signal = Signal(fine, np.interp(fine, time, force), "N", "force")
         test = ReducedTest(Signals().add_signal("force", signal), unfiltered=signal)
-        trace = Trace(time, path, force, branches, steps_beyond=1.0)
-        numbers.append(float(choose_peak_sample(test, trace, 1).numbers(trace)[0]))
+        trace = Trace(time, path, force, branches, steps_to_event=1.0)
+        numbers.append(float(choose_peak_sample(test, trace, 1).compute_numbers(trace)[0]))
     assert numbers == pytest.approx([57.0 + 0.6, 57.0 + 0.6 / 4])
 
 

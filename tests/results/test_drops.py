@@ -19,7 +19,7 @@ from labpipe.results.failures import (
 )
 from labpipe.results.slack_and_slips import (
     LoadDrop,
-    PullCurve,
+    LoadingCurve,
     _choose_block_size,
     _estimate_correlation,
     _Window,
@@ -250,9 +250,9 @@ def noise_of_drops(seed: int, memory: float, deviation: float = 0.04) -> Floats:
     return deviation * slow
 
 
-def pull(begin: float, length: float, drop: float, extra: Floats) -> PullCurve:
+def pull(begin: float, length: float, drop: float, extra: Floats) -> LoadingCurve:
     lost = drop * np.clip((NUMBER - begin) / length, 0.0, 1.0)
-    return PullCurve(STEP * NUMBER, 0.1 * NUMBER - lost + extra, longest_drop=10, block_margin=0)
+    return LoadingCurve(STEP * NUMBER, 0.1 * NUMBER - lost + extra, longest_drop=10, block_margin=0)
 
 
 @pytest.mark.slow
@@ -322,6 +322,5 @@ def test_what_is_no_fall() -> None:
     assert fit_load_drop(whole, 3) is fit_load_drop(whole, COUNT - 3) is None
     force = 1.2 * np.round(0.1 * NUMBER / 1.2)
     force[150:260] = force[150]
-    assert (
-        fit_load_drop(PullCurve(STEP * NUMBER, force, longest_drop=10, block_margin=0), 205) is None
-    )
+    curve = LoadingCurve(STEP * NUMBER, force, longest_drop=10, block_margin=0)
+    assert fit_load_drop(curve, 205) is None

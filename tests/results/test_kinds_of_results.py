@@ -21,7 +21,7 @@ from labpipe.results.kinds import (
     Outcome,
     Part,
     ReducedTest,
-    find_pause,
+    find_pause_doubts,
 )
 from tests.builders.reduced import recorded
 
@@ -246,4 +246,5 @@ def test_a_pause_in_which_the_force_falls(
     pause = np.clip(time - 5.0, 0.0, 10.0)
     path = 1e-3 * (time - pause)
     test = recorded(time, path, 1e3 * path - 0.1 * 5.0 * lost * pause)
-    assert [reason.code for reason in find_pause(test, window)] == ["pause_in_window"] * is_doubted
+    codes = [reason.code for reason in find_pause_doubts(test, window)]
+    assert codes == ["pause_in_window"] * is_doubted

@@ -41,7 +41,7 @@ from labpipe.results.curves import (
 from labpipe.results.kinds import FailurePoint, ReducedTest, Setup
 from labpipe.signal.filters import Butterworth, Smoothing
 from labpipe.uncertainty.intervals import measure_numbers
-from labpipe.uncertainty.replicates import Input, Reading, Replicates, Trace
+from labpipe.uncertainty.replicates import Extractor, Input, Replicates, Trace
 from tests.builders.plain_records import Numbers
 from tests.builders.reduced import DOWN, UP, recorded
 
@@ -56,7 +56,7 @@ def curves(test: ReducedTest) -> Replicates:
 
 def off(found: Replicates, part: slice = slice(None)) -> Floats:
     """What the replicates of the force lie above their smooth curve, shape (replicates, n)."""
-    return (found.force - found.smooth.force)[:, part]
+    return (found.force - found.smooth_trace.force)[:, part]
 
 
 def noise(test: ReducedTest, part: slice = slice(None)) -> float:
@@ -121,9 +121,9 @@ def test_a_low_pass_and_a_force_that_ends_before_the_motion() -> None:
     test = recorded(time, 1e-3 * time, force, force_time=time[:1500], filters=low)
     replicates = curves(test)
     assert np.isnan(off(replicates, slice(1500, None))).all()
-    assert np.isnan(replicates.smooth.force[1500:]).all()
+    assert np.isnan(replicates.smooth_trace.force[1500:]).all()
     assert not np.isnan(off(replicates, slice(1500))).any()
-    assert not np.isnan(replicates.smooth.displacement).any()
+    assert not np.isnan(replicates.smooth_trace.displacement).any()
     assert noise(test, slice(100, 1400)) == pytest.approx(0.2**0.5, rel=0.1)
 
 
@@ -162,17 +162,17 @@ def test_a_filtered_displacement_has_its_noise_back_and_the_level_of_the_curve()
     curve = test.required_curve
     moved = replace(test, curve=replace(curve, displacement=curve.displacement - 5e-3))
     drawn = curves(moved)
-    noise_of_path = (drawn.displacement - drawn.smooth.displacement)[:, 50:-50]
+    noise_of_path = (drawn.displacement - drawn.smooth_trace.displacement)[:, 50:-50]
     assert np.std(noise_of_path) == pytest.approx(2e-6, rel=0.1)
     truth = 1e-3 * time - 5e-5 * 10.0 * time - 5e-3
-    assert drawn.smooth.displacement == pytest.approx(truth, abs=1e-5)
+    assert drawn.smooth_trace.displacement == pytest.approx(truth, abs=1e-5)
 
 
 def test_a_mean_lies_around_its_frame() -> None:
     """Forces of 1000 a second at frames 50 a second, each the mean of 20: half a sample is 5 mN."""
     time, fast = np.arange(200) / 50.0, np.arange(4000) / 1000.0
     test = recorded(time, 1e-3 * time, 10.0 * fast, force_time=fast, filters=((Smoothing(201), 1),))
-    assert curves(test).smooth.force[1:-1] == pytest.approx(10.0 * time[1:-1], abs=1e-3)
+    assert curves(test).smooth_trace.force[1:-1] == pytest.approx(10.0 * time[1:-1], abs=1e-3)
 
 
 def test_a_force_of_which_a_part_is_unknown_leaves_the_displacement_alone() -> None:
@@ -180,20 +180,20 @@ def test_a_force_of_which_a_part_is_unknown_leaves_the_displacement_alone() -> N
     force = np.where(time < 6.0, 10.0 * time + RNG(0).normal(size=900), np.nan)
     test = recorded(time, 1e-3 * time, force)
     replicates = curves(test)
-    assert replicates.smooth.displacement == pytest.approx(1e-3 * time, abs=1e-9)
+    assert replicates.smooth_trace.displacement == pytest.approx(1e-3 * time, abs=1e-9)
     for quantity in replicates.inputs:
-        assert not np.isnan(quantity.perturb(replicates.smooth, 1.0).displacement).any()
+        assert not np.isnan(quantity.perturb(replicates.smooth_trace, 1.0).displacement).any()
 
 
 def test_a_long_record_has_the_noise_of_its_means_and_peaks_that_of_single_samples() -> None:
     """Blocks of three samples of 1 N."""
     test = straight(18_000, 1000.0)
     replicates = curves(test)
-    assert len(replicates.smooth.time) == 6000
-    assert len(replicates.measured.time) == 18_000
+    trace = replicates.smooth_trace
+    assert (len(trace.time), len(replicates.measured_trace.time)) == (6000, 18_000)
     assert np.std(off(replicates)) == pytest.approx(3**-0.5, rel=0.03)
-    assert replicates.smooth.force == pytest.approx(10.0 * replicates.smooth.time, abs=0.5)
-    samples = SampleNoise.around(test, replicates.smooth, "force", slice(0, 6000), 5999)
+    assert trace.force == pytest.approx(10.0 * trace.time, abs=0.5)
+    samples = SampleNoise.select(test, trace, "force", slice(0, 6000), 5999)
     assert samples is not None
     assert np.std(samples.deviations) == pytest.approx((2 / 3) ** 0.5, rel=0.03)
 
@@ -204,11 +204,11 @@ def test_blocks_begin_anew_at_turns() -> None:
     branches = (Branch(0, 20_000, 1, UP, 0.0, 20.0), Branch(20_001, 50_001, 1, DOWN, 20.0, 50.0))
     force = 5.0 * path + 1e-3 * RNG(0).normal(size=50_001)
     replicates = curves(recorded(time, path, force, branches=branches))
-    up, down = replicates.smooth.branches
-    assert (up.start, down.stop) == (0, len(replicates.smooth.time))
+    up, down = replicates.smooth_trace.branches
+    assert (up.start, down.stop) == (0, len(replicates.smooth_trace.time))
     assert down.start == up.stop + 1
-    assert replicates.smooth.force[up.stop] == pytest.approx(5.0 * 20.0, abs=1e-2)
-    assert replicates.smooth.displacement.max() == pytest.approx(20.0, abs=1e-9)
+    assert replicates.smooth_trace.force[up.stop] == pytest.approx(5.0 * 20.0, abs=1e-2)
+    assert replicates.smooth_trace.displacement.max() == pytest.approx(20.0, abs=1e-9)
 
 
 def slipped(decision: SlipDecision) -> ReducedTest:
@@ -230,10 +230,10 @@ def slipped(decision: SlipDecision) -> ReducedTest:
 def test_what_slips_lost_is_added_back_where_they_are_repaired() -> None:
     """Marked ones stay; neither is noise."""
     repaired, marked = map(slipped, (SlipDecision.REPAIRED, SlipDecision.MARKED))
-    smooth = curves(repaired).smooth
+    smooth = curves(repaired).smooth_trace
     assert smooth.force == pytest.approx(30.0 * smooth.time, abs=0.6)
     assert noise(repaired) == pytest.approx(0.1, rel=0.15)
-    assert curves(marked).smooth.force[[200, 202]] == pytest.approx([60.0, 40.6], abs=0.3)
+    assert curves(marked).smooth_trace.force[[200, 202]] == pytest.approx([60.0, 40.6], abs=0.3)
     assert noise(marked) == pytest.approx(0.1, rel=0.3)
     assert REPAIRED_SLIPS not in inputs(marked)
 
@@ -241,12 +241,12 @@ def test_what_slips_lost_is_added_back_where_they_are_repaired() -> None:
 def test_each_repaired_slip_moves_what_follows_by_its_error() -> None:
     replicates = curves(slipped(SlipDecision.REPAIRED))
     first, second = (finding for finding in replicates.inputs if finding.cause == REPAIRED_SLIPS)
-    trace = replicates.smooth
+    trace = replicates.smooth_trace
     for quantity, start in ((first, 202), (second, 502)):
         more = quantity.perturb(trace, 2.0).force - trace.force
         assert more[:start] == pytest.approx(0.0)
         assert more[start:] == pytest.approx(2.0 * 0.5)
-    assert not np.array_equal(replicates.draw_input(first), replicates.draw_input(second))
+    assert not np.array_equal(replicates.draw_errors(first), replicates.draw_errors(second))
 
 
 def uncertain(name: str, scale: float, zero: float) -> ReducedTest:
@@ -261,7 +261,7 @@ def test_scale_and_zero_of_the_force(compliance: float) -> None:
     """With a compliance C the displacement of the specimen is less by C of the change."""
     test = uncertain("force", 0.01, 0.3)
     by_cause = inputs(replace(test, compliance=compliance))
-    trace = curves(replace(test, compliance=compliance)).smooth
+    trace = curves(replace(test, compliance=compliance)).smooth_trace
     for cause, more in ((SCALE_OF_FORCE, 0.01 * trace.force), (ZERO_OF_FORCE, 0.3)):
         moved = by_cause[cause].perturb(trace, -2.0)
         assert moved.force - trace.force == pytest.approx(-2.0 * more, abs=1e-12)
@@ -274,7 +274,7 @@ def test_scale_and_zero_of_the_displacement(compliance: float) -> None:
     """The scale is that of what was measured, the part of the frame with it."""
     test = uncertain("displacement", 0.01, 2e-6)
     test = replace(test, compliance=compliance)
-    by_cause, trace = inputs(test), curves(test).smooth
+    by_cause, trace = inputs(test), curves(test).smooth_trace
     moved = by_cause[SCALE_OF_DISPLACEMENT].perturb(trace, 2.0).displacement
     measured = trace.displacement + compliance * trace.force
     assert moved - trace.displacement == pytest.approx(0.02 * measured, abs=1e-15)
@@ -289,10 +289,10 @@ def test_what_an_offset_changes_frame_by_frame_has_no_noise(cause: str, spread: 
     signal, noise = test.displacement, RNG(5).normal(0.0, 1e-5, 800)
     path = replace(signal, variants={cause: 1.1 * signal.values + noise})
     replicates = curves(replace(test, signals=test.signals.add_signal("displacement", path)))
-    (quantity,) = (finding for finding in replicates.inputs if finding.cause == cause)
-    change = quantity.perturb(replicates.smooth, 1.0).displacement - replicates.smooth.displacement
-    noise_left = change - 0.1 * signal.values
-    assert np.std(noise_left) == pytest.approx(spread * 1e-5, rel=0.1, abs=2e-6)
+    (quantity,), trace = [x for x in replicates.inputs if x.cause == cause], replicates.smooth_trace
+    change = quantity.perturb(trace, 1.0).displacement - trace.displacement
+    change -= 0.1 * signal.values
+    assert np.std(change) == pytest.approx(spread * 1e-5, rel=0.1, abs=2e-6)
 
 
 def plateau(seed: int, level: float, step: float) -> ReducedTest:
@@ -306,12 +306,12 @@ def test_a_converter_coarser_than_the_noise_is_an_input() -> None:
     """Steps of 7 standard deviations: the level is known to half a step, a rectangle."""
     test = plateau(0, 100.0, 7.0)
     (quantity,) = (curve for curve in curves(test).inputs if curve.cause == RESOLUTION_OF_FORCE)
-    trace = curves(test).smooth
+    trace = curves(test).smooth_trace
     assert quantity.distribution == "uniform"
     more = quantity.perturb(trace, 1.0).force - trace.force
     assert more == pytest.approx(7.0 / 12.0**0.5)
     for level in (98.0, 101.5, 104.0):
-        numbers = measure_numbers(curves(plateau(1, level, 7.0)), lambda _: Reading(end, 200))
+        numbers = measure_numbers(curves(plateau(1, level, 7.0)), lambda _: Extractor(end, 200))
         assert isinstance(numbers, tuple)
         interval = numbers[0].interval
         assert interval.lower <= level * (1.0 - 0.1**4 / 5.0) <= interval.upper
@@ -322,7 +322,7 @@ def test_the_steps_of_a_displacement_held_at_a_lower_rate_are_an_input() -> None
     time = np.arange(2000) / 100.0
     held = (np.arange(2000) // 20 * 20).astype(np.float64) * 1e-6
     test = recorded(time, held, 1e5 * 1e-6 * np.arange(2000) + RNG(2).normal(size=2000))
-    by_cause, trace = inputs(test), curves(test).smooth
+    by_cause, trace = inputs(test), curves(test).smooth_trace
     resolution = by_cause[RESOLUTION_OF_DISPLACEMENT]
     assert resolution.distribution == "uniform"
     moved = resolution.perturb(trace, 1.0).displacement - trace.displacement
@@ -337,7 +337,7 @@ def test_other_displacements(count: int, rate: float) -> None:
     signal = test.displacement
     changed = replace(signal, variants={GRIP: signal.values + 1e-6, SHAPE: 1.01 * signal.values})
     test = replace(test, signals=test.signals.replace_filtered("displacement", changed))
-    by_cause, trace = inputs(test), curves(test).smooth
+    by_cause, trace = inputs(test), curves(test).smooth_trace
     assert (by_cause[GRIP].distribution, by_cause[SHAPE].distribution) == ("normal", "uniform")
     moved = by_cause[GRIP].perturb(trace, -3.0).displacement - trace.displacement
     assert moved == pytest.approx(-3e-6, abs=1e-12)
@@ -353,7 +353,7 @@ def test_clocks_shift_and_turn_the_force() -> None:
     time = np.arange(800) / 100.0
     force = 10.0 * time + RNG(0).normal(0.0, 0.1, 800)
     test = recorded(time, 1e-3 * time, force, force_time=time + 1.0, clocks=Clocks("one", fit))
-    by_cause, trace = inputs(test), curves(test).smooth
+    by_cause, trace = inputs(test), curves(test).smooth_trace
     inner = slice(50, -50)
     moved = by_cause[CLOCK_OFFSET].perturb(trace, 1.0).force - trace.force
     slope = np.gradient(trace.force, trace.time)
@@ -369,7 +369,7 @@ def test_sizes() -> None:
         uncertainties={"span": 1e-4, "width": 1e-5, "thickness": 2e-5, "area": 1.0},
     )
     test = replace(straight(), setup=setup)
-    replicates, trace = curves(test), curves(test).smooth
+    replicates, trace = curves(test), curves(test).smooth_trace
     span, width, thickness, area = (
         finding for finding in replicates.inputs if finding.cause in (SPAN, SECTION)
     )
@@ -378,7 +378,7 @@ def test_sizes() -> None:
     assert width.perturb(trace, -1.0).sizes["width"] == pytest.approx(1.99e-3)
     assert width.perturb(trace, -1.0).sizes["thickness"] == 1e-3
     assert area.perturb(trace, 1.0).sizes == trace.sizes
-    assert not np.array_equal(replicates.draw_input(width), replicates.draw_input(thickness))
+    assert not np.array_equal(replicates.draw_errors(width), replicates.draw_errors(thickness))
 
 
 @pytest.mark.parametrize(("count", "step"), [(800, 1.0), (18_000, 1 / 3)])
@@ -387,8 +387,8 @@ def test_a_step_is_one_of_the_curve(count: int, step: float) -> None:
     test = straight(count)
     quantity, drawn = inputs(test)[STEP], curves(test)
     assert quantity.distribution == "step"
-    assert quantity.perturb(drawn.smooth, 1.0).steps_beyond == pytest.approx(step, rel=1e-3)
-    assert quantity.perturb(drawn.smooth, -0.5).steps_beyond == pytest.approx(-0.5 * step, rel=1e-3)
+    ends = [quantity.perturb(drawn.smooth_trace, x).steps_to_event for x in (1.0, -0.5)]
+    assert ends == pytest.approx([step, -0.5 * step], rel=1e-3)
 
 
 def test_a_branch_without_force() -> None:
@@ -429,7 +429,7 @@ def modes(test: ReducedTest) -> list[Input]:
 
 
 def drift_of(test: ReducedTest, numbers: Numbers) -> float:
-    outcome = measure_numbers(curves(test), lambda trace: Reading(numbers, len(trace.time)))
+    outcome = measure_numbers(curves(test), lambda trace: Extractor(numbers, len(trace.time)))
     assert isinstance(outcome, tuple)
     (number,) = outcome
     return next(abs(row.change) for row in number.budget if row.cause == DRIFT_OF_ZERO)
@@ -492,7 +492,7 @@ def test_it_is_counted_from_where_the_zero_was_taken(
     signals = replace(test.signals, **{taken: {"force": stretch}})  # type: ignore[arg-type]
     zeroed = replace(test, signals=signals)
     assert drift_of(zeroed, drifts) == pytest.approx(SHARE * PEAK, rel=1e-9)
-    trace = curves(zeroed).smooth
+    trace = curves(zeroed).smooth_trace
     forces = [quantity.perturb(trace, 1.0).force[place] for quantity in modes(zeroed)]
     assert forces == pytest.approx([trace.force[place]] * 3, abs=1e-9)
 
@@ -521,7 +521,7 @@ def test_a_zero_from_a_rest_on_the_clock_of_the_force() -> None:
     raw = replace(test.signals.raw["force"], clock="force", time=test.required_curve.time + 1.0)
     signals = replace(test.signals.add_signal("force", raw), zero_stretches={"force": (2.5, 3.5)})
     test = replace(test, signals=signals, clocks=Clocks("one", fit), unfiltered=raw)
-    trace = curves(test).smooth
+    trace = curves(test).smooth_trace
     for quantity in modes(test):
         assert quantity.perturb(trace, 1.0).force[200] == pytest.approx(trace.force[200], abs=1e-9)
     total = np.sum([(g.perturb(trace, 1.0).force - trace.force) ** 2 for g in modes(test)], axis=0)
@@ -577,17 +577,19 @@ def curve() -> Trace:
 def test_the_largest_of_all_samples_in_noise() -> None:
     """Mean and spread as those of 1000 records with such noise; blocks of three samples of 1 N."""
     test = straight(18_000, 1000.0)
-    trace = curves(test).smooth
-    samples = SampleNoise.around(test, trace, "force", slice(0, 6000), 5999)
+    trace = curves(test).smooth_trace
+    samples = SampleNoise.select(test, trace, "force", slice(0, 6000), 5999)
     assert samples is not None
     rows = RNG(2).normal(size=(1000, 3000))
     noise = np.zeros((1000, 6000))
     noise[:, -1000:] = rows.reshape(1000, -1, 3).mean(axis=2)
     for sense in (1.0, -1.0):
-        falling = replace(samples, smooth=sense * samples.smooth)
-        raised = sense * falling.compute_peak_effect(noise, sense)
-        by_hand = (samples.smooth[-3000:] + sense * rows[:, -len(samples.smooth) :]).max(axis=1)
-        by_hand -= samples.smooth.max()
+        falling = replace(samples, smooth_values=sense * samples.smooth_values)
+        raised = sense * falling.draw_peak_effect(noise, sense)
+        by_hand = (
+            samples.smooth_values[-3000:] + sense * rows[:, -len(samples.smooth_values) :]
+        ).max(axis=1)
+        by_hand -= samples.smooth_values.max()
         # Deviations of one record: 5 % of the mean.
         assert np.mean(raised) == pytest.approx(np.mean(by_hand), rel=0.05)
         assert np.std(raised) == pytest.approx(np.std(by_hand), rel=0.08)
@@ -596,10 +598,8 @@ def test_the_largest_of_all_samples_in_noise() -> None:
 def test_without_noise_nothing_is_raised() -> None:
     samples = around_turn(force_at(SINGLE * np.arange(2000.0)))
     assert samples is not None
-    assert samples.compute_peak_effect(np.zeros((3, 501)), 1.0) == pytest.approx(
-        np.zeros(3), abs=1e-9
-    )
-    assert samples.smooth.max() == pytest.approx(100.0, abs=BEFORE * FRAME)
+    assert samples.draw_peak_effect(np.zeros((3, 501)), 1.0) == pytest.approx(np.zeros(3), abs=1e-9)
+    assert samples.smooth_values.max() == pytest.approx(100.0, abs=BEFORE * FRAME)
     assert samples.draw_deviations((2, 3)) == pytest.approx(np.zeros((2, 3)), abs=1e-9)
 
 
@@ -609,7 +609,7 @@ def test_a_filter_as_long_as_half_of_the_samples_sees_all_of_its_reach() -> None
     filters = ((Smoothing(11), 1),)
     samples = SampleNoise(peak, 1e-3 * single, single, filters, (), None, RNG(1))
     means = np.convolve(single, np.full(11, 1 / 11), "valid")
-    raised = samples.compute_peak_effect(np.zeros((50, 1)), 1.0)
+    raised = samples.draw_peak_effect(np.zeros((50, 1)), 1.0)
     assert np.abs(raised[:, None] - means).min(axis=1) == pytest.approx(np.zeros(50), abs=1e-12)
 
 
@@ -619,7 +619,7 @@ def test_samples_of_an_unfiltered_force_have_all_noise_themselves() -> None:
     samples = around_turn(noisy, filters=False)
     assert samples is not None
     assert np.std(samples.deviations) == pytest.approx(NOISE, rel=0.05)
-    raised = samples.compute_peak_effect(1e3 * np.ones((400, 501)), 1.0)
+    raised = samples.draw_peak_effect(1e3 * np.ones((400, 501)), 1.0)
     assert 0.5 * NOISE < raised.mean() < 4.0 * NOISE
 
 
@@ -637,7 +637,7 @@ def test_a_sample_far_off_is_left_out_only_if_the_specimen_broke(failed_at: int 
     noisy[round(TURN / SINGLE) - 100] += 100.0 * NOISE
     trace = replace(curve(), failed_at=failed_at)
     turn = trace.branches[0].stop
-    samples = SampleNoise.around(evidence(noisy), trace, "force", slice(0, 501), turn)
+    samples = SampleNoise.select(evidence(noisy), trace, "force", slice(0, 501), turn)
     assert samples is not None
     is_kept = bool(np.abs(samples.deviations).max() > 50.0 * NOISE)
     assert is_kept is (failed_at is None)
@@ -652,7 +652,7 @@ def test_a_curve_with_all_samples_needs_no_more_of_them() -> None:
 
 def around_turn(force: Floats, **options: Any) -> SampleNoise | None:
     trace = curve()
-    return SampleNoise.around(
+    return SampleNoise.select(
         evidence(force, **options), trace, "force", slice(0, 501), trace.branches[0].stop
     )
 

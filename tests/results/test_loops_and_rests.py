@@ -140,7 +140,7 @@ LIMIT = 5e-3
 WAYS = {
     "through zero": (PATH, FORCE),
     "at rest": (np.maximum(PATH, LEFT), np.maximum(FORCE, 0.0)),
-    "followed": (PATH, np.maximum(FORCE, 0.0)),
+    "extrapolated": (PATH, np.maximum(FORCE, 0.0)),
 }
 
 
@@ -171,14 +171,14 @@ def test_it_is_where_the_force_is_back_at_zero(way: str) -> None:
     assert decided(path, holes).compute(path, holes) == pytest.approx(LEFT, abs=1e-9)
     if way == "through zero":  # a tenth of 53 s on each side of 41 s, 50 a second
         assert plain.n == 529
-    if way == "followed":  # from five limits to one, at 24 mN a second
+    if way == "extrapolated":  # from five limits to one, at 24 mN a second
         assert plain.limit == LIMIT
         rising = plain.compute(path, np.array([force, force[::-1]]))
         assert np.isnan(rising).tolist() == [False, True]
 
 
 @pytest.mark.parametrize(
-    ("way", "moved"), [("through zero", 1e-4), ("followed", 1e-4), ("at rest", 0)]
+    ("way", "moved"), [("through zero", 1e-4), ("extrapolated", 1e-4), ("at rest", 0)]
 )
 def test_a_force_that_is_too_high_by_so_much_is_zero_so_much_later(way: str, moved: float) -> None:
     """2.4 mN over 24 N/m: 0.1 mm less; a string at rest is not asked for its force."""
@@ -204,7 +204,7 @@ def test_a_foot_of_few_samples_is_not_followed() -> None:
     """The force is lost between two samples: the displacement is that of the last one above."""
     force = np.where(TIME < 40.0, 1.0, 0.0)
     ending = decided(PATH, force)
-    assert ending.kind == "followed"
+    assert ending.kind == "extrapolated"
     rows = ending.compute(np.array([PATH, PATH + 0.001]), force)
     np.testing.assert_allclose(rows, [PATH[1999], PATH[1999] + 0.001], atol=1e-12)
 
@@ -235,7 +235,7 @@ def test_a_curve_without_noise_ends_as_the_one_that_was_measured(way: str) -> No
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_foot_decided_for_each_row(kind: str) -> None:
     """Rows with gaps, one that does not come back to zero, one that never is above the limit."""
-    path, force = WAYS["followed"]
+    path, force = WAYS["extrapolated"]
     force = force + noise_rows(kind, 2e-4, (40, len(TIME)), seed=1)
     path = path + noise_rows(kind, 1e-5, force.shape, seed=2)
     force[:10, 2000:2008] = np.nan
@@ -244,7 +244,7 @@ def test_a_foot_decided_for_each_row(kind: str) -> None:
     force[21] -= 1.0
     force[22, 2045:] += 0.006
     end = decided(path[10], force[10])
-    assert end.kind == "followed"
+    assert end.kind == "extrapolated"
     for d, f, place in zip(path[10:], force[10:], end.compute(path[10:], force[10:]), strict=True):
         alone = return_failure(find_unloading_end)(TIME, d, f, force_below=LIMIT, measured_end=end)
         if isinstance(alone, Failure):
@@ -292,7 +292,7 @@ def test_too_few() -> None:
     assert outcome == Failure("too_few_samples", "2 samples in the second before 49.000 s")
 
 
-@pytest.mark.parametrize(("lasts", "way"), [(0.5, "followed"), (0.8, "at rest")])
+@pytest.mark.parametrize(("lasts", "way"), [(0.5, "extrapolated"), (0.8, "at rest")])
 def test_a_rest_is_seen_once_the_line_were_three_limits_lower(lasts: float, way: str) -> None:
     """15 mN at 24 mN a second are 0.625 s."""
     path, force = WAYS["at rest"]
@@ -310,19 +310,19 @@ def test_a_string_that_pulls_or_a_specimen_that_creeps_is_not_at_rest(
     force = force + np.where((since > 4.0) & (since < 8.0), pulls, 0.0)
     noise = np.random.default_rng(4).normal(0.0, 1e-7, len(TIME))
     ending = decided(path - creeps * since / 12.0 + noise, force)
-    assert ending.kind == ("at rest" if pulls == creeps == 0.0 else "followed")
+    assert ending.kind == ("at rest" if pulls == creeps == 0.0 else "extrapolated")
 
 
 def test_little_noise_does_not_lower_what_passes_for_zero() -> None:
     """A record of no noise beside noisy ones: its foot ends at the protocol's limit."""
-    path, force = WAYS["followed"]
+    path, force = WAYS["extrapolated"]
     force = force + noise_rows("white", 1.5e-3, (4, len(TIME)), seed=1)
-    force[3] = WAYS["followed"][1] + 1e-4 * (TIME - 41.5) * (TIME < 41.0)
+    force[3] = WAYS["extrapolated"][1] + 1e-4 * (TIME - 41.5) * (TIME < 41.0)
     ending = decided(path, force[0])
-    assert ending.kind == "followed"
+    assert ending.kind == "extrapolated"
     assert ending.limit > LIMIT
     alone = decided(path, force[3])
-    assert alone.kind == "followed"
+    assert alone.kind == "extrapolated"
     assert alone.limit == LIMIT
     paths = path + 1e-3 * (TIME - 41.0) ** 2 * (TIME < 41.0) + np.zeros((4, 1))
     number = ending.compute(paths, force)[3]

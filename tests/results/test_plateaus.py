@@ -6,7 +6,7 @@ import pytest
 from labpipe.records.arrays import Floats
 from labpipe.records.estimates import Failure, return_failure
 from labpipe.results.kinks_and_plateaus import Plateau, Tangents
-from labpipe.uncertainty.replicates import Reading, Trace
+from labpipe.uncertainty.replicates import Extractor, Trace
 from tests.builders.plain_records import replicates_of, trace_of
 
 OVER = 5e-3
@@ -61,17 +61,17 @@ def test_where_the_tangent_is_a_tenth(name: str) -> None:
 
 def test_slope_at_the_end_and_its_line() -> None:
     tangents, curves = tangents_of(D, SOFT), np.stack([SOFT, SOFT + noise(1, len(D))])
-    assert float(tangents.fit_end_slope(SOFT)) / INITIAL == pytest.approx(
+    assert float(tangents.compute_end_slope(SOFT)) / INITIAL == pytest.approx(
         np.exp(-0.0475 / SCALE), rel=0.02
     )
     assert tangents.ends == pytest.approx((0.045, 0.05), abs=4e-5)
     assert len(tangents.end_samples) == np.count_nonzero(tangents.ends[0] <= D)
-    for curve, end_slope in zip(curves, tangents.fit_end_slope(curves), strict=True):
+    for curve, end_slope in zip(curves, tangents.compute_end_slope(curves), strict=True):
         slope, level = parabola(D, curve, 0.0475, OVER)
         assert float(end_slope) == pytest.approx(slope, rel=1e-9)
         for at in (0.045, 0.0475):
             line = level + (at - 0.0475) * slope
-            assert tangents.compute_end_tangent(at, curve) == pytest.approx(line, rel=1e-12)
+            assert tangents.compute_end_force(at, curve) == pytest.approx(line, rel=1e-12)
 
 
 def test_samples_on_the_ends_of_a_stretch_do_not_depend_on_rounding() -> None:
@@ -84,7 +84,7 @@ def test_samples_on_the_ends_of_a_stretch_do_not_depend_on_rounding() -> None:
         path: Floats = even * (1.0 + off * last_bits)
         tangents = Tangents.of(path, force, length=OVER)
         place, level = tangents.find_onset(force, np.array(INITIAL), slope_below=0.1)
-        numbers.append([float(tangents.fit_end_slope(force)), float(place), float(level)])
+        numbers.append([float(tangents.compute_end_slope(force)), float(place), float(level)])
     np.testing.assert_allclose(numbers[1:], [numbers[0]] * 2, rtol=1e-10)
 
 
@@ -150,13 +150,11 @@ def test_unknown_samples_and_displacements_of_their_own() -> None:
     initial = np.full(3, INITIAL)
     plain = tangents_of(D[valid], SOFT[valid])
     tangents = tangents_of(D, holes)
-    assert tangents.fit_end_slope(curves) == pytest.approx(plain.fit_end_slope(curves[:, valid]))
-    for one, other in zip(
-        tangents.find_onset(curves, initial, slope_below=0.1),
-        plain.find_onset(curves[:, valid], initial, slope_below=0.1),
-        strict=True,
-    ):
-        assert one == pytest.approx(other)
+    slopes = plain.compute_end_slope(curves[:, valid])
+    assert tangents.compute_end_slope(curves) == pytest.approx(slopes)
+    onset = plain.find_onset(curves[:, valid], initial, slope_below=0.1)
+    same_onset = np.array(tangents.find_onset(curves, initial, slope_below=0.1))
+    assert same_onset == pytest.approx(np.array(onset))
     off = noise(5, 3, len(D), deviation=2e-5)
     rows = np.broadcast_to(SOFT, off.shape)
     place, force = plain.find_onset(rows[:, valid], initial, (D + off)[:, valid], slope_below=0.1)
@@ -165,8 +163,8 @@ def test_unknown_samples_and_displacements_of_their_own() -> None:
     assert np.ptp(place) > 1e-5
     assert place == pytest.approx(same[0], abs=2e-6)
     assert force == pytest.approx(same[1], abs=2e-5)
-    ends = plain.fit_end_slope(rows[:, valid], (D + off)[:, valid])
-    assert ends == pytest.approx(plain.fit_end_slope(moved[:, valid]), abs=0.01)
+    ends = plain.compute_end_slope(rows[:, valid], (D + off)[:, valid])
+    assert ends == pytest.approx(plain.compute_end_slope(moved[:, valid]), abs=0.01)
 
 
 def test_says_why_not() -> None:
@@ -217,11 +215,12 @@ def test_short_tangents_begin_at_the_first_sample_at_the_earliest() -> None:
 def test_a_smooth_curve_that_does_not_rise_hides_no_noise_of_a_corner() -> None:
     drawn, plateau = replicates_of(trace_of(SOFT, D)), Plateau(slope_below=0.1)
 
-    def initial(trace: Trace) -> Reading:
-        return Reading(lambda _: (np.array(INITIAL if trace is drawn.measured else 0.0),), 9)
+    def initial(trace: Trace) -> Extractor:
+        slope = np.array(INITIAL if trace is drawn.measured_trace else 0.0)
+        return Extractor(lambda _: (slope,), 9)
 
     flat = Failure("no_stiffness", "the slope at the start is 0 N/m")
-    assert return_failure(plateau._choose_tangents)(drawn.smooth, initial) == flat
+    assert return_failure(plateau._choose_tangents)(drawn.smooth_trace, initial) == flat
     corner = plateau._estimate_corner(drawn, initial)
     assert np.any(corner.error != 0.0)
     assert not corner.compute_noise_effect(np.ones((2, 5))).any()

@@ -19,8 +19,8 @@ from labpipe.results.bending import TipTravel, _measure_at_turn, _SpanFrames
 from labpipe.results.cycles import PeakDisplacement
 from labpipe.results.kinds import ReducedTest, SpanBend
 from labpipe.results.slack_and_slips import choose_slack_samples, subtract_slack
-from labpipe.uncertainty.intervals import Measured, measure_numbers
-from labpipe.uncertainty.replicates import Reading, Trace
+from labpipe.uncertainty.intervals import MeasuredNumber, measure_numbers
+from labpipe.uncertainty.replicates import Extractor, Trace
 from tests.builders.noise_rows import flicker
 from tests.builders.pulls import NOISE, pull, pulled
 
@@ -153,8 +153,8 @@ def taut(**errors: float) -> ReducedTest:
     return correct_curve(test, block)[0]
 
 
-def shares(found: Measured | Failure | None) -> dict[str, float]:
-    assert isinstance(found, Measured)
+def shares(found: MeasuredNumber | Failure | None) -> dict[str, float]:
+    assert isinstance(found, MeasuredNumber)
     return {contribution.cause: abs(contribution.change) for contribution in found.budget}
 
 
@@ -164,18 +164,18 @@ def peak(test: ReducedTest) -> dict[str, float]:
 
 
 def test_slack_is_the_zero_of_the_line() -> None:
-    reading = slack(TRACE)
-    assert isinstance(reading, Reading)
+    extractor = slack(TRACE)
+    assert isinstance(extractor, Extractor)
     shifted = replace(TRACE, force=np.array([PULL, PULL - 5.0, 2.0 * PULL]))
-    np.testing.assert_allclose(reading.numbers(shifted)[0], [0.002, 0.003, 0.002], atol=1e-12)
-    assert reading.n == 72
+    assert extractor.compute_numbers(shifted)[0] == pytest.approx([0.002, 0.003, 0.002], abs=1e-12)
+    assert extractor.n == 72
 
 
 def test_slack_is_looked_for_up_to_the_failure() -> None:
     """It breaks at 30 N of 90 N: 10 to 30 % are 3 to 9 N of that."""
-    reading = slack(replace(TRACE, failed_at=160))
-    assert isinstance(reading, Reading)
-    assert reading.n == 24
+    extractor = slack(replace(TRACE, failed_at=160))
+    assert isinstance(extractor, Extractor)
+    assert extractor.n == 24
 
 
 def test_noise_of_the_slack_is_that_of_the_line() -> None:
@@ -208,7 +208,7 @@ def test_zeros_in_the_slack_and_in_what_counts_from_it() -> None:
     assert peak(test)[ZERO_OF_FORCE] == pytest.approx(change, rel=1e-6)
     # The slack of what is counted from there is none, whatever noise and zeros do.
     assert test.replicates is not None
-    assert isinstance(test.slack, Measured)
+    assert isinstance(test.slack, MeasuredNumber)
     numbers = measure_numbers(test.replicates, slack)
     assert numbers[0].value == pytest.approx(0.0, abs=1e-9)
     assert numbers[0].error < 0.02 * shares(test.slack)["noise"]
@@ -219,11 +219,11 @@ def test_what_counts_from_a_doubtful_slack_is_doubtful(name: str, codes: list[st
     """What moves with the displacement, and not the force."""
     test = taut(displacement=1e-4)
     assert test.replicates is not None
-    assert isinstance(test.slack, Measured)
+    assert isinstance(test.slack, MeasuredNumber)
     doubts = (("force", Reason("slow_noise", "it remembers")),)
     moved = subtract_slack(test.replicates, slack, replace(test.slack, doubts=doubts))
-    reading = Reading(lambda trace: (getattr(trace, name)[..., 300],), 1)
-    numbers = measure_numbers(moved, lambda _: reading)
+    extractor = Extractor(lambda trace: (getattr(trace, name)[..., 300],), 1)
+    numbers = measure_numbers(moved, lambda _: extractor)
     assert [reason.code for _, reason in numbers[0].doubts] == codes
     for _, reason in numbers[0].doubts:
         assert reason.message.endswith("slack: it remembers")

@@ -15,7 +15,7 @@ from labpipe.results.kinks_and_plateaus import (
     require_bend,
     require_kink,
 )
-from labpipe.uncertainty.intervals import Measured
+from labpipe.uncertainty.intervals import MeasuredNumber
 
 D = np.linspace(0.002, 0.02, 181)
 F = 45.0 + np.where(D < 0.0093, 5000.0, 2700.0) * (D - 0.0093)
@@ -154,7 +154,7 @@ def test_samples_beyond_the_places() -> None:
     for count, beyond in ((16, 4), (31, 4), (48, 6), (64, 8), (400, 8)):
         d = np.arange(float(count))
         hinges = hinges_of(d, np.minimum(d, 0.5 * count))
-        ends = [hinges.to_displacement(float(hinges.candidates[place])) for place in (0, -1)]
+        ends = hinges.convert_to_displacement(hinges.candidates[[0, -1]])
         assert ends == pytest.approx([d[beyond - 1], d[-beyond]])
 
 
@@ -162,10 +162,10 @@ def segments(at: ArrayLike, first: ArrayLike, second: ArrayLike) -> Segments:
     return Segments(*(np.asarray(column, dtype=np.float64) for column in (at, first, second, 45.0)))
 
 
-def numbers_of(found: Segments, drawn: Segments) -> tuple[Measured, ...]:
+def numbers_of(found: Segments, drawn: Segments) -> tuple[MeasuredNumber, ...]:
     """Numbers of a curve, and their replicates about them."""
     pairs = zip(found, drawn, strict=True)
-    return tuple(Measured(float(value), np.asarray(drawn - value), (), 1) for value, drawn in pairs)
+    return tuple(MeasuredNumber(float(x), np.asarray(drawn - x), (), 1) for x, drawn in pairs)
 
 
 def bend_of(found: Segments, drawn: Segments, hinges: Hinges) -> Failure | None:

@@ -33,7 +33,7 @@ from labpipe.mechanics.studies.model_comparisons import (
 from labpipe.mechanics.studies.wire_sheets import WireSheet, read_wire_sheet
 from labpipe.mechanics.wire.calibration.calibrate_wire import Settings, calibrate
 from labpipe.mechanics.wire.calibration.calibrate_wire import find_tested_curvature as reached
-from labpipe.mechanics.wire.wire_table import find_insulation_limit
+from labpipe.mechanics.wire.wire_table import compute_insulation_limit
 from labpipe.protocol.load import load_calibration_plan
 from labpipe.protocol.model_files import CalibrationPlan
 from labpipe.records.wire import (
@@ -323,7 +323,7 @@ def test_from_where_on_a_prediction_is_doubtful(
     """A wire that is bent to there and no farther has just the curvature of the limit."""
     measured = loadings("A1", "A2")
     assert [group.doubtful_deflection for group in groups] == [np.inf, np.inf]
-    ranges = {name: find_insulation_limit(WEAK[name]) for name in WIRES}
+    ranges = {name: compute_insulation_limit(WEAK[name]) for name in WIRES}
     weak = {name: replace(WIRES[name], linear_range=end) for name, end in ranges.items()}
     for group in compare_tests(calibration, weak, measured):
         assert group.prediction is not None

@@ -20,8 +20,8 @@ from labpipe.records.causes import (
 )
 from labpipe.records.estimates import Failure, UnavailableError, return_failure
 from labpipe.records.quality import Reason
-from labpipe.uncertainty.intervals import Measured, measure_numbers
-from labpipe.uncertainty.replicates import Decide, Input, Reading, Trace
+from labpipe.uncertainty.intervals import MeasuredNumber, measure_numbers
+from labpipe.uncertainty.replicates import Choice, Extractor, Input, Trace
 from tests.builders.plain_records import measured, replicates_of, trace_of
 
 RNG = np.random.default_rng
@@ -64,7 +64,7 @@ def pushed(trace: Trace, x: float) -> Trace:
     return replace(trace, displacement=trace.displacement + 1e-4 * x)
 
 
-def budget(found: Measured) -> dict[str, float]:
+def budget(found: MeasuredNumber) -> dict[str, float]:
     return {contribution.cause: contribution.change for contribution in found.budget}
 
 
@@ -116,11 +116,11 @@ def test_a_rectangular_input() -> None:
     assert budget(found) == pytest.approx({ZERO_OF_FORCE: -0.3})
 
     def end(trace: Trace) -> tuple[Floats]:
-        return (trace.force[..., -1] + 4.0 * trace.steps_beyond,)
+        return (trace.force[..., -1] + 4.0 * trace.steps_to_event,)
 
     later = Input(
         STEP,
-        lambda trace, x: replace(trace, steps_beyond=x),
+        lambda trace, x: replace(trace, steps_to_event=x),
         distribution="step",
         moves_curve=False,
     )
@@ -149,14 +149,14 @@ def test_an_input_that_changes_more_upwards() -> None:
     assert budget(number) == pytest.approx({ZERO_OF_DISPLACEMENT: 2.0})
 
 
-def refuse(why: Failure) -> Decide:
+def refuse(why: Failure) -> Choice:
     """Choose no samples."""
 
-    def decide(trace: Trace) -> Reading:
+    def choose_samples(trace: Trace) -> Extractor:
         del trace
         raise UnavailableError(why)
 
-    return decide
+    return choose_samples
 
 
 def test_a_number_that_is_not_in_the_curve() -> None:
@@ -164,18 +164,18 @@ def test_a_number_that_is_not_in_the_curve() -> None:
     drawn = replicates_of(trace_of(FORCE + RNG(0).normal(size=200)))
     assert return_failure(measure_numbers)(drawn, refuse(why)) is why
 
-    def only_measured(trace: Trace) -> Reading:
-        return Reading(mean, 200) if trace is drawn.measured else refuse(why)(trace)
+    def only_measured(trace: Trace) -> Extractor:
+        return Extractor(mean, 200) if trace is drawn.measured_trace else refuse(why)(trace)
 
     # The smooth curve just misses a limit: what was decided on the measured one holds for it.
     outcome = return_failure(measure_numbers)(drawn, only_measured)
     assert isinstance(outcome, tuple)
-    assert outcome[0].interval == measured(trace_of(drawn.measured.force), mean)[0].interval
+    assert outcome[0].interval == measured(trace_of(drawn.measured_trace.force), mean)[0].interval
     # A shorter one needs another decision, on means of the measured samples.
-    means = trace_of(drawn.smooth.force[:-1])
-    shorter = replace(drawn, smooth=means, averaged=drawn.measured)
+    means = trace_of(drawn.smooth_trace.force[:-1])
+    shorter = replace(drawn, smooth_trace=means, averaged_trace=drawn.measured_trace)
     assert len(measure_numbers(shorter, only_measured)) == 1
-    outcome = return_failure(measure_numbers)(replace(shorter, averaged=means), only_measured)
+    outcome = return_failure(measure_numbers)(replace(shorter, averaged_trace=means), only_measured)
     assert isinstance(outcome, Failure)
     assert outcome.code == "no_replicate"
     assert why.message in outcome.message
@@ -195,7 +195,7 @@ def test_limits_of_replicates_without_the_number(without: int, doubtful: bool, f
     force = drawn.force.copy()
     force[:without, 0] = 1000.0
     outcome = return_failure(measure_numbers)(
-        replace(drawn, force=force), lambda _: Reading(marked, 200)
+        replace(drawn, force=force), lambda _: Extractor(marked, 200)
     )
     assert isinstance(outcome, Failure) == fails
     if isinstance(outcome, tuple):
@@ -205,11 +205,11 @@ def test_limits_of_replicates_without_the_number(without: int, doubtful: bool, f
 def test_windows_are_decided_anew_where_the_curve_moves() -> None:
     """Force where the displacement passes 1 mm: moved by 0.1 mm it lies 10 samples elsewhere."""
 
-    def at(trace: Trace) -> Reading:
+    def at(trace: Trace) -> Extractor:
         sample = int(np.searchsorted(trace.displacement, 1.005e-3))
         if sample > 108:
             raise UnavailableError(Failure("not_reached", "too far"))
-        return Reading(lambda curve: (curve.force[..., sample],), 1)
+        return Extractor(lambda curve: (curve.force[..., sample],), 1)
 
     trace = trace_of(np.arange(200.0))
     for moves, by in ((True, -10.0), (False, 0.0)):
@@ -228,9 +228,9 @@ def test_between_its_samples_a_window_ends_where_it_should(is_cut: bool) -> None
     no sample across the end of the window.
     """
 
-    def below(trace: Trace) -> Reading:
+    def below(trace: Trace) -> Extractor:
         chosen = slice(0, int(np.sum(trace.displacement <= 4.5)))
-        return Reading(
+        return Extractor(
             lambda curve: (curve.force[..., chosen].mean(axis=-1),), 5, ends_at_samples=is_cut
         )
 
@@ -289,12 +289,12 @@ def test_doubts_of_an_input_are_those_of_what_rests_on_it() -> None:
 def test_noise_as_slow_as_the_record(share: float) -> None:
     """It surely remembers a twentieth of it, the longest that is looked for; or three in five."""
     drawn = replicates_of(trace_of(slow(20.0, 3000)))
-    chances = np.zeros(len(drawn.noises["force"].probabilities))
+    chances = np.zeros(len(drawn.noise_models["force"].probabilities))
     chances[[0, 48]] = 1.0 - share / 0.05, share / 0.05
-    noise = replace(drawn.noises["force"], probabilities=chances)
+    noise = replace(drawn.noise_models["force"], probabilities=chances)
     assert noise.correlation_time == pytest.approx(3000 * share, rel=0.01)
     outcome = return_failure(measure_numbers)(
-        replace(drawn, noises={"force": noise}), lambda _: Reading(mean, 3000)
+        replace(drawn, noise_models={"force": noise}), lambda _: Extractor(mean, 3000)
     )
     assert isinstance(outcome, tuple)
     codes = [reason.code for _, reason in outcome[0].doubts]
@@ -318,8 +318,8 @@ def test_a_value_far_outside_of_its_interval_is_doubtful() -> None:
     def one(trace: Trace) -> tuple[Floats, ...]:
         return (trace.force[..., 500],)
 
-    def fallen(trace: Trace) -> Reading:
-        return Reading(one, 1, lambda drawn: (drawn.force[..., 500] - 10.0,))
+    def fallen(trace: Trace) -> Extractor:
+        return Extractor(one, 1, lambda drawn: (drawn.force[..., 500] - 10.0,))
 
     for level, codes in ((100.0, ["value_outside"]), (2000.0, [])):
         record = level + 0.1 * RNG(0).normal(size=1000)

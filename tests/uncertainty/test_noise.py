@@ -135,7 +135,7 @@ def test_the_covariance_of_a_mixture_is_that_within_and_between() -> None:
     """Generalised least squares in each noise by dense matrices, weighted by its probability."""
     design = np.column_stack([np.ones(40), np.arange(40.0), np.arange(40) >= 25]).astype(float)
     values = noise(8, 40, 6.0)
-    fit, processes = fit_linear(design, values, weighted=True), choose_processes(40, 40)
+    fit, processes = fit_linear(design, values, is_weighted=True), choose_processes(40, 40)
     basis = orthonormalise(design)[0]
     likelihood = SpectrumLikelihood.from_values(basis, values, processes, 40)
     posterior = SpectrumPosterior.combine([likelihood], processes.prior)

@@ -13,8 +13,8 @@ from labpipe.uncertainty.noise_model import compute_drift_modes
 from labpipe.uncertainty.replicates import (
     N_REPLICATES,
     Distribution,
+    Extractor,
     Input,
-    Reading,
     Trace,
     combine_numbers,
     draw_replicates,
@@ -76,7 +76,7 @@ def unmoved(trace: Trace, x: float) -> Trace:
 def test_draws_of_an_input(law: Distribution, low: float, high: float) -> None:
     """Few of a normal one are beyond 1.96, none of a rectangle."""
     zero = Input("zero of the force", unmoved, distribution=law)
-    drawn = replicates_of(trace_of(TIME)).draw_input(zero)
+    drawn = replicates_of(trace_of(TIME)).draw_errors(zero)
     mean, deviation = (-0.5, 12.0**-0.5) if law == "step" else (0.0, 1.0)
     assert drawn.shape == (N_REPLICATES,)
     assert low <= drawn.min() < drawn.max() <= high
@@ -91,15 +91,15 @@ def test_replicates_scatter_about_the_smooth_curve() -> None:
     curves = replicates_of(trace_of(force, way))
     assert curves.force.shape == curves.displacement.shape == (N_REPLICATES, 1000)
     for drawn, smooth, truth, spread in (
-        (curves.force, curves.smooth.force, cubic(TIME), 0.3),
-        (curves.displacement, curves.smooth.displacement, TIME, 0.02),
+        (curves.force, curves.smooth_trace.force, cubic(TIME), 0.3),
+        (curves.displacement, curves.smooth_trace.displacement, TIME, 0.02),
     ):
         assert np.std(smooth - truth) < 0.25 * spread
         assert np.mean(drawn, axis=0) == pytest.approx(smooth, abs=0.35 * spread)
         assert np.std(drawn - smooth) == pytest.approx(spread, rel=0.08)
-    apart = (curves.force - curves.smooth.force)[:, 500] * (curves.displacement - TIME)[:, 500]
-    assert abs(np.mean(apart)) < 0.2 * 0.3 * 0.02
-    assert np.array_equal(curves.measured.force, force)
+    noise = (curves.force - curves.smooth_trace.force)[:, 500]
+    assert abs(np.mean(noise * (curves.displacement - TIME)[:, 500])) < 0.2 * 0.3 * 0.02
+    assert np.array_equal(curves.measured_trace.force, force)
 
 
 @pytest.mark.parametrize(("cuts", "swings"), [([6], 1.0), ([6, 12], 1.0), ([600], 20.0)])
@@ -112,7 +112,7 @@ def test_noise_of_a_specimen_that_broke(cuts: list[int], swings: float) -> None:
     force[:end] += np.arange(float(end))
     force[end:] *= swings
     curves = replicates_of(trace_of(force, failed_at=end - 1), cuts=cuts)
-    off = (curves.force - curves.smooth.force)[:, : end if swings > 1.0 else None]
+    off = (curves.force - curves.smooth_trace.force)[:, : end if swings > 1.0 else None]
     assert np.std(off) == pytest.approx(1.0, rel=0.15)
 
 
@@ -181,7 +181,7 @@ def test_rests_of_a_cyclic_test_are_looked_at() -> None:
     for branches in (cycle[:1], cycle):
         trace = Trace(time, way + 0.01 * flicker((1, RECORD), 1)[0], force, branches)
         draw = draw_replicates(trace, trace, CUTS, (lambda x: x, lambda x: x), (), seed=b"one")
-        freedom.append(draw.noises["displacement"].dof)
+        freedom.append(draw.noise_models["displacement"].dof)
     assert freedom[1] - freedom[0] == 2 * 48 - 1 - 3
     ends = [draw.displacement[:, part].mean(axis=1) for part in (slice(0, 200), slice(2800, None))]
     assert float(np.std(ends[1] - ends[0])) > 4e-3
@@ -203,14 +203,14 @@ def test_the_variance_is_that_of_a_walk() -> None:
 TRACE = trace_of(np.array([1.0, 2.0, 6.0]), np.array([0.0, 1.0, 2.0]), sizes={"length": 4.0})
 
 
-def largest(trace: Trace) -> Reading:
+def largest(trace: Trace) -> Extractor:
     del trace
-    return Reading(lambda curve: (curve.force.max(axis=-1), curve.force.min(axis=-1)), 3)
+    return Extractor(lambda curve: (curve.force.max(axis=-1), curve.force.min(axis=-1)), 3)
 
 
-def reach(trace: Trace) -> Reading:
+def reach(trace: Trace) -> Extractor:
     del trace
-    return Reading(lambda curve: (curve.displacement.max(axis=-1),), 2)
+    return Extractor(lambda curve: (curve.displacement.max(axis=-1),), 2)
 
 
 def shared(trace: Trace, force: Floats, way: Floats) -> Floats:
@@ -229,7 +229,6 @@ def test_a_finer_curve_is_the_same_curve() -> None:
     assert finer.displacement[[0, 4, 5, 6]].tolist() == [0.0, 2.0, 3.0, 4.0]
     assert [(branch.start, branch.stop) for branch in finer.branches] == [(0, 5), (4, 7)]
     assert finer.failed_at == 4
-    assert trace.refine(1) is trace
     assert (trace.parts_per_step, finer.parts_per_step, finer.refine(3).parts_per_step) == (1, 2, 6)
 
 
@@ -251,46 +250,47 @@ def test_a_finer_curve_has_corners_where_neighbouring_steps_meet() -> None:
 
 
 def test_a_number_is_made_of_the_first_of_each_part() -> None:
-    reading = combine_numbers(shared, largest, reach)(TRACE)
-    assert isinstance(reading, Reading)
-    assert reading.n == 3
-    assert reading.numbers(TRACE)[0] == 6.0 / 2.0 * 4.0
+    extractor = combine_numbers(shared, largest, reach)(TRACE)
+    assert isinstance(extractor, Extractor)
+    assert (extractor.n, float(extractor.compute_numbers(TRACE)[0])) == (3, 6.0 / 2.0 * 4.0)
 
     force = np.array([[1.0, 2.0, 3.0], [2.0, 8.0, 4.0]])
     way = np.array([[0.0, 1.0, 2.0], [0.0, 1.0, 4.0]])
     rows = Trace(TRACE.time, way, force, sizes=TRACE.sizes)
-    assert reading.numbers(rows)[0].tolist() == [6.0, 8.0]
+    assert extractor.compute_numbers(rows)[0].tolist() == [6.0, 8.0]
 
 
 def test_in_noise_each_part_is_read_as_in_noise() -> None:
     """What moves the samples that are read, where that is said; else the numbers themselves."""
 
-    def moved(trace: Trace) -> Reading:
+    def moved(trace: Trace) -> Extractor:
         del trace
-        return Reading(
+        return Extractor(
             lambda curve: (curve.force.max(axis=-1),), 3, lambda curve: (curve.force[..., 0],)
         )
 
-    assert moved(TRACE).replicate_numbers(TRACE)[0] == 1.0
-    assert largest(TRACE).replicate_numbers(TRACE)[0] == 6.0
-    reading = combine_numbers(shared, moved, reach)(TRACE)
-    assert isinstance(reading, Reading)
-    assert reading.numbers(TRACE)[0] == 12.0
-    assert reading.replicate_numbers(TRACE)[0] == 2.0
+    assert moved(TRACE).compute_replicates(TRACE)[0] == 1.0
+    assert largest(TRACE).compute_replicates(TRACE)[0] == 6.0
+    extractor = combine_numbers(shared, moved, reach)(TRACE)
+    assert isinstance(extractor, Extractor)
+    assert extractor.compute_numbers(TRACE)[0] == 12.0
+    assert extractor.compute_replicates(TRACE)[0] == 2.0
 
 
 def test_draws_that_are_given_and_displacements_from_elsewhere() -> None:
     curves = replicates_of(trace_of(cubic(TIME) + RNG(1).normal(size=1000)))
     slack = Input("slack", unmoved)
-    draws = curves.draw_input(slack)
-    assert np.array_equal(draws, curves.draw_input(slack))
-    other = curves.draw_input(replace(slack, cause="scale of the force"))
+    draws = curves.draw_errors(slack)
+    assert np.array_equal(draws, curves.draw_errors(slack))
+    other = curves.draw_errors(replace(slack, cause="scale of the force"))
     assert abs(np.corrcoef(draws, other)[0, 1]) < 0.2
-    assert np.array_equal(curves.draw_input(replace(slack, cause="section", stream="slack")), draws)
+    same = curves.draw_errors(replace(slack, cause="section", stream="slack"))
+    assert np.array_equal(same, draws)
     stated = np.arange(float(N_REPLICATES))
-    assert curves.draw_input(replace(slack, draws=stated)) is stated
+    assert curves.draw_errors(replace(slack, drawn_errors=stated)) is stated
     moved = curves.shift_displacement(-2e-3, slack)
-    for curve, shifted in ((curves.measured, moved.measured), (curves.smooth, moved.smooth)):
+    smooth_traces = curves.smooth_trace, moved.smooth_trace
+    for curve, shifted in ((curves.measured_trace, moved.measured_trace), smooth_traces):
         assert shifted.displacement == pytest.approx(curve.displacement - 2e-3, abs=1e-15)
         assert np.array_equal(shifted.force, curve.force)
     assert (curves.inputs, moved.inputs, moved.seed) == ((), (slack,), curves.seed)

@@ -71,7 +71,7 @@ def test_slope_in_mixed_noise_quick() -> None:
 def test_jump_by_generalised_least_squares(memory: float) -> None:
     jump = (np.arange(120) >= 60).astype(np.float64)
     design = np.column_stack([np.ones(120), np.linspace(-1.0, 1.0, 120), jump])
-    fits = [fit_linear(design, noise(seed, 120, memory), weighted=True) for seed in range(RUNS)]
+    fits = [fit_linear(design, noise(seed, 120, memory), is_weighted=True) for seed in range(RUNS)]
     assert_covers(sum(abs(fit.coefficients[2]) <= fit.half_widths[2] for fit in fits), RUNS)
 
 

@@ -27,7 +27,7 @@ from labpipe.mechanics.wire.bundle_layout import (
     spread_types,
     stack_types,
 )
-from labpipe.mechanics.wire.cross_section import find_largest_overlap
+from labpipe.mechanics.wire.cross_section import compute_largest_overlap
 from labpipe.records.arrays import Ints
 from labpipe.records.harness_bundle import ARRANGEMENTS
 from tests.builders.bundles import bundle
@@ -37,7 +37,7 @@ from tests.builders.bundles import bundle
 def test_wires_touch_and_do_not_overlap(number: int) -> None:
     places = find_sites(number)
     assert places.shape == (number, 2)
-    assert find_largest_overlap(places, np.ones(number) / 2.0) < 1e-9
+    assert compute_largest_overlap(places, np.ones(number) / 2.0) < 1e-9
     distance = np.hypot(*(places[:, None] - places[None]).transpose(2, 0, 1))
     np.fill_diagonal(distance, np.inf)
     assert distance.min(axis=1) == pytest.approx(1.0, abs=1e-4)
@@ -157,7 +157,7 @@ def test_mixed_bundles(arrangement: str) -> None:
     centres = np.column_stack([layout.x, layout.y])
     assert layout.kind.tolist() == [0] * 10 + [1] * 9
     assert layout.diameter == pytest.approx(np.repeat(diameters, [10, 9]))
-    assert find_largest_overlap(centres, layout.diameter / 2.0) < 1e-12
+    assert compute_largest_overlap(centres, layout.diameter / 2.0) < 1e-12
     centroid = np.average(centres, axis=0, weights=layout.diameter**2)
     assert centroid == pytest.approx([0.0, 0.0], abs=1e-9)
     reach = np.hypot(*centres.T) + layout.diameter / 2.0
@@ -207,7 +207,7 @@ def test_heaps_are_dense_without_overlap_at_any_scale(seed: int, number: int) ->
     diameters = rng.uniform(0.5, 1.5, number)
     start = rng.normal(size=(number, 2))
     heap = find_densest_heap([start], diameters)
-    assert find_largest_overlap(heap, diameters / 2.0) < 1e-9
+    assert compute_largest_overlap(heap, diameters / 2.0) < 1e-9
     assert np.average(heap, axis=0, weights=diameters**2) == pytest.approx([0.0, 0.0], abs=1e-9)
     if number > 3:
         assert (
@@ -223,6 +223,6 @@ def test_wires_on_one_another_part(beside: int) -> None:
     """Seven at one place, some more at another."""
     centres = np.concatenate([np.zeros((7, 2)), np.full((beside, 2), 3.0)])
     heap = find_densest_heap([centres], np.ones(7 + beside))
-    assert find_largest_overlap(heap, np.full(7 + beside, 0.5)) < 1e-9
+    assert compute_largest_overlap(heap, np.full(7 + beside, 0.5)) < 1e-9
     assert find_holding_circle(heap, np.ones(7 + beside))[1] < 2.0
     require_dense(np.array([[0.0, 0.0], [1.0, 0.0]]), np.ones(2))  # two wires fill just half

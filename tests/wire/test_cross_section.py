@@ -12,9 +12,9 @@ from labpipe.mechanics.wire.cross_section import (
     Insulation,
     Layer,
     LayoutKind,
+    compute_largest_overlap,
     compute_overlap_energy,
     compute_strand_diameter,
-    find_largest_overlap,
     lay_up,
     make_cross_section,
     pack_strands,
@@ -106,8 +106,8 @@ def test_the_layout_that_is_chosen(
 def test_overlaps() -> None:
     """A3's hexagon from its area is 0.16 micrometres too big for the bore, which is tolerated."""
     centres = np.array([[0.0, 0.0], [1.5, 0.0], [9.0, 0.0]])
-    assert find_largest_overlap(centres, np.ones(3)) == pytest.approx(0.5)
-    assert find_largest_overlap(centres[:1], np.ones(1)) == 0.0
+    assert compute_largest_overlap(centres, np.ones(3)) == pytest.approx(0.5)
+    assert compute_largest_overlap(centres[:1], np.ones(1)) == 0.0
     energy, gradient = compute_overlap_energy(centres[:2].ravel(), 1.0, 9.0)
     assert energy == pytest.approx(2.0 * 0.5**2)  # the pair counts from both sides
     assert gradient == pytest.approx([2.0, 0.0, -2.0, 0.0])

@@ -207,12 +207,12 @@ class EquivalentMaterial(ArrayRecord):
 
     @property
     def elastic_curvature(self) -> float:
-        """Return the curvature at which the bar yields, 1/m."""
+        """Curvature at which the bar yields, 1/m."""
         return float(2.0 * self.strain[0] / self.diameter)
 
     @property
     def plastic_strain(self) -> Floats:
-        """Return the plastic strain, strain - stress / modulus, shape (n,); the first is 0."""
+        """Plastic strains, strain - stress / modulus, shape (n,); the first is 0."""
         plastic_strain = self.strain - self.stress / self.modulus
         return np.asarray(plastic_strain - plastic_strain[0])
 

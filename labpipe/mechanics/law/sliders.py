@@ -208,8 +208,8 @@ class SliderLaw(ArrayRecord):
     spring_stiffness : EI_0, N m^2, stiffness of the spring, which never slides; may be zero
     slider_stiffnesses : K_j, shape (sliders,), N m^2, stiffness of each slider, positive
     slip_curvatures : kappa_j, shape (sliders,), 1/m, positive and increasing
-    min_curvature, max_curvature : 1/m, ends of the range to which the law was fitted; it is linear
-        beyond `max_curvature`
+    min_curvature, max_curvature : 1/m, ends of the range in which the law was fitted; first loading
+        is extrapolated beyond `max_curvature`
     error : largest error of the moment of first loading in that range, relative to the moment to
         which the law was fitted; 0 if it was not fitted
     growing_sliders : further sliders with growing limits (isotropic hardening)
@@ -241,12 +241,12 @@ class SliderLaw(ArrayRecord):
 
     @property
     def history_size(self) -> int:
-        """Return n of `SliderResponse`, the number of values or vectors in a station's history."""
+        """Number of values or vectors in the history of a station, n of `SliderResponse`."""
         return len(self.slider_stiffnesses) + 2 * len(self.growing_sliders)
 
     @property
     def first_stiffness(self) -> float:
-        """Return the bending stiffness before any sliding and after each reversal, N m^2."""
+        """Bending stiffness before any sliding and after each reversal, N m^2."""
         growing_stiffness = sum(slider.stiffness for slider in self.growing_sliders)
         return self.spring_stiffness + float(np.sum(self.slider_stiffnesses)) + growing_stiffness
 
@@ -291,7 +291,7 @@ class CurrentSliders:
     stiffnesses : shape (sliders,), N m^2, stiffness of each slider
     slip_curvatures : shape (..., sliders), 1/m, distances from the rest curvatures at which the
         sliders slide
-    rest_curvatures : shape (..., sliders, 2), 1/m
+    rest_curvatures : shape (..., sliders, 2), 1/m, curvature at which each slider has no moment
     """
 
     stiffnesses: Floats
@@ -380,8 +380,8 @@ def slide_vector(law: SliderLaw, curvature: Floats, history: Floats) -> SliderRe
     -----
     The update is a radial return. A slider with b = kappa - a_j, |b| > kappa_j, has the moment
     K_j kappa_j b / |b| and d(moment) = K_j kappa_j / |b| (1 - b b^T / |b|^2) d(curvature). A slider
-    that sticks has the stiffness K_j in every direction. The update is exact for a straight path
-    that increases |b|. A curved path requires small steps.
+    that sticks has the stiffness K_j in every direction. The update is exact if the curvature
+    changes along b. Other changes require small steps.
     """
     slips = law.slip_curvatures
     trial_curvature = curvature[:, None, :] - history[:, : len(law.slider_stiffnesses)]
@@ -438,7 +438,7 @@ def bend_to_moment(
     old_moment = law.spring_stiffness * curvature + slider_curvature @ law.slider_stiffnesses
     for slider, slider_history in _split_history(law, history):
         old_moment = old_moment + slider.stiffness * (curvature - slider_history[:, 0])
-    rounding_error = 1e-13 * np.abs([moment, old_moment]).max(initial=0.0)
+    rounding_error = 1e-13 * max(np.abs(x).max(initial=0.0) for x in (moment, old_moment))
     residual, stiffness = moment - old_moment, law.first_stiffness + np.zeros_like(moment)
     for _ in range(max_iterations):
         curvature = curvature + residual / stiffness

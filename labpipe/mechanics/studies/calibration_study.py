@@ -40,7 +40,7 @@ from labpipe.mechanics.wire.calibration.calibrate_wire import (
 from labpipe.mechanics.wire.calibration.hardening import calibrate_share
 from labpipe.mechanics.wire.wire_table import (
     build_wire,
-    find_insulation_limit,
+    compute_insulation_limit,
     find_law_range,
     set_parameters,
     tabulate_wire,
@@ -276,7 +276,7 @@ def build_sheet_wire(spec: WireSpec, wires: Path) -> Wire:
     except ValueError as error:
         raise build_wire_error(wires, spec, "a wire that can be built", error) from error
     weight = GRAVITY * wire.mass_per_length
-    linear_range = find_insulation_limit(spec)
+    linear_range = compute_insulation_limit(spec)
     return Wire(wire.section, wire.contacts, spec.orientation, weight, linear_range)
 
 

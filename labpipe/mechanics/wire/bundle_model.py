@@ -3,25 +3,26 @@
 Slipping wires bend about their own axes. Sticking wires are one beam: plane sections stay plane,
 and a wire at the distance y from the neutral axis is also strained along its axis, by kappa y
 (parallel axis theorem). At y = 2 mm and kappa = 0.5 1/m this strain is 0.1 %, well beyond the yield
-strain of annealed copper. The neutral axis then moves to where the forces of all wires balance.
+strain of annealed copper. When copper yields, the neutral axis moves to the position at which the
+axial forces of all wires balance.
 
-Under tape and in conduits, friction leads to a moment between the bounds. A wire at the distance y
-from the neutral axis is pulled along by its neighbours until it slips, as a strand in a conductor
+Under tape and in conduits, friction leads to a moment between the bounds. The neighbours of a wire
+at the distance y from the neutral axis strain the wire until it slips, as a strand in a conductor
 [1]_ [2]_. Each wire is a Coulomb slider in series with a spring, and the wires act in parallel.
-Contacts between insulated wires are compliant, so the stiffness of the spring is a fraction c of
-the axial stiffness of the wire. A fraction h of the contacts holds until the tape slides, because
-of adhesive and of pressure that increases with bending:
+Contacts between insulated wires are compliant. The stiffness of the spring is therefore a fraction
+c of the axial stiffness of the wire. A fraction h of the contacts does not slip until the tape
+slides, because of adhesive and of pressure that increases with bending:
 
     M(kappa) = sum M_i(kappa) + c (1 - h) sum EA_i |y_i| min(|y_i| kappa, r kappa_s)
                               + c h sum EA_i y_i^2 min(kappa, kappa_t)
 
-M_i is the law of wire i, and r is the root-mean-square distance of the wires off the neutral axis.
-The fraction c is obtained from the stiffness of the first loading up to the kink, the curvature
-kappa_s of first slip from the kink, and the curvature kappa_t at which the tape slides from the
-start of the plateau. The fraction h is fitted. The moment tends to the lower bound if h = 0 and
-kappa_s tends to 0. It is the upper bound before copper yields if c = h = 1 and the tape does not
-slide. Unloading and all later cycles follow by Masing's rule, without another parameter: parallel
-Coulomb sliders are equivalent to plays in series (`law.plays`).
+M_i is the law of wire i, and r is the root-mean-square distance of the wires that are not on the
+neutral axis. The fraction c is computed from the stiffness of the first loading up to the kink, the
+curvature kappa_s of first slip from the kink, and the curvature kappa_t at which the tape slides
+from the start of the plateau. The fraction h is fitted. The moment tends to the lower bound if
+h = 0 and kappa_s tends to 0. It is the upper bound before copper yields if c = h = 1 and the tape
+does not slide. Unloading and all later cycles follow Masing's rule, without another parameter,
+because parallel Coulomb sliders are equivalent to plays in series (`law.plays`).
 
 References
 ----------
@@ -62,12 +63,12 @@ from labpipe.records.wire import WireTable
 
 
 def compute_bundle_model(bundle: Bundle, tables: Mapping[str, WireTable]) -> BundleModel:
-    """Compute the bounds of the bending of a bundle.
+    """Compute the bounds of the bending stiffness and moment of a bundle.
 
     Parameters
     ----------
-    bundle : composition of the bundle; diameters that it states override those of the tables
-    tables : law of each wire type, keyed by the name of the type
+    bundle : composition of the bundle; stated diameters override those of the tables
+    tables : table of each wire type, keyed by the name of the type
 
     Returns
     -------
@@ -77,34 +78,34 @@ def compute_bundle_model(bundle: Bundle, tables: Mapping[str, WireTable]) -> Bun
     Raises
     ------
     ValueError
-        If a wire type has no table, or its diameter differs from that of the table by more than a
-        factor of two. If the number of stated positions is not the number of wires, or wires at
-        these positions overlap by more than 1 % of the smaller diameter. If the wires do not fit
-        the conduit.
+        If a wire type has no table, a stated diameter differs from that of the table by more than a
+        factor of two, the wires do not fit the conduit, or for the reasons of `arrange_wires`.
 
     Notes
     -----
-    `low` is the sum of the wires' slip stiffnesses (yielding copper reduces moments below this
-    bound), and `free` is the sum of their stick stiffnesses. `high` = `free` + sum EA (y - y0)^2,
-    where y0 is the centroid of the axial stiffnesses. On first loading, `moment_slip` is the sum of
-    the wires' laws. `moment_stick` also contains the moment of the axial strains, with yielding of
-    copper (see `compute_stretching_moment`). The interaction of bending and stretching in one wire
-    is neglected. With friction between wires and compliant tape, a bundle lies between the two.
+    `low` is the sum of the slip stiffnesses of the wires. Moments are below this bound where copper
+    yields. `free` is the sum of the stick stiffnesses. `high` is `free` + sum EA (y - y0)^2, where
+    y0 is the height of the centroid of the axial stiffnesses. On first loading, `moment_slip` is
+    the sum of the laws of the wires. `moment_stick` also contains the moment of the axial strains,
+    with yielding of copper (`compute_stretching_moment`). The interaction of bending and stretching
+    in one wire is neglected. With friction between wires and compliant tape, the moment of a bundle
+    is between the two.
     """
     missing = [wire.type for wire in bundle.wires if wire.type not in tables]
     require("wire types", missing, f"among {', '.join(tables) or 'none'}", holds=not missing)
     wire_tables = [tables[wire.type] for wire in bundle.wires]
     counts = [wire.number for wire in bundle.wires]
     diameters = list(map(_choose_diameter, bundle.wires, wire_tables))
-    axial = np.array([table.axial_stiffness for table in wire_tables])
-    layout = arrange_wires(bundle, diameters, axial.tolist())
+    type_stiffnesses = np.array([table.axial_stiffness for table in wire_tables])
+    layout = arrange_wires(bundle, diameters, type_stiffnesses.tolist())
+    axial_stiffness = type_stiffnesses[layout.kind]
     own_stiffness = np.array([table.stick_stiffness for table in wire_tables])[layout.kind]
-    stick = compute_stick_tensor(layout.x, layout.y, own_stiffness, axial[layout.kind])
+    stick = compute_stick_tensor(layout.x, layout.y, own_stiffness, axial_stiffness)
     curvature, range_notes = _find_common_range(wire_tables, layout)
     moment_slip = compute_slipping_moment(curvature, wire_tables, counts)
     stretching = compute_stretching_moment(curvature, layout.y, layout.kind, wire_tables)
     linear_ranges = _find_linear_ranges(wire_tables, layout, stick.neutral_point[1])
-    middle, smallest = _find_circle(bundle, layout)
+    circle_centre, circle_diameter = _find_circle(bundle, layout)
     bore = bundle.conduit_bore
     model = BundleModel(
         bundle=bundle,
@@ -116,9 +117,9 @@ def compute_bundle_model(bundle: Bundle, tables: Mapping[str, WireTable]) -> Bun
         principal=stick.principal_stiffness,
         principal_angle=stick.principal_angle,
         neutral=stick.neutral_point,
-        axial_stiffness=float(axial[layout.kind].sum()),
-        smallest_bore=smallest,
-        middle=middle,
+        axial_stiffness=float(axial_stiffness.sum()),
+        smallest_bore=circle_diameter,
+        middle=circle_centre,
         packing_fraction=None if bore is None else compute_packing_fraction(layout.diameter, bore),
         curvature=curvature,
         moment_slip=moment_slip,
@@ -131,15 +132,18 @@ def compute_bundle_model(bundle: Bundle, tables: Mapping[str, WireTable]) -> Bun
 
 
 def _choose_diameter(wire: BundleWire, table: WireTable) -> float:
-    """Choose the diameter over the insulation, m; refuse a diameter that suggests a wrong unit."""
-    max_factor = 2.0  # a larger factor suggests an error of the unit or of the type
-    nominal = 2.0 * table.layout.wire_radius
+    """Choose the stated diameter over the insulation or that of the table, m.
+
+    ValueError is raised if the two differ so much that a unit or a type may be wrong.
+    """
+    max_factor = 2.0
+    table_diameter = 2.0 * table.layout.wire_radius
     if wire.diameter is None:
-        return nominal
-    if not nominal / max_factor <= wire.diameter <= max_factor * nominal:
+        return table_diameter
+    if not table_diameter / max_factor <= wire.diameter <= max_factor * table_diameter:
         message = (
             f"{wire.type}: the bundle has {1e3 * wire.diameter:.4g} mm over the insulation, the "
-            f"wire sheet {1e3 * nominal:.4g} mm; the factor must be at most "
+            f"wire sheet {1e3 * table_diameter:.4g} mm; the factor must be at most "
             f"{max_factor:g}: check the unit, or leave the diameter out"
         )
         raise ValueError(message)
@@ -147,30 +151,29 @@ def _choose_diameter(wire: BundleWire, table: WireTable) -> float:
 
 
 def _find_circle(bundle: Bundle, layout: BundleLayout) -> tuple[tuple[float, float], float]:
-    """Find the centre and the diameter of the circle around the wires, m.
+    """Find the centre and the diameter of the smallest circle around the wires, m.
 
-    A conduit that is narrower than the circle is refused.
+    ValueError is raised if the conduit is narrower than the circle.
     """
     centres = np.column_stack([layout.x, layout.y])
-    middle, radius = find_holding_circle(centres, layout.diameter)
-    smallest = 2.0 * radius
-    bore = bundle.conduit_bore
-    if bore is not None and not fits_bore(smallest, bore):
+    circle_centre, radius = find_holding_circle(centres, layout.diameter)
+    min_bore, bore = 2.0 * radius, bundle.conduit_bore
+    if bore is not None and not fits_bore(min_bore, bore):
         message = (
-            f"the {bundle.number} wires in this layout need a bore of {1e3 * smallest:.4g} mm, "
+            f"the {bundle.number} wires in this layout need a bore of {1e3 * min_bore:.4g} mm, "
             f"the conduit has {1e3 * bore:.4g} mm "
             f"(packing fraction {compute_packing_fraction(layout.diameter, bore):.3g})"
         )
         raise ValueError(message)
-    return (float(middle[0]), float(middle[1])), smallest
+    return (float(circle_centre[0]), float(circle_centre[1])), min_bore
 
 
 def _find_diameter_notes(bundle: Bundle, tables: Sequence[WireTable]) -> Iterator[QualityNote]:
     """Yield a note for each wire type whose stated diameter differs from that of its table."""
-    diameter_tolerance = 0.05  # relative difference; tolerances of manufacturers are smaller
+    max_difference = 0.05  # relative difference; tolerances of manufacturers are smaller
     for wire, table in zip(bundle.wires, tables, strict=True):
         nominal = 2.0 * table.layout.wire_radius
-        if wire.diameter and abs(wire.diameter - nominal) > diameter_tolerance * nominal:
+        if wire.diameter and abs(wire.diameter - nominal) > max_difference * nominal:
             yield QualityNote.of(
                 "mechanics.wire.diameter_differs",
                 "bundle",
@@ -183,17 +186,17 @@ def _find_diameter_notes(bundle: Bundle, tables: Sequence[WireTable]) -> Iterato
 def _find_common_range(
     tables: Sequence[WireTable], layout: BundleLayout
 ) -> tuple[Floats, tuple[QualityNote, ...]]:
-    """Find the curvatures that all laws cover, 1/m, and a note if one law covers more.
+    """Find the curvatures that all laws cover, 1/m, and make a note if a law goes farther.
 
     The curvatures also end where the strain of sticking wires reaches the end of a stress table.
     """
     curvature = find_common_curvatures(tables)
-    depth = float(np.ptp(layout.y))
-    largest_strain = min(map(find_largest_strain, tables))
-    last_curvature = largest_strain / depth if depth else np.inf
+    height = float(np.ptp(layout.y))
+    largest_strain = min(map(compute_largest_strain, tables))
+    last_curvature = largest_strain / height if height else np.inf
     if last_curvature < curvature[-1]:
         curvature = np.append(curvature[curvature < last_curvature], last_curvature)
-        reason = f"sticking wires {1e3 * depth:.3g} mm apart reach the end of a table"
+        reason = f"sticking wires {1e3 * height:.3g} mm apart reach the end of a table"
     else:
         reason = "the shortest of the wires' laws ends"
     longest = max(tables, key=lambda table: float(table.curvature[-1]))
@@ -211,28 +214,28 @@ def _find_common_range(
 
 
 def _find_linear_ranges(
-    tables: Sequence[WireTable], layout: BundleLayout, neutral: float
+    tables: Sequence[WireTable], layout: BundleLayout, neutral_height: float
 ) -> tuple[float, float]:
-    """Find the largest curvatures of linear insulations, 1/m, for slipping and sticking wires.
+    """Compute the largest curvatures of linear insulations, 1/m, for slipping and sticking wires.
 
-    The strain at the rim of a sticking wire is the curvature times the distance from the neutral
-    axis of the bundle. The neutral axis is that of elastic wires; it moves slightly when copper
-    yields.
+    The strain at the rim of a sticking wire is the curvature times the distance of the rim from the
+    neutral axis of the bundle. The neutral axis of elastic wires is used. It moves slightly when
+    copper yields.
     """
     slip_curvature = np.array([table.doubtful_curvature for table in tables])
     radius = np.array([table.layout.wire_radius for table in tables])
-    strain = (slip_curvature * radius)[layout.kind]
-    rim_distance = np.abs(layout.y - neutral) + radius[layout.kind]
-    return float(slip_curvature.min()), float(np.min(strain / rim_distance))
+    largest_strain = (slip_curvature * radius)[layout.kind]
+    rim_distance = np.abs(layout.y - neutral_height) + radius[layout.kind]
+    return float(slip_curvature.min()), float(np.min(largest_strain / rim_distance))
 
 
 def _find_law_notes(model: BundleModel) -> Iterator[QualityNote]:
     """Yield notes on oblique principal axes, yielding of copper and the range of insulations."""
-    max_relative_loss = 0.01  # loss of stiffness along y if the bundle may deflect sideways
-    yield_factor = 0.5  # fraction of the elastic moment, below which copper has clearly yielded
+    max_relative_loss = 0.01  # loss of stiffness along y if the bundle may deflect along x
+    yield_factor = 0.5  # fraction of the elastic moment below which copper has clearly yielded
     min_stretching_factor = 2.0  # with a larger factor, stretching is over half of the stiffness
-    (stiffness_x, mixed), (_, stiffness_y) = model.tensor
-    loss = mixed**2 / (stiffness_x * stiffness_y)
+    (stiffness_x, stiffness_xy), (_, stiffness_y) = model.tensor
+    loss = stiffness_xy**2 / (stiffness_x * stiffness_y)
     if loss > max_relative_loss:
         yield QualityNote.of(
             "mechanics.wire.oblique_axes",
@@ -243,7 +246,7 @@ def _find_law_notes(model: BundleModel) -> Iterator[QualityNote]:
         )
     curvature = model.curvature
     has_yielded = model.moment_stick < yield_factor * model.high * curvature
-    # With less stretching, the loss of stiffness is that of slipping strands.
+    # With less stretching, stiffness is lost mainly because strands slip.
     if np.any(has_yielded) and model.high >= min_stretching_factor * model.free:
         yield QualityNote.of(
             "mechanics.wire.copper_yields",
@@ -251,17 +254,17 @@ def _find_law_notes(model: BundleModel) -> Iterator[QualityNote]:
             stiffness=_format_stiffness(model.high),
             curvature=curvature[np.argmax(has_yielded)],
         )
-    slip, stick = model.doubtful_curvature, model.doubtful_curvature_stick
-    if curvature[-1] > stick:
-        condition = " if wires stick" if slip > stick * (1.0 + _AXIS_TOLERANCE) else ""
-        if condition and curvature[-1] > slip:
-            condition += f", and beyond {slip:.4g} 1/m if they slip"
-        facts = {"stick": stick, "condition": condition}
+    slip_limit, stick_limit = model.doubtful_curvature, model.doubtful_curvature_stick
+    if curvature[-1] > stick_limit:
+        condition = " if wires stick" if slip_limit > stick_limit * (1.0 + _AXIS_TOLERANCE) else ""
+        if condition and curvature[-1] > slip_limit:
+            condition += f", and beyond {slip_limit:.4g} 1/m if they slip"
+        facts = {"stick": stick_limit, "condition": condition}
         yield QualityNote.of("mechanics.wire.bundle_insulation_doubtful", "bundle", **facts)
 
 
 def _format_stiffness(value: float) -> str:
-    """Format a stiffness with four digits and without an exponent."""
+    """Format a stiffness, N m^2, in N mm^2 with four digits and without an exponent."""
     return f"{float(f'{1e6 * value:.4g}'):.10g} N mm^2"
 
 
@@ -274,7 +277,7 @@ It is also the angle, rad, below which an axis counts as parallel to y.
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StickStiffness:
-    """Bending stiffness of a bundle without slip.
+    """Bending stiffness of a bundle whose wires stick to each other.
 
     Parameters
     ----------
@@ -308,10 +311,10 @@ def compute_stick_tensor(
     Notes
     -----
     With r = (x, y) from the centroid of the axial stiffnesses, K = sum EI I + sum EA r r^T by the
-    parallel axis theorem (Timoshenko, *Strength of Materials I*, 1955, appendix A). Bending along
-    the unit vector n requires the moment n^T K n per unit curvature if sideways deflection is
-    prevented, and 1 / (n^T K^-1 n) if it is free, which is smaller unless n is a principal
-    direction.
+    parallel axis theorem (Timoshenko, *Strength of Materials I*, 1955, appendix A); I is the unit
+    matrix in the first sum. Bending along the unit vector n requires the moment n^T K n per
+    curvature if transverse deflection is prevented, and 1 / (n^T K^-1 n) if it is free. The latter
+    moment is smaller unless n is a principal direction.
     """
     centres = np.column_stack([x, y])
     neutral_point = np.average(centres, axis=0, weights=axial_stiffness)
@@ -328,7 +331,7 @@ def compute_stick_tensor(
 
 
 def find_common_curvatures(tables: Sequence[WireTable]) -> Floats:
-    """Find the curvatures of all tables up to the end of the shortest, 1/m.
+    """Return the curvatures of all tables up to the end of the shortest table, 1/m.
 
     Parameters
     ----------
@@ -342,7 +345,7 @@ def find_common_curvatures(tables: Sequence[WireTable]) -> Floats:
 def compute_slipping_moment(
     curvature: Floats, tables: Sequence[WireTable], counts: Sequence[int]
 ) -> Floats:
-    """Compute the moment of wires that slip without friction, the sum of their laws, N m.
+    """Compute the sum of the moments of wires that slip without friction, N m, shape (n,).
 
     Parameters
     ----------
@@ -352,19 +355,19 @@ def compute_slipping_moment(
 
     Notes
     -----
-    Laws are interpolated linearly between the points of their tables.
+    Moments are interpolated linearly between the points of the tables.
     """
     laws = [np.interp(curvature, table.curvature, table.moment) for table in tables]
     return np.asarray(np.array(counts, dtype=np.float64) @ np.array(laws))
 
 
 def compute_composite_degree(value: float, low: float, high: float) -> float:
-    """Compute the degree of composite action: 0 at the lower bound of a stiffness, 1 at the upper.
+    """Compute the degree of composite action, 0 at the lower bound of a stiffness, 1 at the upper.
 
     Parameters
     ----------
-    value : N m^2, stiffness
-    low, high : N m^2, exact bounds of the stiffness, 0 < low < high
+    value : N m^2, bending stiffness
+    low, high : N m^2, bounds of the stiffness, 0 < low < high
 
     Returns
     -------
@@ -390,7 +393,7 @@ def compute_axial_force(table: WireTable, strain: Floats) -> Floats:
     Parameters
     ----------
     table : table of the wire
-    strain : shape (n,), axial strain of the wire, from 0 to that of `find_largest_strain`
+    strain : shape (n,), axial strain of the wire, from 0 to that of `compute_largest_strain`
 
     Notes
     -----
@@ -407,8 +410,11 @@ def compute_axial_force(table: WireTable, strain: Floats) -> Floats:
     return np.asarray(force)
 
 
-def find_largest_strain(table: WireTable) -> float:
-    """Find the axial strain up to which the stress of all strands is known; may be infinite."""
+def compute_largest_strain(table: WireTable) -> float:
+    """Compute the axial strain of a wire at the first end of a stress-strain curve of its strands.
+
+    It is infinite if no curve ends.
+    """
     layers = make_layers(table.spec)
     strains = [layer.material.largest_strain / np.cos(layer.lay_angle) ** 2 for layer in layers]
     return float(min(strains))
@@ -423,17 +429,17 @@ def compute_stretching_moment(
     ----------
     curvature : shape (n,), 1/m, not negative
     y : shape (wires,), m, heights of the centres
-    wire_types : shape (wires,), index into the tables
+    wire_types : shape (wires,), index of the table of each wire
     tables : table of each wire type
 
     Returns
     -------
-    Shape (n,), sum of N y, where N is the force at the strain kappa (y - y0), equal in tension and
-    compression. The sum of N is zero at the height y0 of the neutral axis. The derivative at zero
-    curvature is the sum of EA (y - y0)^2.
+    Shape (n,), sum of N y, where N is the axial force of a wire at the strain kappa (y - y0), equal
+    in tension and compression. The height y0 of the neutral axis is that at which the sum of N is
+    zero. The derivative at zero curvature is the sum of EA (y - y0)^2.
     """
     n_points = 600
-    min_relative_strain = 1e-9  # first point after zero, at which copper is still elastic
+    min_relative_strain = 1e-9  # first strain after zero, at which copper is elastic
     n_bisections = 60
     largest_strain = float(np.ptp(y)) * float(np.max(curvature, initial=0.0))
     law_strain = np.append(0.0, np.geomspace(min_relative_strain, 1.0, n_points) * largest_strain)
@@ -450,21 +456,22 @@ def compute_stretching_moment(
     low, high = (np.full(len(curvature), height) for height in (y.min(), y.max()))
     for _ in range(n_bisections):
         middle = 0.5 * (low + high)
-        is_above = compute_forces(middle).sum(axis=1) > 0.0  # the neutral axis is above the middle
+        is_above = compute_forces(middle).sum(axis=1) > 0.0  # the neutral axis is above `middle`
         low, high = np.where(is_above, middle, low), np.where(is_above, high, middle)
     return np.asarray(compute_forces(0.5 * (low + high)) @ y)
 
 
 @dataclass(frozen=True, slots=True)
 class Friction:
-    """Friction of a bundle; the symbols are those of the equation of this module.
+    """Friction of a bundle; the symbols are those of the equation in the module docstring.
 
     Parameters
     ----------
-    composite_share : c, fraction of the wires' axial stiffness that acts before slip, from 0 to 1
+    composite_share : c, fraction of the axial stiffness of the wires that acts before slip, from 0
+        to 1
     slip_curvature : kappa_s, 1/m, curvature of first slip, > 0
     slide_curvature : kappa_t, 1/m, curvature at which the tape slides, > 0; may be infinite
-    held : h, fraction of c that still acts after slip, from 0 to 1
+    held : h, fraction of the contacts that hold until the tape slides, from 0 to 1
     """
 
     composite_share: float
@@ -491,13 +498,12 @@ def compute_friction_moment(
 
     Returns
     -------
-    Shape (n,), between the model's `moment_slip` and the moment of wires that stick and do not
-    yield.
+    Shape (n,), between `moment_slip` of the model and the moment of sticking, elastic wires.
 
     Raises
     ------
     ValueError
-        If no wire lies off the neutral axis.
+        If all wires are on the neutral axis.
     """
     distance, stiffness = _find_lever_arms(model, tables)
     slip_curvatures = _compute_slip_curvatures(friction, distance)
@@ -512,7 +518,7 @@ def compute_friction_moment(
 def make_friction_law(
     model: BundleModel, tables: Sequence[WireTable], friction: Friction
 ) -> PlayLaw:
-    """Make the play law of a bundle with friction; its loops follow Masing's rule.
+    """Make the law of plays of a bundle with friction.
 
     Parameters
     ----------
@@ -521,13 +527,13 @@ def make_friction_law(
 
     Returns
     -------
-    A piecewise linear law up to the largest curvature of the model, with corners where wires or the
-    tape slip and at curvatures between.
+    A piecewise linear law up to the largest curvature of the model. It has corners where a wire
+    slips, where the tape slides, and on a grid of curvatures.
 
     Raises
     ------
     ValueError
-        If no wire lies off the neutral axis, or as for `make_concave_law`.
+        If all wires are on the neutral axis, or for the reasons of `make_concave_law`.
     """
     n_corners = 40
     first_corner = 1e-2  # 1/m
@@ -547,14 +553,14 @@ def _compute_slip_curvatures(friction: Friction, distance: Floats) -> Floats:
 
 
 def _find_lever_arms(model: BundleModel, tables: Sequence[WireTable]) -> tuple[Floats, Floats]:
-    """Find the distances from the neutral axis, m, and axial stiffnesses, N, of wires off the axis.
+    """Return distance from the neutral axis, m, and axial stiffness, N, of wires not on the axis.
 
     Raises
     ------
     ValueError
-        If no wire lies off the neutral axis.
+        If all wires are on the neutral axis.
     """
-    min_relative_arm = 1e-6  # wire diameters; wires that are nearer count as on the neutral axis
+    min_relative_arm = 1e-6  # largest wire diameters; nearer wires count as on the neutral axis
     axial = np.array([table.axial_stiffness for table in tables])[model.layout.kind]
     distance = np.abs(model.layout.y - model.neutral[1])
     has_arm = distance > min_relative_arm * model.layout.diameter.max()
@@ -565,13 +571,13 @@ def _find_lever_arms(model: BundleModel, tables: Sequence[WireTable]) -> tuple[F
 
 
 def fit_friction(model: BundleModel, tables: Sequence[WireTable], loop: BundleLoop) -> FrictionFit:
-    """Fit the fraction h that still acts after slip, and predict the cycles that were not fitted.
+    """Fit the fraction h of contacts that hold, and predict the cycles that are not fitted.
 
     Parameters
     ----------
     model : model of the bundle, bent along y
     tables : table of each wire type of the bundle, in the order of the types
-    loop : measured cycles. The first cycle is fitted; of a single cycle, only its loading
+    loop : measured cycles. The first cycle is fitted; if there is only one, its loading is fitted
 
     Returns
     -------
@@ -580,23 +586,23 @@ def fit_friction(model: BundleModel, tables: Sequence[WireTable], loop: BundleLo
     Raises
     ------
     ValueError
-        If no wire lies off the neutral axis, the bundle is not stiffer than its slipping wires, the
+        If all wires are on the neutral axis, the bundle is not stiffer than its slipping wires, the
         loop has one branch only, or the wires would be bent beyond their laws.
 
     Notes
     -----
-    The fraction h is fitted by least squares of the force; `wire.first_loading` models the
+    The fraction h is fitted by least squares of the force. `wire.first_loading` models the
     cantilever. Negative total forces are set to zero, because the string is slack or the load has
-    lost contact. Measured forces are zeroed at rest, where a force supports the weight, so the
-    lower limit of the predicted force is minus this force.
+    lost contact. Measured forces are zeroed at rest, where a force supports the weight. The
+    predicted force is therefore at least minus this force.
 
     At the ends of the interval of h, the sum of squares exceeds its minimum by t^2 times the mean
     square. The degrees of freedom are reduced for first-order autocorrelation of the residuals.
-    Errors of the model are treated as autocorrelated noise. The error in the cycles that were left
-    out validates h.
+    Errors of the model are treated as autocorrelated noise. The error in the cycles that are not
+    fitted validates h.
     """
     n_stations = 16
-    tolerance = 2e-3  # error of h and of the ends of its interval
+    tolerance = 2e-3  # tolerance of h and of the ends of its interval
     curvature_per_deflection = 3.0 / loop.length**2  # curvature at the clamp, small deflections
     is_held_out = loop.branch > (1 if loop.branch.max(initial=0) > 1 else 0)
     if not np.any(is_held_out):
@@ -608,7 +614,7 @@ def fit_friction(model: BundleModel, tables: Sequence[WireTable], loop: BundleLo
     friction = Friction(composite_share, slip_curvature, slide_curvature, held=0.0)
 
     def predict(held: float, n_points: int | None = None) -> Floats:
-        """Predict the first forces; NaN where the wires would be bent beyond their laws."""
+        """Predict the first `n_points` forces; NaN where wires would be bent beyond their laws."""
         law = make_friction_law(model, tables, replace(friction, held=held))
         deflection = loop.deflection[:n_points]
         path = compute_end_load_path(
@@ -631,10 +637,10 @@ def fit_friction(model: BundleModel, tables: Sequence[WireTable], loop: BundleLo
     if np.isnan(forces).any():
         message = "the bundle was bent beyond the laws of its wires"
         raise ValueError(message)
-    limit = _compute_interval_limit((forces - loop.force)[:n_fitted])
+    square_limit = _compute_square_limit((forces - loop.force)[:n_fitted])
 
     def compute_excess(held: float) -> float:
-        return float(np.nan_to_num(sum_squares(held) - limit, nan=np.inf))
+        return float(np.nan_to_num(sum_squares(held) - square_limit, nan=np.inf))
 
     ends = [0.0, 1.0]
     for index, bound in enumerate(ends):
@@ -644,7 +650,7 @@ def fit_friction(model: BundleModel, tables: Sequence[WireTable], loop: BundleLo
 
 
 def _compute_composite_share(model: BundleModel, loop: BundleLoop) -> float:
-    """Compute the fraction of the wires' axial stiffness that acts up to the kink, at most 1.
+    """Compute the fraction of the axial stiffness of the wires that acts up to the kink, at most 1.
 
     Raises
     ------
@@ -662,9 +668,9 @@ def _compute_composite_share(model: BundleModel, loop: BundleLoop) -> float:
     return min((stiffness - model.free) / (model.high - model.free), 1.0)
 
 
-def _compute_interval_limit(residuals: Floats) -> float:
+def _compute_square_limit(residuals: Floats) -> float:
     """Compute the sum of squares at the ends of the 95 % interval, N^2."""
-    max_correlation = 0.98  # correlation of neighbouring residuals
+    max_correlation = 0.98  # largest correlation of neighbouring residuals
     minimum = float(residuals @ residuals)
     correlation = float(residuals[1:] @ residuals[:-1]) / minimum if minimum > 0.0 else 0.0
     correlation = min(max(correlation, 0.0), max_correlation)
@@ -679,7 +685,10 @@ def _make_friction_fit(
     predicted: Floats,
     is_held_out: Flags,
 ) -> FrictionFit:
-    """Make the record of the fit, with its errors and the work of the cycles that were left out."""
+    """Make the record of the fit, with its errors and the dissipated work.
+
+    The work is that of the cycles that are not fitted or, for a single cycle, of the whole loop.
+    """
     error = (predicted - loop.force) / float(loop.force.max())
     loss_points = is_held_out if loop.branch.max() > 1 else np.ones_like(is_held_out)
     return FrictionFit(

@@ -434,7 +434,7 @@ def place_strands(
     outer_radius = float((np.hypot(*centres.T) + radii).max())
     bore = insulation.bore_radius if insulation else outer_radius
     overlap, obstacle = max(
-        (find_largest_overlap(centres, radii), "each other"),
+        (compute_largest_overlap(centres, radii), "each other"),
         (outer_radius - bore, f"the bore of radius {bore:.6g} m"),
     )
     if overlap > MAX_RELATIVE_OVERLAP * bore:
@@ -447,7 +447,7 @@ def place_strands(
     return CrossSection(kind, layers, x, y, overlap, insulation)
 
 
-def find_largest_overlap(centres: Floats, radii: Floats) -> float:
+def compute_largest_overlap(centres: Floats, radii: Floats) -> float:
     """Compute the largest overlap of circles with each other, m; 0 without overlap.
 
     Parameters
@@ -605,7 +605,7 @@ def make_cross_section(
     return (pack_strands if is_one_diameter else place_rings)(layers, insulation)
 
 
-def find_helix_overlap(section: CrossSection) -> float:
+def compute_helix_overlap(section: CrossSection) -> float:
     """Compute the largest overlap of helical strands of one layer, relative to their diameter.
 
     Strands that touch as circles in the cross-section overlap as helices: normal to a strand, the

@@ -1,23 +1,23 @@
 """Define stress-strain curves of strands, and compute the bending moment of a strand.
 
-A stress-strain curve is of Ramberg-Osgood form, or piecewise linear. It is odd (equal in tension
-and compression), and its initial slope is the modulus. Strains are dimensionless, stresses in Pa. A
-curve is not extrapolated beyond its last strain.
+A stress-strain curve has the Ramberg-Osgood form, or is piecewise linear. It is odd (equal in
+tension and compression), and its initial slope is the modulus of elasticity. Strains are
+dimensionless, stresses in Pa. A curve is not extrapolated beyond its last strain.
 
-A round strand of radius a at the curvature kappa has the strain y kappa at height y. Its moment
-about its own axis is, with the width b(y) and y = a sin p,
+A round strand of radius a at the curvature kappa has the strain y kappa at height y. With the width
+b(y) of the section and y = a sin p, the moment of the strand about its own axis is
 
     m = integral of stress y b(y) dy = 4 a^3 int_0^(pi/2) stress(a kappa sin p) sin p cos^2 p dp.
 
 The integral is computed by Gauss-Legendre quadrature over the angle p, which places most points
 where the strain is largest. The moment is E (pi d^4 / 64) kappa for an elastic strand of diameter
-d, and s d^3 / 6 for a perfectly plastic one with the yield stress s. The sum over 11 laminae in the
-appendix of [1]_ is 4.6 % too small.
+d, and s d^3 / 6 for a perfectly plastic strand with the yield stress s. The sum over 11 laminae in
+the appendix of [1]_ is 4.6 % too small.
 
-A piecewise linear curve is a straight line through the origin from which its slope decreases at
-corners. A corner at the strain e, at which the slope decreases by the fraction c of the modulus E,
-reduces the moment by 4 E c a^4 kappa times an integral that has a closed form. With
-sin q = e / (a kappa), it is
+A piecewise linear curve begins with a straight line through the origin. Its slope decreases at
+corners. At a corner at the strain e, the slope decreases by the fraction c of the modulus E. Such a
+corner reduces the moment by 4 E c a^4 kappa times an integral with a closed form. With
+sin q = e / (a kappa), the integral is
 
     int_q^(pi/2) (sin p - sin q) sin p cos^2 p dp
         = (pi/2 - q) / 8 + sin(4 q) / 32 - sin q cos^3 q / 3.
@@ -50,15 +50,15 @@ class RambergOsgood:
 
     Parameters
     ----------
-    modulus : E, Pa
+    modulus : E, Pa, modulus of elasticity
     strength : K, Pa, stress at a plastic strain of one
-    exponent : n, between 0 and 1
+    exponent : n, hardening exponent, between 0 and 1
 
     Notes
     -----
     The plastic strain has Hollomon's form (Ramberg and Osgood, NACA TN 902, 1943). The stress at a
-    strain e is found by Newton's method from the smaller of E e and K e^n. Both are above the root,
-    and every iterate stays above it, because strain is convex in stress.
+    strain e is computed by Newton's method from the smaller of E e and K e^n. Both are above the
+    solution. Every iterate is also above it, because strain is a convex function of stress.
     """
 
     modulus: float
@@ -73,8 +73,8 @@ class RambergOsgood:
 
     def strain(self, stress: Floats) -> Floats:
         """Compute the strain at stresses of any shape, Pa; NaN remains NaN."""
-        plastic = (np.abs(stress) / self.strength) ** (1.0 / self.exponent)
-        return stress / self.modulus + np.copysign(plastic, stress)
+        plastic_strain = (np.abs(stress) / self.strength) ** (1.0 / self.exponent)
+        return stress / self.modulus + np.copysign(plastic_strain, stress)
 
     def stress(self, strain: Floats) -> Floats:
         """Compute the stress at strains of any shape, Pa; NaN remains NaN."""
@@ -95,7 +95,7 @@ class RambergOsgood:
 
 @dataclass(frozen=True, slots=True)
 class StressTable:
-    """Piecewise linear curve through the origin and given points; linear elastic for one point.
+    """Piecewise linear stress-strain curve through the origin and given points.
 
     Parameters
     ----------
@@ -106,8 +106,9 @@ class StressTable:
     Raises
     ------
     ValueError
-        If strains do not increase, stresses decrease or are not finite, the numbers of strains and
-        stresses differ, or a slope is larger than the first.
+        If strains are not positive and increasing, stresses are not positive, decrease or are not
+        finite, there is no point, the numbers of strains and stresses differ, or a slope is larger
+        than the first.
     """
 
     strains: tuple[float, ...]
@@ -123,7 +124,7 @@ class StressTable:
         is_valid = bool(np.all(np.isfinite(slopes)) and slopes[0] > 0.0 and np.all(slopes >= 0.0))
         require("stresses", stresses[1:].tolist(), "positive and not decreasing", holds=is_valid)
         steepest = int(np.argmax(slopes))
-        if slopes[steepest] > slopes[0] * (1.0 + 1e-9):  # beyond rounding
+        if slopes[steepest] > slopes[0] * (1.0 + 1e-9):  # tolerance for rounding errors
             message = (
                 f"slope {slopes[steepest]:.4g} Pa from strain={strains[steepest]:.4g} is above the "
                 f"first, {slopes[0]:.4g} Pa: slopes must not exceed the modulus"
@@ -131,14 +132,14 @@ class StressTable:
             raise ValueError(message)
 
     def _prepend_origin(self) -> tuple[Floats, Floats]:
-        """Return the strains, and the stresses in Pa, with the origin as first point."""
+        """Return the strains, and the stresses, Pa, with the origin as first point."""
         return np.array([0.0, *self.strains]), np.array([0.0, *self.stresses])
 
     @property
     def corners(self) -> tuple[Floats, Floats]:
-        """Strains of the corners, and the decreases of slope there relative to the modulus.
+        """Strains of the corners, and decreases of the slope at them relative to the modulus.
 
-        A decrease is negative if the curve becomes steeper at the corner.
+        A decrease is negative if the slope increases at the corner.
         """
         strains, stresses = self._prepend_origin()
         slopes = np.diff(stresses) / np.diff(strains)
@@ -146,12 +147,12 @@ class StressTable:
 
     @property
     def modulus(self) -> float:
-        """First slope, Pa."""
+        """Modulus of elasticity, Pa, which is the first slope."""
         return self.stresses[0] / self.strains[0]
 
     @property
     def largest_strain(self) -> float:
-        """Last strain of the table."""
+        """Last strain of the curve."""
         return self.strains[-1]
 
     def stress(self, strain: Floats) -> Floats:
@@ -161,10 +162,10 @@ class StressTable:
 
 
 Material: TypeAlias = RambergOsgood | StressTable
-"""A stress-strain curve; hashable, so that results can be cached."""
+"""Stress-strain curve. Curves are hashable, because results are cached."""
 
-ANNEALED_COPPER = RambergOsgood(110e9, 530e6, 0.44)
-"""Annealed copper with values of a handbook, which [1]_ uses for its wires."""
+ANNEALED_COPPER = RambergOsgood(modulus=110e9, strength=530e6, exponent=0.44)
+"""Annealed copper with the values of a handbook that are used in [1]_."""
 
 
 _MAX_RIM_STRAIN = 1.0
@@ -187,7 +188,7 @@ class StrandMoment(NamedTuple):
 
 
 def compute_helix_factor(lay_angle: float, poisson: float) -> float:
-    """Compute the bending stiffness of a helical strand relative to that of a straight one.
+    """Compute the bending stiffness of a helical strand relative to that of a straight strand.
 
     Parameters
     ----------
@@ -196,22 +197,22 @@ def compute_helix_factor(lay_angle: float, poisson: float) -> float:
 
     Notes
     -----
-    The factor is (cos(a) / 2) (1 + cos^2 a + sin^2 a / (1 + nu)), such as 0.9728 at 12 degrees for
-    nu = 0.34. It follows from the strain energy, averaged over one lay length, of a strand that
-    bends about its normal and binormal and twists. Equation (3.18) of [1]_ has sin in place of
-    sin^2, which is not even in the lay angle.
+    The factor is (cos(a) / 2) (1 + cos^2 a + sin^2 a / (1 + nu)), where a is the lay angle and nu
+    Poisson's ratio. For nu = 0.34 it is 0.9728 at 12 degrees. It follows from the strain energy,
+    averaged over one lay length, of a strand that bends about its normal and binormal and twists.
+    Equation (3.18) of [1]_ has sin in place of sin^2 and is therefore not even in the lay angle.
     """
     cosine, sine = np.cos(lay_angle), np.sin(lay_angle)
     return float(cosine / 2.0 * (1.0 + cosine**2 + sine**2 / (1.0 + poisson)))
 
 
 def compute_elastic_ratio(material: Material, rim_strain: Floats, *, n_points: int = 64) -> Floats:
-    """Compute the ratio of the moment of a round strand to that of an elastic one.
+    """Compute the ratio of the moment of a round strand to that of an elastic strand.
 
     Parameters
     ----------
     material : stress-strain curve
-    rim_strain : shape (n,), positive, curvature times strand radius
+    rim_strain : shape (n,), positive, strain at the rim: curvature times radius of the strand
     n_points : number of points of the quadrature over the angle p; ignored for a piecewise linear
         curve
 
@@ -221,8 +222,8 @@ def compute_elastic_ratio(material: Material, rim_strain: Floats, *, n_points: i
 
     Notes
     -----
-    Equations (3.20) to (3.22) of [1]_ contain the secant modulus; the integral over the stress is
-    the same.
+    Equations (3.20) to (3.22) of [1]_ contain the secant modulus instead of the stress. The
+    integral is the same.
     """
     if isinstance(material, StressTable):
         return _compute_table_ratio(material, rim_strain)[0]
@@ -235,7 +236,10 @@ def compute_elastic_ratio(material: Material, rim_strain: Floats, *, n_points: i
 
 
 def _compute_table_ratio(material: StressTable, rim_strain: Floats) -> tuple[Floats, Floats]:
-    """Compute the elastic ratio of a piecewise linear curve, and d(ratio x strain) / d(strain)."""
+    """Compute the elastic ratio of a piecewise linear curve, and d(ratio x strain) / d(strain).
+
+    The second result is the tangent stiffness relative to that of an elastic strand.
+    """
     min_strain = 1e-300  # prevents a division by zero
     corner_strain, slope_decrease = material.corners
     max_strain = material.largest_strain * (1.0 + _STRAIN_TOLERANCE)
@@ -243,7 +247,7 @@ def _compute_table_ratio(material: StressTable, rim_strain: Floats) -> tuple[Flo
     sine = np.minimum(corner_strain / np.maximum(strain, min_strain)[..., None], 1.0)
     angle = np.arcsin(sine)
     cosine = np.sqrt((1.0 - sine) * (1.0 + sine))
-    # The term sin(4 q) / 32 is expanded so that it is exact for all angles.
+    # sin(4 q) / 32 is computed from sine and cosine, which is accurate for all angles.
     tangent_integral = (np.pi / 2.0 - angle) / 8.0 + sine * cosine * (1.0 - 2.0 * sine**2) / 8.0
     moment_integral = tangent_integral - sine * cosine**3 / 3.0
     ratio = 1.0 - 16.0 / np.pi * moment_integral @ slope_decrease
@@ -266,7 +270,7 @@ def compute_strand_moment(material: Material, diameter: float, curvature: Floats
     Raises
     ------
     ValueError
-        If the strain at the rim exceeds the last strain of the material, or 1; the message states
+        If the strain at the rim exceeds the last strain of the material, or 1. The message states
         the curvature.
 
     Notes
@@ -301,7 +305,10 @@ def compute_strand_moment(material: Material, diameter: float, curvature: Floats
 def _tabulate_ratio(
     material: RambergOsgood,
 ) -> tuple[float, Callable[[Floats], Floats], Callable[[Floats], Floats]]:
-    """Tabulate the elastic ratio; return the first strain and splines over the log strain."""
+    """Tabulate the elastic ratio; return the first strain and two splines over log(strain).
+
+    The splines give the ratio and the derivative of the ratio with respect to log(strain).
+    """
     elastic_log10 = np.linspace(-14.0, -6.0, 97)
     plastic_log10 = np.linspace(-6.0, np.log10(_MAX_RIM_STRAIN), 385)
     strain = 10.0 ** np.append(elastic_log10[:-1], plastic_log10)

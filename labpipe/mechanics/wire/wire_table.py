@@ -1,7 +1,7 @@
 """Compute the table of a wire from its row in a wire sheet: law, stiffnesses and cantilever.
 
-Other functions replace values of the sheet with calibrated values, and prepare the sliders that
-represent the bending of the strands.
+Other functions replace values of the sheet with calibrated values, and compute the slopes of a law
+from which sliders are made.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ from labpipe.mechanics.wire.cross_section import (
     Insulation,
     Layer,
     LayoutKind,
+    compute_helix_overlap,
     compute_stretch_torsion,
-    find_helix_overlap,
     make_cross_section,
     place_hexagon,
     place_sectors,
@@ -54,7 +54,7 @@ from labpipe.records.wire import (
 from labpipe.units import GRAVITY
 
 _MIN_POINT_SPACING = 1e-4
-"""Relative difference below which curvatures are merged."""
+"""Relative difference below which two curvatures of a table are merged."""
 
 
 def tabulate_wire(spec: WireSpec) -> WireTable:
@@ -66,9 +66,9 @@ def tabulate_wire(spec: WireSpec) -> WireTable:
 
     Returns
     -------
-    The table. Its curvature grid consists of zero, 200 logarithmically spaced values over four
-    decades up to the end of the range, and the slip onsets of the strands. An onset below a
-    millionth of the range is reported as zero. The notes are those of `build_wire` and
+    The table. Its curvatures are zero, 200 logarithmically spaced values over four decades up to
+    the end of the range, and the slip onsets of the strands. An onset below a millionth of the
+    largest curvature is reported as zero. The notes are those of `build_wire` and
     ``range_shortened``, ``tension``, ``slips_at_once``, ``insulation_doubtful``, ``cantilever_cut``
     and ``weight_left_out``.
 
@@ -76,8 +76,8 @@ def tabulate_wire(spec: WireSpec) -> WireTable:
     ------
     ValueError
         If the strands do not fit (the message states the overlap), the law softens (the message
-        states the curvature), the tension strains the wire beyond a stress table, or a number is
-        out of range.
+        states the curvature), the tension strains the wire beyond a stress table, or a value is
+        outside its range.
 
     Notes
     -----
@@ -90,7 +90,7 @@ def tabulate_wire(spec: WireSpec) -> WireTable:
     onsets = _find_onsets(wire, largest_curvature)
     curvature = make_curvature_grid(largest_curvature, onsets[onsets > 0.0])
     curve = _compute_rising_curve(wire, curvature)
-    insulation_limit = find_insulation_limit(spec)
+    insulation_limit = compute_insulation_limit(spec)
     moment_range = compute_orientation_range(
         wire.section, wire.contacts, curve, tension=spec.tension
     )
@@ -122,7 +122,7 @@ def tabulate_wire(spec: WireSpec) -> WireTable:
 
 
 def make_layout(section: CrossSection) -> WireLayout:
-    """Make the record of the strands' positions in an insulated cross-section."""
+    """Make the record of the positions of strands in an insulated cross-section."""
     tube = section.insulation
     assert tube is not None  # every wire of a sheet is insulated
     diameter = section.repeat_per_strand(layer.diameter for layer in section.layers)
@@ -135,9 +135,9 @@ def make_curvature_grid(largest_curvature: float, onsets: Floats) -> Floats:
 
     Parameters
     ----------
-    largest_curvature : 1/m, last curvature
-    onsets : shape (n,), 1/m, slip onsets, positive, distinct and below the largest curvature; they
-        replace points of the grid that are close to them
+    largest_curvature : 1/m, last curvature of the grid
+    onsets : shape (n,), 1/m, slip onsets, positive, distinct and below the largest curvature; an
+        onset replaces points of the grid that are close to it
     """
     n_points = 200
     n_decades = 4.0  # range of the grid below the largest curvature
@@ -149,7 +149,7 @@ def make_curvature_grid(largest_curvature: float, onsets: Floats) -> Floats:
 
 def _find_onsets(wire: BuiltWire, largest_curvature: float) -> Floats:
     """Find the distinct slip onsets of the strands, 1/m; 0 for immediate slip."""
-    min_relative_onset = 1e-6  # relative to the largest curvature; earlier slip is immediate
+    min_relative_onset = 1e-6  # relative to the largest curvature; a smaller onset counts as 0
     options = {"tension": wire.spec.tension, "orientation": wire.spec.orientation}
     onsets = np.sort(find_slip_onsets(wire.section, wire.contacts, **options))
     is_immediate = onsets <= min_relative_onset * largest_curvature
@@ -160,22 +160,22 @@ def _find_onsets(wire: BuiltWire, largest_curvature: float) -> Floats:
 
 
 def _compute_rising_curve(wire: BuiltWire, curvature: Floats) -> MomentCurve:
-    """Compute the law of first loading; refuse a law that softens."""
+    """Compute the law of first loading; raise ValueError if the law softens."""
     curve = wire.compute_curve(curvature)
-    falls = np.flatnonzero(np.diff(curve.moment) <= 0.0)
-    if len(falls):
-        first, last = curve.curvature[falls[0] : falls[0] + 2]
-        high, low = curve.moment[falls[0] : falls[0] + 2]
+    drops = np.flatnonzero(np.diff(curve.moment) <= 0.0)
+    if len(drops):
+        first, last = curve.curvature[drops[0] : drops[0] + 2]
+        high, low = curve.moment[drops[0] : drops[0] + 2]
         facts = {"first": first, "last": last, "high": high, "low": low}
         raise ValueError(format_sentence("mechanics.wire.softens", **facts))
     return curve
 
 
-def find_insulation_limit(spec: WireSpec) -> float:
-    """Find the curvature up to which the insulation is treated as linear, 1/m.
+def compute_insulation_limit(spec: WireSpec) -> float:
+    """Compute the curvature up to which the insulation is treated as linear, 1/m.
 
-    It is infinite if the sheet has a stress table of the insulation. In that case the range of the
-    law ends with the stress table.
+    The curvature is infinite if the sheet has a stress table of the insulation. The range of the
+    law then ends with the stress table.
     """
     if spec.insulation_table is not None:
         return float("inf")
@@ -183,9 +183,9 @@ def find_insulation_limit(spec: WireSpec) -> float:
 
 
 def _find_law_notes(
-    spec: WireSpec, onsets: Floats, curve: MomentCurve, limit: float
+    spec: WireSpec, onsets: Floats, curve: MomentCurve, linear_limit: float
 ) -> Iterator[QualityNote]:
-    """Yield notes on tension, immediate slip, and the range in which the insulation is linear."""
+    """Yield notes on tension, immediate slip and the range in which the insulation is linear."""
     if spec.tension:
         yield QualityNote.of("mechanics.wire.tension", spec.place, tension=spec.tension)
     if np.any(onsets == 0.0):
@@ -198,22 +198,22 @@ def _find_law_notes(
             slope=curve.secant_stiffness[1],
             stick=curve.stick_stiffness,
         )
-    if curve.curvature[-1] > limit:
+    if curve.curvature[-1] > linear_limit:
         percent = 100.0 * spec.insulation_strain
         yield QualityNote.of("mechanics.wire.insulation_doubtful", spec.place, percent=percent)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BuiltWire:
-    """Cross-section of the wire in one row of a sheet, and the contacts between its strands.
+    """Cross-section of the wire in a row of a sheet, and the contacts between its strands.
 
     Parameters
     ----------
     spec : row of the wire in its sheet
     section : cross-section of the wire
-    contacts : friction coefficients and radial force
+    contacts : friction coefficients of the rings, and radial force
     axial_strain : strain of the straight wire under its tension
-    notes : notes on defaults for missing entries, and on tolerated deviations
+    notes : notes on defaults for missing entries of the row, and on tolerated deviations
     """
 
     spec: WireSpec
@@ -223,13 +223,13 @@ class BuiltWire:
     notes: tuple[QualityNote, ...]
 
     def compute_curve(self, curvature: Floats) -> MomentCurve:
-        """Compute the moment curve of first loading at curvatures, shape (n,), 1/m."""
+        """Compute the moments of first loading at curvatures, shape (n,), 1/m."""
         options = {"tension": self.spec.tension, "orientation": self.spec.orientation}
         return compute_moment_curve(self.section, self.contacts, curvature, **options)
 
     @property
     def mass_per_length(self) -> float:
-        """Mass per length, kg/m, as stated in the sheet, or computed from the cross-section."""
+        """Mass per length, kg/m, from the sheet, or computed if the sheet does not state it."""
         if self.spec.mass_per_length is not None:
             return self.spec.mass_per_length
         densities = self.spec.conductor_density, self.spec.insulation_density
@@ -246,15 +246,15 @@ def build_wire(spec: WireSpec) -> BuiltWire:
     Returns
     -------
     The wire. Its notes can be ``defaults_taken``, ``layout_fallback`` (why the layout is not a
-    hexagon), ``bore_loose``, ``layout_eccentric`` (the strands are at one side of the bore),
+    hexagon), ``bore_loose``, ``layout_eccentric`` (the strands are on one side of the bore),
     ``overlap_tolerated``, ``helices_overlap`` and ``tension_yields``.
 
     Raises
     ------
     ValueError
         If the strands do not fit the bore or each other, as circles or as helices (the message
-        states the overlap), the tension strains the wire beyond a stress table, or a number is out
-        of its range.
+        states the overlap), the tension strains the wire beyond a stress table, or a value is
+        outside its range.
     """
     notes = []
     if spec.defaults:
@@ -279,17 +279,17 @@ def build_wire(spec: WireSpec) -> BuiltWire:
 
 
 def make_layers(spec: WireSpec) -> tuple[Layer, ...]:
-    """Make the layers of strands from the axis outwards; a core has no lay angle.
+    """Make the layers of strands from the axis outwards; a core has the lay angle 0.
 
-    The stress-strain curve of the strands is the stress table of the sheet, if it has one, or a
+    The stress-strain curve of the strands is the stress table of the sheet or, without a table, a
     Ramberg-Osgood curve.
 
     Raises
     ------
     ValueError
         If the number of lay angles differs from that of the rings, or the number of strand
-        diameters from that of the layers, the stress table is not concave, or a number is out of
-        range.
+        diameters from that of the layers, a slope of the stress table is larger than the first, or
+        a value is outside its range.
     """
     material: Material = RambergOsgood(spec.conductor_modulus, spec.copper_k, spec.copper_n)
     if spec.stress_table is not None:
@@ -310,7 +310,7 @@ def make_insulation(spec: WireSpec) -> Insulation:
     Raises
     ------
     ValueError
-        If the stress table is not concave, or a number is out of range.
+        If a slope of the stress table is larger than the first, or a value is outside its range.
     """
     curve = None if spec.insulation_table is None else StressTable(*spec.insulation_table)
     modulus = spec.insulation_modulus if curve is None else curve.modulus
@@ -319,7 +319,7 @@ def make_insulation(spec: WireSpec) -> Insulation:
 
 
 def _place_strands(spec: WireSpec) -> tuple[CrossSection, list[QualityNote]]:
-    """Return the cross-section, and a note if the default layout, a hexagon, does not fit."""
+    """Make the cross-section, and a note if the default layout, a hexagon, does not fit."""
     tube, layers = make_insulation(spec), make_layers(spec)
     if spec.layout == "compressed":
         return place_sectors(layers, tube, radii=spec.layer_radii), []
@@ -338,11 +338,11 @@ def _find_section_notes(
 ) -> Iterator[QualityNote]:
     """Yield notes on a loose bore, eccentric strands, overlaps, and yielding in tension.
 
-    The model assumes elastic strands in tension, so a note states if they yield.
+    The model assumes elastic strands in tension. A note states if the strands would yield.
     """
     min_fill = 0.4  # fraction of the area of the bore; two strands that touch the bore fill 0.5
     max_silent_offset, touch_tolerance = 0.02, 1e-9  # relative to the radius of the bore
-    max_elastic_factor = 1.2  # elastic stress relative to that of the stress-strain curve
+    max_elastic_factor = 1.2  # elastic stress relative to the stress of the stress-strain curve
     bore_radius = spec.wire_diameter / 2.0 - spec.insulation_thickness
     area = section.repeat_per_strand(layer.area for layer in section.layers)
     offset = float(np.hypot(section.x @ area, section.y @ area) / area.sum())
@@ -383,10 +383,11 @@ def _find_section_notes(
 
 
 def _find_helix_notes(section: CrossSection, spec: WireSpec) -> Iterator[QualityNote]:
-    """Yield a note on helical strands that overlap; refuse strands that do not fit the bore.
+    """Yield a note on helical strands that overlap; raise ValueError if they do not fit.
 
-    The cross-section of the wire cuts a strand obliquely, which multiplies its area and its width
-    by 1 / cos(lay angle). Layouts of circles are accurate enough for lay angles up to 20 deg.
+    The cross-section of the wire cuts a strand obliquely. The area and the width of the strand in
+    the section are therefore larger by the factor 1 / cos(lay angle). Layouts of circles are
+    accurate enough for lay angles up to 20 deg.
     """
     max_silent_overlap = 0.05  # relative to the diameter of the strands
     max_overlap = 0.1  # relative to the diameter of the strands, and to the area of the bore
@@ -395,7 +396,7 @@ def _find_helix_notes(section: CrossSection, spec: WireSpec) -> Iterator[Quality
     if strand_area > (1.0 + max_overlap) * bore_area:
         areas = {"copper": strand_area * 1e6, "bore": bore_area * 1e6}
         raise ValueError(format_sentence("mechanics.wire.copper_too_large", **areas))
-    overlap = 0.0 if section.kind == "compressed" else find_helix_overlap(section)
+    overlap = 0.0 if section.kind == "compressed" else compute_helix_overlap(section)
     if overlap <= max_silent_overlap:
         return
     percent = 100.0 * overlap
@@ -415,14 +416,14 @@ def find_law_range(spec: WireSpec, *, strain: float = 0.0) -> tuple[float, tuple
 
     Returns
     -------
-    The curvature, 1/m, and notes. It is the curvature stated in the sheet, or that of a bending
+    The curvature, 1/m, and notes. The curvature is stated in the sheet, or is that of a bending
     radius of five wire diameters. It is smaller, with the note ``range_shortened``, if tension and
-    bending strain the rim of a strand or of the insulation beyond its stress table.
+    bending would strain the rim of a strand or of the insulation beyond a stress table.
 
     Raises
     ------
     ValueError
-        If the tension alone strains the wire to the last strain of a stress table.
+        If the tension without bending strains the wire to the last strain of a stress table.
     """
     min_radius_diameters = 5.0  # wire diameters; harnesses are rarely bent to smaller radii
     largest_curvature = spec.largest_curvature or 1.0 / (min_radius_diameters * spec.wire_diameter)
@@ -456,9 +457,9 @@ def find_law_range(spec: WireSpec, *, strain: float = 0.0) -> tuple[float, tuple
 
 
 DEFAULT_SHARE_RANGE = (0.35, 1.0)
-"""Range of the isotropic share of hardening, for annealed copper whose sheet states none.
+"""Default range of the isotropic share of hardening, for annealed copper.
 
-With less than 0.35, a wire would spring back farther than standards for winding wire allow.
+With a share below 0.35, a wire would spring back farther than standards for winding wire allow.
 """
 
 
@@ -468,8 +469,8 @@ def set_parameters(spec: WireSpec, values: Mapping[str, float]) -> WireSpec:
     Parameters
     ----------
     spec : row of the calibrated wire in its sheet, or of another wire of the same type
-    values : calibrated values in SI units, keyed by the names of `PARAMETERS`. The sheet gives
-        values that are missing or NaN. The copper scale multiplies the strength
+    values : calibrated values in SI units, keyed by the names of `PARAMETERS`. For a value that is
+        missing or NaN, the value of the sheet remains. The copper scale multiplies the strength
         coefficient K
 
     Returns
@@ -483,7 +484,7 @@ def set_parameters(spec: WireSpec, values: Mapping[str, float]) -> WireSpec:
         spec = replace(spec, radial_force=values[RADIAL_FRICTION] / friction)
     modulus = values.get(INSULATION_MODULUS, spec.insulation_modulus)
     if INSULATION_MODULUS in values and spec.insulation_table is not None:
-        strains, stresses = spec.insulation_table  # the stresses scale with the modulus
+        strains, stresses = spec.insulation_table  # the stresses are proportional to the modulus
         scale = modulus / (stresses[0] / strains[0])
         scaled_table = strains, tuple(scale * stress for stress in stresses)
         spec = replace(spec, insulation_table=scaled_table)
@@ -492,7 +493,10 @@ def set_parameters(spec: WireSpec, values: Mapping[str, float]) -> WireSpec:
 
 
 def compute_chord_ratio(law: SliderLaw, table: WireTable) -> float:
-    """Compute the first slope of a fitted law divided by that of the first chord of its table."""
+    """Compute the first stiffness of a fitted law, divided by that of its table.
+
+    The stiffness of the table is the slope of its concave hull up to the first corner of the law.
+    """
     corners = np.concatenate([[0.0], law.slip_curvatures, [law.max_curvature]])
     moment = np.interp(corners, table.curvature, table.moment)
     return law.first_stiffness / float(compute_hull_slopes(corners, moment)[0])
@@ -503,8 +507,8 @@ def compute_hull_slopes(curvature: Floats, moment: Floats) -> Floats:
 
     Parameters
     ----------
-    curvature : shape (n,), 1/m, corners of the law
-    moment : shape (n,), N m
+    curvature : shape (n,), 1/m, curvatures of the corners of the law
+    moment : shape (n,), N m, moments of the corners
 
     Returns
     -------

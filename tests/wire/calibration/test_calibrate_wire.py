@@ -151,7 +151,7 @@ def test_starts_and_priors() -> None:
         problem, logs = posed
         assert problem.is_free.tolist() == free
         assert np.exp(logs)[free] == pytest.approx(np.array(starts)[free])
-        assert not problem.precision.any()
+        assert not problem.prior_precision.any()
         assert np.exp(problem.upper[2]) == pytest.approx(SEARCH_RANGES[COPPER_SCALE][2])
         assert problem.sample_index.tolist() == [0, 1, 2]
     friction, copper = ParameterChoice(0.08, is_fixed=True), ParameterChoice(1.2, factor=1.5)
@@ -162,8 +162,8 @@ def test_starts_and_priors() -> None:
     assert problem.is_free.tolist() == [False, True, True]
     assert np.exp(logs) == pytest.approx([0.08, 1e9, 1.2])
     assert problem.lower[0] == problem.upper[0] == logs[0]
-    assert problem.centre[2] == logs[2]
-    assert problem.precision[2] == pytest.approx((1.959964 / np.log(1.5)) ** 2, rel=1e-6)
+    assert problem.prior_centre[2] == logs[2]
+    assert problem.prior_precision[2] == pytest.approx((1.959964 / np.log(1.5)) ** 2, rel=1e-6)
 
 
 def test_what_is_refused(approved: Approve) -> None:

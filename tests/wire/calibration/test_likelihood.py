@@ -16,7 +16,7 @@ from labpipe.mechanics.wire.calibration.local_minima import (
     LocalProfile,
     Minima,
     _find_end,
-    _ProfileWalk,
+    _ProfilePath,
     _yield_starts,
     compute_differences,
     compute_tube_quantile,
@@ -76,10 +76,10 @@ def test_the_least_has_no_slope() -> None:
     fit = search(PROBLEM, LEVELS, start(2.0, 1.2, 0.8))
     assert fit.has_converged
     for step in np.vstack([1e-2 * np.eye(3, 7), -1e-2 * np.eye(3, 7)]):
-        shifted = search(HELD, LEVELS, fit.unknowns + step, guess=fit.models)
+        shifted = search(HELD, LEVELS, fit.unknowns + step, guess=fit.model_forces)
         assert shifted.objective > fit.objective - 1e-4
     # Nearly as good a fit elsewhere does not end the search early.
-    second_fit = search(PROBLEM, LEVELS, start(1.5, 1.2, 0.8), lowest=fit.objective - 1e-3)
+    second_fit = search(PROBLEM, LEVELS, start(1.5, 1.2, 0.8), best_objective=fit.objective - 1e-3)
     assert second_fit.objective == pytest.approx(fit.objective, abs=1e-4)
     # bounds and priors hold, and the others go on; without scatter and gain there are no factors
     lower = PROBLEM.lower + np.array([0.0, 5.0 + np.log(1.1), 0.0])
@@ -87,8 +87,8 @@ def test_the_least_has_no_slope() -> None:
     fit = search(bounded, LEVELS, start(1.0, 1.2, 1.0))
     assert (fit.logs[1], fit.has_converged) == (lower[1], True)
     assert make_normal_equations(fit)[2][:3].tolist() == [True, False, True]
-    centre, precision = np.log(TRUTH * [1.0, 1.0, 1.5]), np.array([0.0, 0.0, 1e8])
-    believed = replace(PROBLEM, centre=centre, precision=precision, gain=0.0)
+    believed = replace(PROBLEM, gain_uncertainty=0.0, prior_precision=np.array([0.0, 0.0, 1e8]))
+    believed = replace(believed, prior_centre=np.log(TRUTH * [1.0, 1.0, 1.5]))
     fit = search(believed, Levels(1.0, 0.0, 0.0), start(1.0, 1.0, 1.0))
     assert np.exp(fit.logs[2]) == pytest.approx(1.5, rel=1e-3)
     assert not fit.unknowns[3:].any()
@@ -96,13 +96,13 @@ def test_the_least_has_no_slope() -> None:
 
 def test_how_far_fits_are_apart_in_standard_deviations() -> None:
     """Of the forces, of priors, of the load cell's gain and of the samples' factors."""
-    problem = replace(HELD, precision=np.array([4.0, 0.0, 9.0]))
+    problem = replace(HELD, prior_precision=np.array([4.0, 0.0, 9.0]))
     first, second = (
         search(problem, LEVELS, start(*factors)) for factors in ((1.0, 1.0, 1.0), (1.2, 0.8, 1.5))
     )
 
     def weighed(fit: Fit) -> Floats:
-        curves = zip(problem.sample_index, fit.models, CURVES, strict=True)
+        curves = zip(problem.sample_index, fit.model_forces, CURVES, strict=True)
         gain, offsets = fit.unknowns[3], fit.unknowns[4:]
         factors = np.exp(gain + offsets)
         forces = [factors[at] * model.force / curve.noise for at, model, curve in curves]
@@ -117,7 +117,7 @@ def test_how_far_fits_are_apart_in_standard_deviations() -> None:
 def test_offsets_are_shrunken_factors_of_the_samples() -> None:
     fit = search(HELD, LEVELS, start(1.0, 1.0, 1.0))
     gain, offsets = fit.unknowns[3], fit.unknowns[4:]
-    for curve, model, offset in zip(CURVES, fit.models, offsets, strict=True):
+    for curve, model, offset in zip(CURVES, fit.model_forces, offsets, strict=True):
         direct = np.log(float(curve.force @ model.force) / float(model.force @ model.force))
         assert gain + offset == pytest.approx(direct, rel=0.05)
     # The gain and the mean offset share the mean factor as their variances.
@@ -223,7 +223,7 @@ def test_starts_share_the_load_between_insulation_and_copper() -> None:
     nominal = PROBLEM.law.nominal
     models = compute_model_forces(PROBLEM.law, nominal, CURVES)
     load = sum(np.abs(curve.force).sum() for curve in CURVES)
-    by_tube = sum(np.abs(model.change[1]).sum() for model in models)
+    by_tube = sum(np.abs(model.sensitivity[1]).sum() for model in models)
     by_rest = sum(np.abs(model.force).sum() for model in models) - by_tube
     for share, logs in zip((0.3, 0.8), others, strict=True):
         factors = np.exp(logs) / nominal
@@ -240,11 +240,11 @@ def test_a_profile_ends_where_its_deviance_jumps(
     fit = search(HELD, LEVELS, start(1.0, 1.0, 1.0))
     place = float(fit.logs[1])
 
-    def evaluate(_: _ProfileWalk, near: Fit, target: float, root: float) -> tuple[float, Fit]:
+    def evaluate(_: _ProfilePath, near: Fit, target: float, root: float) -> tuple[float, Fit]:
         return 10.0 * (abs(target - place) > 0.7), near
 
-    monkeypatch.setattr(_ProfileWalk, "evaluate", evaluate)
-    side = _find_end(_ProfileWalk(fit, 1, np.zeros(1)), sign, 1.96, 0.1)
+    monkeypatch.setattr(_ProfilePath, "evaluate", evaluate)
+    side = _find_end(_ProfilePath(fit, 1, np.zeros(1)), sign, 1.96, 0.1)
     assert not side.is_open
     assert sign * (side.end - place) == pytest.approx(0.7, abs=1e-3)
 

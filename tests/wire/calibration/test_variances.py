@@ -123,7 +123,7 @@ def test_correlation_of_neighbours(correlation: float) -> None:
         fit, _ = layout(1)
         problem = replace(fit.problem, curves=(curve,), sample_index=np.zeros(1, np.int64))
         unknowns = np.append(fit.unknowns[:4], np.log(factor))
-        fit = replace(fit, problem=problem, unknowns=unknowns, models=[model])
+        fit = replace(fit, problem=problem, unknowns=unknowns, model_forces=[model])
         return estimate_correlation(fit)
 
     assert estimate(curve, model, 1.2) == pytest.approx(correlation, abs=0.02)

@@ -134,10 +134,10 @@ def test_errors_that_points_share_make_a_covariance(correlation: float) -> None:
     lags = np.abs(np.subtract.outer(np.arange(30), np.arange(30)))
     weight = np.linalg.inv(0.002**2 * correlation**lags + shared.T @ shared)
     residuals = curve.force - 1.1 * model.force
-    columns = np.column_stack([1.1 * model.change.T, 1.1 * model.force, residuals])
+    columns = np.column_stack([1.1 * model.sensitivity.T, 1.1 * model.force, residuals])
     products = compute_whitened_products(curve, columns, model.slope, correlation)
     assert products[4, 4] == pytest.approx(float(residuals @ weight @ residuals), rel=1e-6)
-    by_change = 1.1 * model.change[0] @ weight
+    by_change = 1.1 * model.sensitivity[0] @ weight
     assert products[0, 4] == pytest.approx(float(by_change @ residuals), rel=1e-6)
     assert products[3, 0] == pytest.approx(float(by_change @ (1.1 * model.force)), rel=1e-6)
 
@@ -176,7 +176,7 @@ def test_forces_and_slopes_of_curves_of_several_lengths() -> None:
     for curve, model, below, above in zip(mixed, rows[0], rows[2], rows[1], strict=True):
         exact = exact_curve("A2", curve.length, has_string=curve.rig is not None)
         assert model.force == pytest.approx(exact(curve.deflection), abs=1e-5)
-        assert model.change.shape == (3, 40)
+        assert model.sensitivity.shape == (3, 40)
         slope = (above.force - below.force) / 2e-5
         assert model.slope[1:] == pytest.approx(slope[1:], rel=0.02)
 

@@ -1,10 +1,12 @@
-"""Calibrate the wire model by first loadings of cantilevers, and predict loading curves.
+"""Calibrate the wire model by first loading of cantilevers, and predict loading curves.
 
 Tests of several samples and lengths of one wire determine phi = F_rad (mu_s + mu_p), the modulus of
-the insulation and the strength of the copper, as in section 3.4 of [1]_. Intervals are those of the
-profile likelihood with quantiles of Student's t. Notes state what the tests do not determine. A
-calibration predicts the loading curves of other lengths and wires. The objective is in `objective`,
-the law in `law_components`, and the loading curve in `first_loading`.
+the insulation and the strength of the copper, as in section 3.4 of [1]_. F_rad is the radial force
+of the insulation, and mu_s + mu_p is the sum of the friction coefficients of the outermost ring.
+Intervals are those of the profile likelihood with quantiles of Student's t. Notes state which
+parameters the tests do not determine. The loading curves of other lengths and wires are predicted
+from a calibration. `objective` defines the objective, `law_components` the law, and
+`wire.first_loading` the loading curve.
 
 References
 ----------
@@ -70,12 +72,12 @@ def calibrate(
     Parameters
     ----------
     wire : wire with the nominal values of its sheet
-    curves : first loadings, all of this wire
-    settings : which parameters are free, fixed or have a prior, and gain of the load cell
+    curves : measured curves of first loading, all of this wire
+    settings : fixed parameters, priors, and uncertainty of the load cell; None for the default
 
     Returns
     -------
-    The calibration; or a failure ``model_cannot_follow``, or one of `select_usable_curves` and
+    The calibration, or a failure: ``model_cannot_follow``, or one of `select_usable_curves` and
     `set_up_problem`.
     """
     settings = settings or Settings()
@@ -93,8 +95,10 @@ def calibrate(
 
 
 _FACTOR_99 = 1.727
-"""Rise of the objective at the ends of a 99 % interval relative to that at 95 %. Other solutions
-are reported up to this rise."""
+"""Rise of the objective at the ends of a 99 % interval relative to that at 95 %.
+
+Other solutions are reported up to this rise.
+"""
 
 
 def make_calibration(minima: Minima, settings: Settings) -> Calibration:
@@ -117,7 +121,7 @@ def make_calibration(minima: Minima, settings: Settings) -> Calibration:
     factors = fit.factors
     compared = tuple(
         compare_with_model(curve, model.force, float(factor))
-        for curve, model, factor in zip(problem.curves, fit.models, factors, strict=True)
+        for curve, model, factor in zip(problem.curves, fit.model_forces, factors, strict=True)
     )
     sse = sum(curve.sse for curve in compared)
     rmse = float(np.sqrt(sse / problem.n_points))
@@ -143,7 +147,7 @@ def make_calibration(minima: Minima, settings: Settings) -> Calibration:
 def _make_solution(minima: Minima, minimum: LocalMinimum) -> Solution:
     """Build the record of a solution from a local minimum."""
     fit, problem = minimum.fit, minimum.fit.problem
-    pairs = zip(problem.curves, fit.models, strict=True)
+    pairs = zip(problem.curves, fit.model_forces, strict=True)
     residuals = np.concatenate([curve.force - model.force for curve, model in pairs])
     return Solution(
         values=np.where(problem.law.is_active, np.exp(fit.logs), np.nan),
@@ -167,24 +171,22 @@ def _make_parameter(
     if not problem.is_free[index]:
         fixed = CalibratedParameter(name, PARAMETER_UNITS[name], value, source=choice.source)
         return replace(fixed, explanation=identification.describe_parameter(fixed))
-    traces = local_minima.follow_profiles(minima, index)
+    profiles = local_minima.follow_profiles(minima, index)
     parameter = CalibratedParameter(
         name=name,
         unit=PARAMETER_UNITS[name],
         value=value,
         intervals=tuple(
-            Interval(*np.exp(ends).tolist()) for ends in local_minima.unite_intervals(traces)
+            Interval(*np.exp(ends).tolist()) for ends in local_minima.unite_intervals(profiles)
         ),
         log_error=float(np.sqrt(uncertainty.covariance[index, index])),
         freedom=uncertainty.compute_freedom(np.eye(P + 1)[index]),
-        is_open_below=any(trace.is_open_below for trace in traces),
-        is_open_above=any(trace.is_open_above for trace in traces),
+        is_open_below=any(profile.is_open_below for profile in profiles),
+        is_open_above=any(profile.is_open_above for profile in profiles),
         at_bound=_find_bound(minima, index),
         profiles=tuple(
-            Profile(
-                np.exp(trace.logs), trace.deviance, trace.threshold_below, trace.threshold_above
-            )
-            for trace in traces
+            Profile(np.exp(x.logs), x.deviance, x.threshold_below, x.threshold_above)
+            for x in profiles
         ),
         conflict=_fit_without_prior(minima, index, choice) if choice.factor is not None else None,
     )
@@ -207,19 +209,20 @@ def _find_interval_at_99(
 
     An identified parameter must also be identified at 99 %, because noise may shorten an interval.
     """
-    min_span = 1.5  # with a smaller span at 95 %, the span at 99 % is below `MAX_WELL_SPAN`
+    # With a smaller ratio of the ends at 95 %, the ratio at 99 % is below `MAX_WELL_SPAN`.
+    min_span = 1.5
     lower, upper = parameter.intervals[0].lower, parameter.intervals[-1].upper
     line_range = local_minima.find_line_range(minima, index, _FACTOR_99)
     ends = [lower, upper, *np.exp(line_range).tolist()]
     if min_span < upper / lower < identification.MAX_WELL_SPAN:
-        for trace in local_minima.follow_profiles(minima, index, factor=_FACTOR_99):
-            ends += np.exp([trace.lower, trace.upper]).tolist()
+        for profile in local_minima.follow_profiles(minima, index, factor=_FACTOR_99):
+            ends += np.exp([profile.lower, profile.upper]).tolist()
     return min(ends), max(ends)
 
 
 def _find_bound(minima: Minima, index: int) -> str:
-    """Find the bound at which the search ended, unless the objective is flat there."""
-    min_slope = 0.05  # slope of half the objective, per logarithm of the parameter
+    """Return the bound at which the search ended; empty if none, or if the objective is flat."""
+    min_slope = 0.05  # derivative of half the objective with respect to the logarithm
     value, problem = minima.fit.logs[index], minima.fit.problem
     slope = -float(objective.make_normal_equations(minima.fit)[1][index])
     if value <= problem.lower[index] and slope > min_slope:
@@ -228,37 +231,40 @@ def _find_bound(minima: Minima, index: int) -> str:
 
 
 def _fit_without_prior(minima: Minima, index: int, choice: ParameterChoice) -> PriorConflict:
-    """Fit without one prior; the decrease of the objective is the square of the conflict."""
+    """Fit without the prior of a parameter, and compare the fit with the prior.
+
+    The size of a conflict is the square root of the decrease of the objective.
+    """
     best, problem = minima.fit, minima.fit.problem
-    precision = np.where(np.arange(P) == index, 0.0, problem.precision)
-    free_problem = replace(problem, precision=precision)
+    precision = np.where(np.arange(P) == index, 0.0, problem.prior_precision)
+    free_problem = replace(problem, prior_precision=precision)
     fits = [
-        search(free_problem, best.levels, minimum.fit.unknowns, guess=minimum.fit.models)
+        search(free_problem, best.levels, minimum.fit.unknowns, guess=minimum.fit.model_forces)
         for minimum in minima.local_minima
     ]
     fit = min(fits, key=lambda fit: fit.objective)
     uncertainty = estimate_uncertainty(fit)
     variance = float(uncertainty.covariance[index, index])
-    variance_ratio = (variance + 1.0 / problem.precision[index]) / variance
+    variance_ratio = (variance + 1.0 / problem.prior_precision[index]) / variance
     freedom = uncertainty.compute_freedom(np.eye(P + 1)[index]) * variance_ratio**2
-    numbers = PriorConflict(
-        centre=float(np.exp(problem.centre[index])),
+    conflict = PriorConflict(
+        centre=float(np.exp(problem.prior_centre[index])),
         factor=float(choice.factor or np.nan),
         estimate=float(np.exp(fit.logs[index])),
         size=float(np.sqrt(max(best.objective - fit.objective, 0.0))),
         freedom=float(freedom),
         source=choice.source,
     )
-    return identification.weigh_prior(PARAMETERS[index], numbers)
+    return identification.weigh_prior(PARAMETERS[index], conflict)
 
 
 def _compute_correlations(minima: Minima) -> Floats:
-    """Compute the correlations of the free parameters, shape (3, 3); NaN for others."""
-    covariance, free = minima.lowest.uncertainty.covariance[:P, :P], minima.fit.problem.is_free
-    errors = np.sqrt(np.diag(covariance))
+    """Compute the correlations of fitted parameters, shape (3, 3); NaN for the other parameters."""
+    covariance, is_free = minima.lowest.uncertainty.covariance[:P, :P], minima.fit.problem.is_free
+    errors = np.sqrt(np.diag(covariance))[is_free]
     correlations = np.full((P, P), np.nan)
-    free_pairs = np.ix_(free, free)
-    correlations[free_pairs] = covariance[free_pairs] / np.outer(errors[free], errors[free])
+    free_pairs = np.ix_(is_free, is_free)
+    correlations[free_pairs] = covariance[free_pairs] / np.outer(errors, errors)
     return correlations
 
 
@@ -272,19 +278,19 @@ def _make_noise_levels(minima: Minima) -> NoiseLevels:
         noise_factor=float(np.sqrt(levels.noise)),
         correlation=levels.correlation,
         scatter=levels.scatter,
-        gain=minima.fit.problem.gain,
+        gain=minima.fit.problem.gain_uncertainty,
         scatter_freedom=scatter_freedom,
         noise_freedom=2.0 / float(covariance[0, 0]),
     )
 
 
 def _compute_separability(minima: Minima) -> Separability:
-    """Compute the separability of the active parameters for noise without scatter of samples."""
+    """Compute the separability of the active parameters, for noise without scatter of samples."""
     fit = minima.fit
     active = np.flatnonzero(fit.problem.law.is_active).tolist()
     rows = [
-        whiten((model.change[active] / np.asarray(curve.noise)).T, fit.levels.correlation)
-        for model, curve in zip(fit.models, fit.problem.curves, strict=True)
+        whiten((model.sensitivity[active] / np.asarray(curve.noise)).T, fit.levels.correlation)
+        for model, curve in zip(fit.model_forces, fit.problem.curves, strict=True)
     ]
     jacobian = np.concatenate(rows) / np.sqrt(fit.levels.noise)
     names = tuple(PARAMETERS[index] for index in active)
@@ -337,7 +343,7 @@ def _find_level_notes(
             largest=worst_curve.lag_one_correlation,
         )
     if not fit.has_converged:
-        yield QualityNote.of("mechanics.wire.search_unsettled", wire, steps=fit.steps)
+        yield QualityNote.of("mechanics.wire.search_unsettled", wire, steps=fit.n_steps)
 
 
 def predict(
@@ -364,15 +370,16 @@ def predict(
     Returns
     -------
     The curve of the best solution with two bands. Both contain the uncertainty of the parameters
-    (linear in their logarithms) and of the gain. The band of a measured curve also contains scatter
-    of samples and noise. With several solutions a band extends from the lowest to the highest of
-    their bands, each narrowed according to its likelihood. Differences between the two wires
-    (dimensions, lots of copper and insulation) are not included.
+    (linear in their logarithms) and of the gain. The band of a measured curve also contains the
+    scatter of samples and noise. With several solutions, a band extends from the lowest to the
+    highest limit of the bands of the solutions. The band of each solution is narrowed according to
+    its likelihood. Differences between the two wires (dimensions, lots of copper and insulation)
+    are not included.
 
     Raises
     ------
     ValueError
-        If the first loading ends before the largest deflection.
+        If first loading ends before the largest deflection.
 
     Notes
     -----
@@ -383,16 +390,17 @@ def predict(
     forces, bands = [], []
     for solution in (solution for solution in calibration.solutions if solution.is_allowed):
         curve = compute_calibrated_curve(wire, solution.values, length, rig, max_deflection)
-        force, change = interpolate_force(curve, deflection)
-        slopes = np.vstack([change, force]).T
-        mean = np.abs(compute_quantiles(solution.mixture, slopes))
-        sample = np.abs(compute_quantiles(solution.mixture, slopes, force))
-        scatter = np.sqrt(np.maximum(sample**2 - mean**2, 0.0))
+        force, sensitivity = interpolate_force(curve, deflection)
+        gradients = np.vstack([sensitivity, force]).T
+        mean_error = np.abs(compute_quantiles(solution.mixture, gradients))
+        error = np.abs(compute_quantiles(solution.mixture, gradients, force))
+        scatter = np.sqrt(np.maximum(error**2 - mean_error**2, 0.0))
         # The uncertainty of the parameters is larger than in the linear model.
-        mean *= calibration.widening * np.sqrt(1.0 - solution.rise / solution.limit)
-        sample = np.hypot(np.hypot(mean, scatter), NORMAL_95 * noise)
+        mean_error *= calibration.widening * np.sqrt(1.0 - solution.rise / solution.limit)
+        error = np.hypot(np.hypot(mean_error, scatter), NORMAL_95 * noise)
         forces.append(force)
-        bands.append([force - sample[0], force + sample[1], force - mean[0], force + mean[1]])
+        band = [force - error[0], force + error[1], force - mean_error[0], force + mean_error[1]]
+        bands.append(band)
     low, high = np.min(bands, axis=0), np.max(bands, axis=0)
     notes = tuple(_find_prediction_notes(calibration))
     return Prediction(deflection, forces[0], low[0], high[1], low[2], high[3], notes)
@@ -402,9 +410,9 @@ def _find_prediction_notes(calibration: Calibration) -> Iterator[QualityNote]:
     """Yield notes on unknown scatter, several solutions and parameters with open intervals."""
     if calibration.levels.scatter_freedom == 0.0:
         yield QualityNote.of("mechanics.wire.predicted_sample", calibration.wire)
-    allowed = sum(solution.is_allowed for solution in calibration.solutions)
-    if allowed > 1:
-        yield QualityNote.of("mechanics.wire.predicted_solutions", calibration.wire, number=allowed)
+    count = sum(solution.is_allowed for solution in calibration.solutions)
+    if count > 1:
+        yield QualityNote.of("mechanics.wire.predicted_solutions", calibration.wire, number=count)
     for name in PARAMETERS:
         parameter = calibration.get_parameter(name)
         if parameter.is_open_below or parameter.is_open_above:
@@ -413,12 +421,12 @@ def _find_prediction_notes(calibration: Calibration) -> Iterator[QualityNote]:
 
 
 def find_tested_curvature(wire: Wire, values: Floats, curves: Sequence[MeasuredCurve]) -> float:
-    """Find the largest curvature at the clamp that the curves reach, 1/m.
+    """Compute the largest curvature at the clamp that the curves reach, 1/m.
 
     Parameters
     ----------
     wire : calibrated wire
-    values : shape (3,), calibrated values of `PARAMETERS`; NaN for those that do not act
+    values : shape (3,), calibrated values of `PARAMETERS`; NaN for parameters without effect
     curves : measured curves of this wire
 
     Raises
@@ -447,15 +455,15 @@ def compute_calibrated_curve(
 
     Parameters
     ----------
-    wire : calibrated wire, or another wire of the same make
-    values : shape (3,), calibrated values of `PARAMETERS`; NaN for nominal values
+    wire : calibrated wire, or another wire of the same type
+    values : shape (3,), calibrated values of `PARAMETERS`; NaN for the nominal value
     length, rig, deflection : length and rig of the wire, and largest deflection of its tip, as for
         `compute_loading_curve`
 
     Raises
     ------
     ValueError
-        If a material's curve ends before the deflection is reached.
+        If the curve of a material ends before the deflection is reached.
     """
     law = wire.law
     values = np.where(np.isnan(values), law.nominal, values)

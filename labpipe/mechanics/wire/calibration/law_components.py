@@ -1,18 +1,19 @@
-"""Split the bending law of a wire into components with one parameter each; compute its loading.
+"""Split the law of a wire into components with one parameter each, and compute loading curves.
 
 On first loading without tension, the moment of a wire is exactly a sum of components,
 
     M = F m_f(kappa / F) + sum over n of l m_c(kappa / l) + E_ins m_i(kappa).
 
-Friction is homogeneous in curvature and radial force F. If the strength K of a Ramberg-Osgood curve
-of exponent n is multiplied by c, its strains and stresses are multiplied by l = c^(1 / (1 - n)). So
-m_f, m_c and m_i are tabulated once, and other values of the parameters require only interpolation.
+The moment of friction is homogeneous in curvature and radial force F. If the strength K of a
+Ramberg-Osgood curve of exponent n is multiplied by c, the strains and stresses of the curve are
+multiplied by l = c^(1 / (1 - n)). Therefore m_f, m_c and m_i are tabulated once, and other values
+of the parameters require only interpolation.
 
-Friction acts through phi = F (mu_s + mu_p) of the outermost ring, where mu_s is the coefficient
-against strands and mu_p that against the insulation. The law of a wire with one ring depends on F,
-mu_s and mu_p only through phi. The remaining dependence on mu_s sin(alpha), where alpha is the lay
-angle, changes the friction angle by less than 0.1 %. For several rings, the ratios of the
-coefficients are taken as constant.
+The parameter of friction is phi = F (mu_s + mu_p) of the outermost ring, where mu_s is the
+coefficient against strands and mu_p that against the insulation. The law of a wire with one ring
+depends on F, mu_s and mu_p nearly only through phi: the dependence on mu_s sin(alpha), where alpha
+is the lay angle, changes the friction angle by less than 0.1 %. For several rings, the ratios of
+the coefficients are taken as constant.
 """
 
 from __future__ import annotations
@@ -41,64 +42,68 @@ from labpipe.records.wire import (
 _FRICTION, _INSULATION, _COPPER = (
     PARAMETERS.index(name) for name in (RADIAL_FRICTION, INSULATION_MODULUS, COPPER_SCALE)
 )
-_MIN_GAP = 1e-6  # relative; curvatures that are closer are merged
+_MIN_GAP = 1e-6
+"""Relative difference below which two curvatures are merged."""
 
 MomentFunction: TypeAlias = Callable[[Floats], tuple[Floats, Floats]]
-"""Function that returns moment, N m, and tangent stiffness, N m^2, for curvatures, 1/m, all of
-shape (n,)."""
+"""Function of curvatures, 1/m, that returns moments, N m, and tangent stiffnesses, N m^2.
+
+All arrays have the shape (n,).
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LawComponent:
-    """A component of the moment of a wire that scales with the value v of one parameter.
+    """Component of the moment of a wire that depends on the value v of one parameter.
 
-    The moment is v m(kappa), or a m(kappa / a) with a = (v / reference)^power.
+    The moment is v m(kappa), or a m(kappa / a) with a = (v / v_0)^power.
 
     Parameters
     ----------
-    parameter : index of the parameter in `PARAMETERS`
-    compute_unit_moment : function m, with its derivative
+    parameter_index : index of the parameter in `PARAMETERS`
+    compute_unit_moment : function that returns m and its derivative
     last_curvature : 1/m, last curvature for which m is known
     limit_name : name of the material or part that limits the curvature
-    power : exponent of v / reference in a; 0 if a does not depend on v
-    reference : value of the parameter for which a = 1
+    power : exponent of v / v_0 in a; 0 if a does not depend on v
+    reference_value : v_0, value of the parameter for which a = 1
     is_proportional : whether the moment is v m(kappa)
     corners : shape (corners,), 1/m, curvatures at which m has corners
     """
 
-    parameter: int
+    parameter_index: int
     compute_unit_moment: MomentFunction
     last_curvature: float = np.inf
     limit_name: str = ""
     power: float = 0.0
-    reference: float = 1.0
+    reference_value: float = 1.0
     is_proportional: bool = False
     corners: Floats = field(default_factory=lambda: np.zeros(0))
 
     def compute_scale(self, values: Floats) -> float:
         """Compute the factor a on curvatures."""
-        return float((values[self.parameter] / self.reference) ** self.power)
+        return float((values[self.parameter_index] / self.reference_value) ** self.power)
 
     def compute_moment(self, values: Floats, curvature: Floats) -> tuple[Floats, Floats, Floats]:
         """Compute moment, tangent stiffness, and derivative with respect to the log parameter, N m.
 
         The derivative of M = a m(kappa / a) with respect to the logarithm of a is M - kappa M'.
         """
-        factor = float(values[self.parameter]) if self.is_proportional else 1.0
+        factor = float(values[self.parameter_index]) if self.is_proportional else 1.0
         scale = self.compute_scale(values)
         moment, slope = self.compute_unit_moment(curvature / scale)
         moment, slope = factor * scale * moment, factor * slope
-        change = moment if self.is_proportional else self.power * (moment - curvature * slope)
-        return moment, slope, change
+        derivative = moment if self.is_proportional else self.power * (moment - curvature * slope)
+        return moment, slope, derivative
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WireLaw:
-    """The law of a wire on first loading, as the sum of its components.
+    """Law of a wire on first loading, as the sum of components.
 
     Parameters
     ----------
-    components : friction, insulation, and the strands of each Ramberg-Osgood exponent
+    components : components of friction, of the insulation, and of the strands of each
+        Ramberg-Osgood exponent
     nominal : shape (3,), nominal values of `PARAMETERS`; NaN for inactive parameters
     """
 
@@ -111,7 +116,7 @@ class WireLaw:
         return tuple(np.isfinite(self.nominal).tolist())
 
     def find_known_range(self, values: Floats) -> tuple[float, str]:
-        """Find the curvature up to which all components are known, 1/m, and a statement of it.
+        """Find the curvature up to which all components are known, 1/m, and state its cause.
 
         Parameters
         ----------
@@ -129,15 +134,15 @@ class WireLaw:
     def compute_moment(self, values: Floats, curvature: Floats) -> tuple[Floats, Floats, Floats]:
         """Compute moment, tangent stiffness, and derivatives with respect to log parameters, N m.
 
-        The derivatives are of shape (3, n).
+        The derivatives have the shape (3, n).
         """
         moment, slope = np.zeros((2, len(curvature)))
-        changes = np.zeros((len(PARAMETERS), len(curvature)))
+        derivatives = np.zeros((len(PARAMETERS), len(curvature)))
         for component in self.components:
-            addend, addend_slope, change = component.compute_moment(values, curvature)
+            addend, addend_slope, derivative = component.compute_moment(values, curvature)
             moment, slope = moment + addend, slope + addend_slope
-            changes[component.parameter] += change
-        return moment, slope, changes
+            derivatives[component.parameter_index] += derivative
+        return moment, slope, derivatives
 
 
 def split_law(section: CrossSection, contacts: Contacts, *, orientation: float = 0.0) -> WireLaw:
@@ -146,8 +151,8 @@ def split_law(section: CrossSection, contacts: Contacts, *, orientation: float =
     Parameters
     ----------
     section : cross-section of the wire
-    contacts : friction coefficients, whose ratios are kept, and the nominal radial force
-    orientation : rad, rotation of the section against the neutral axis
+    contacts : nominal radial force, and friction coefficients, whose ratios are not changed
+    orientation : rad, rotation of the section relative to the neutral axis
     """
     components, nominal = [], np.full(len(PARAMETERS), np.nan)
     if contacts.friction_sum > 0.0:
@@ -164,7 +169,7 @@ def split_law(section: CrossSection, contacts: Contacts, *, orientation: float =
         insulation = LawComponent(_INSULATION, bend_tube, last, "insulation", is_proportional=True)
         components.append(insulation)
         nominal[_INSULATION] = tube.modulus
-    for exponent in sorted({_find_exponent(layer.material) for layer in section.layers}):
+    for exponent in sorted({_get_exponent(layer.material) for layer in section.layers}):
         components.append(_split_strands(section, exponent))
         if exponent > 0.0:
             nominal[_COPPER] = 1.0
@@ -172,10 +177,10 @@ def split_law(section: CrossSection, contacts: Contacts, *, orientation: float =
 
 
 def _split_friction(section: CrossSection, contacts: Contacts, orientation: float) -> LawComponent:
-    """Tabulate the moment of the strands' axial forces for a radial force of 1 N, with corners."""
-    n_knots = 24  # knots in addition to the slip onsets
+    """Tabulate the moment of the axial forces of strands for a radial force of 1 N."""
+    n_knots = 24  # number of knots in addition to the slip onsets
     end_factor = 4.0  # last knot relative to the last onset
-    corner_tolerance = 1e-9  # change of slope relative to the first slope
+    corner_tolerance = 1e-9  # smallest change of slope at a corner, relative to the first slope
     unit_contacts = replace(contacts, radial_force=1.0)
     onsets = find_slip_onsets(section, unit_contacts, orientation=orientation)
     onsets = onsets[np.isfinite(onsets)]
@@ -191,29 +196,29 @@ def _split_friction(section: CrossSection, contacts: Contacts, orientation: floa
     slopes = np.append(np.diff(moment) / np.diff(curvature), 0.0)
 
     def interpolate(x: Floats) -> tuple[Floats, Floats]:
-        panel = np.searchsorted(curvature, x, side="right") - 1
-        slope = slopes[panel]
-        return moment[panel] + slope * (x - curvature[panel]), slope
+        segment = np.searchsorted(curvature, x, side="right") - 1
+        slope = slopes[segment]
+        return moment[segment] + slope * (x - curvature[segment]), slope
 
     component = LawComponent(_FRICTION, interpolate, power=1.0, corners=curvature[1:])
-    return replace(component, reference=contacts.friction_sum)
+    return replace(component, reference_value=contacts.friction_sum)
 
 
-def _find_exponent(material: object) -> float:
-    """Find n of a Ramberg-Osgood curve; 0 for a material that has no strength to scale."""
+def _get_exponent(material: object) -> float:
+    """Return n of a Ramberg-Osgood curve; 0 for a material without a strength K."""
     return material.exponent if isinstance(material, RambergOsgood) else 0.0
 
 
 def _split_strands(section: CrossSection, exponent: float) -> LawComponent:
     """Tabulate the moment of strands of one exponent about their own axes, at copper scale 1."""
     min_strain, points_per_decade = 1e-9, 32
-    max_strain = 100.0  # large, because a scaled strength shifts the strains
-    layers = [layer for layer in section.layers if _find_exponent(layer.material) == exponent]
+    max_strain = 100.0  # large, because the strains scale with the strength
+    layers = [layer for layer in section.layers if _get_exponent(layer.material) == exponent]
     rim_radius = max(layer.diameter for layer in layers) / 2.0
     max_strain = min(max_strain, *(layer.material.largest_strain for layer in layers))
     n_points = round(np.log10(max_strain / min_strain) * points_per_decade)
     strain = np.geomspace(min_strain, max_strain, n_points)
-    curvature = strain / rim_radius * (1.0 - 1e-12)  # rounding must not exceed the last strain
+    curvature = strain / rim_radius * (1.0 - 1e-12)  # strains must not exceed the last strain
     moment = np.zeros_like(curvature)
     for layer in layers:
         ratio = compute_elastic_ratio(layer.material, curvature * layer.diameter / 2.0)
@@ -225,7 +230,10 @@ def _split_strands(section: CrossSection, exponent: float) -> LawComponent:
 
 
 def _interpolate_moment(curvature: Floats, moment: Floats) -> MomentFunction:
-    """Interpolate the secant stiffness over log curvature; it is constant below the first point."""
+    """Return a function that interpolates the secant stiffness over log curvature.
+
+    The secant stiffness is constant below the first point and beyond the last.
+    """
     spline = CubicSpline(np.log(curvature), moment / curvature)
     derivative, first, last = spline.derivative(), curvature[0], curvature[-1]
 
@@ -238,7 +246,7 @@ def _interpolate_moment(curvature: Floats, moment: Floats) -> MomentFunction:
 
 
 def make_loading_table(law: WireLaw, values: Floats, largest_curvature: float) -> LoadingTable:
-    """Tabulate first loading for values of the parameters, with derivatives by their logarithms.
+    """Tabulate first loading for values of the parameters, with sensitivities.
 
     Parameters
     ----------
@@ -249,40 +257,41 @@ def make_loading_table(law: WireLaw, values: Floats, largest_curvature: float) -
     Raises
     ------
     ValueError
-        If a strand or the insulation is bent beyond the range of its material's curve.
+        If a strand or the insulation is bent beyond the range of the curve of its material.
     """
-    knots_per_panel = 4
+    knots_per_interval = 4
     corner_offset = 1e-9  # relative distance from a corner at which slopes are evaluated
     _require_known(law, values, largest_curvature)
     edges = _find_edges(law, values, largest_curvature)
-    fractions = np.arange(knots_per_panel) / knots_per_panel
+    fractions = np.arange(knots_per_interval) / knots_per_interval
     knots = (edges[:-1, None] + np.diff(edges)[:, None] * fractions).ravel()
     curvature = np.append(knots, edges[-1])
-    compliances, changes = [], []
+    compliances, sensitivities = [], []
     for side in (curvature[:-1] * (1.0 + corner_offset), curvature[1:] * (1.0 - corner_offset)):
-        _, slope, change = law.compute_moment(values, side)
+        _, slope, derivative = law.compute_moment(values, side)
         compliances.append(1.0 / slope)  # discontinuous at edges, where strands begin to slip
-        changes.append(-change * compliances[-1])
-    return LoadingTable(law.compute_moment(values, curvature)[0], curvature, *compliances, *changes)
+        sensitivities.append(-derivative * compliances[-1])
+    moment, _, _ = law.compute_moment(values, curvature)
+    return LoadingTable(moment, curvature, *compliances, *sensitivities)
 
 
 def _require_known(law: WireLaw, values: Floats, curvature: float) -> None:
-    """Refuse a curvature beyond the range of a component."""
-    rounding = 1e-9  # relative
+    """Raise ValueError if a curvature is beyond the range of a component."""
+    relative_tolerance = 1e-9  # for rounding errors
     known_curvature, statement = law.find_known_range(values)
-    if curvature > known_curvature * (1.0 + rounding):
+    if curvature > known_curvature * (1.0 + relative_tolerance):
         message = f"curvature={curvature:.6g} 1/m: {statement}"
         raise ValueError(message)
 
 
-def _find_edges(law: WireLaw, values: Floats, largest: float) -> Floats:
-    """Find the edges of the table's panels, 1/m: a graded grid, and the corners of friction."""
+def _find_edges(law: WireLaw, values: Floats, largest_curvature: float) -> Floats:
+    """Return the edges of the intervals of a table, 1/m: a graded grid, and corners of friction."""
     n_points = 44
-    log_range = 8.0  # logarithm of the ratio of the last and the first curvature
-    spacing_power = 1.5  # the points are denser towards the last
-    grid = largest * np.exp(-log_range * np.linspace(1.0, 0.0, n_points) ** spacing_power)
+    log_range = 8.0  # logarithm of the ratio of the last to the first curvature
+    spacing_power = 1.5  # points are denser near the last curvature
+    grid = largest_curvature * np.exp(-log_range * np.linspace(1.0, 0.0, n_points) ** spacing_power)
     corners = np.concatenate([part.compute_scale(values) * part.corners for part in law.components])
-    corners = corners[corners < largest]
+    corners = corners[corners < largest_curvature]
     above = grid[np.minimum(np.searchsorted(grid, corners), len(grid) - 1)]
     below = grid[np.maximum(np.searchsorted(grid, corners) - 1, 0)]
     gap = np.minimum(np.abs(above - corners), np.abs(below - corners))
@@ -310,15 +319,15 @@ def compute_loading_curve(
     rig : string and counterweight; None for an end load normal to the undeformed axis
     deflection : m, deflection of the tip from rest
     self_weight : N/m, weight per length of the wire
-    guess : curve of the same cantilever for the same deflection with a similar law, from which to
-        start
+    guess : curve of the same cantilever for the same deflection with a similar law; None if there
+        is none
 
     Raises
     ------
     ValueError
-        If a material's curve ends before the deflection is reached.
+        If the curve of a material ends before the deflection is reached.
     """
-    curvature_margin = 3.0  # relative to a wire whose curvature decreases linearly to its tip
+    curvature_margin = 3.0  # relative to a wire whose curvature decreases linearly to the tip
     ratio = min(deflection / length, 0.9)
     known_curvature, _ = law.find_known_range(values)
     end = min(known_curvature, curvature_margin * 3.0 * ratio / (1.0 - ratio**2) / length)

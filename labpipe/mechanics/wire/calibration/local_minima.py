@@ -1,29 +1,30 @@
 """Find all solutions of a calibration: local minima of the objective, and profiles from each.
 
-A wire of hard copper with a soft insulation can have nearly the same loading curves as one of soft
-copper with a stiff insulation. The objective then has two or more local minima, and noise decides
-which is the lowest. All of them lie along one line, on which the strength of the copper is fixed
-and all other unknowns are fitted. The line is followed from bound to bound, and a search starts
-from each of its low points.
+A wire of hard copper with a soft insulation can have nearly the same loading curves as a wire of
+soft copper with a stiff insulation. The objective then has two or more local minima, and noise
+decides which is the lowest. All minima are on one line, along which the strength of the copper
+varies and all other unknowns are fitted. The line is followed from bound to bound, and a search
+starts from each low point of the line.
 
-The profile likelihood gives the interval of a parameter: the values for which the objective rises
-by at most q^2. Here q is the 97.5 % quantile, relative to the standard error, of the distribution
-of the parameter in the linear model, averaged over the possible scatters of samples (`variances`).
-It may differ below and above. With many samples q is 1.96. For a parameter that depends on the mean
-of n samples it is that of Student's t with n - 1 degrees of freedom. For a linear model the
-interval is the t interval. It is asymmetric if the objective is, and open if the objective levels
-out. If there are several minima, each is followed separately with its rise above the lowest, and
-the interval is the union.
+The profile likelihood gives the interval of a parameter: the values for which the objective is at
+most q^2 above its minimum. q is the 97.5 % quantile, relative to the standard error, of the
+distribution of the parameter in the linear model, averaged over the possible scatters of samples
+(`variances`). The quantiles below and above may differ. With many samples q is 1.96. For a
+parameter that depends on the mean of n samples, q is the quantile of Student's t with n - 1 degrees
+of freedom. For a linear model the interval is the t interval. The interval is asymmetric if the
+objective is asymmetric, and open if the objective stays below the limit up to a bound. If there are
+several minima, each is followed separately with its rise above the lowest minimum. The interval is
+then the union of their intervals.
 
 For a nonlinear family of curves q is larger. The value q = 1.96 holds if the curves of the model
-lie on a straight line in the space of the data, as seen from the truth. If insulation and copper
-can replace each other, the curves lie on a curved line, and noise fits one of its many directions
-too well. The probability that the objective rises by more than q^2 from its minimum to the truth is
-that of Hotelling's tube [1]_ [2]_,
+are on a straight line in the space of the data. If insulation and copper can replace each other,
+the curves are on a curved line, with many directions from the true curve. Noise is then more likely
+to have a large component along one of them. The probability that the objective at the true values
+is more than q^2 above the minimum is that of Hotelling's tube [1]_ [2]_,
 
     2 (1 - Phi(q)) + angle / (2 pi) exp(-q^2 / 2),
 
-with the angle through which the direction from the truth to the curves rotates on both sides.
+with the angle through which the direction from the true curve to the others rotates on both sides.
 
 References
 ----------
@@ -55,12 +56,14 @@ from labpipe.records.wire import (
 
 _TUBE, _COPPER = PARAMETERS.index(INSULATION_MODULUS), PARAMETERS.index(COPPER_SCALE)
 _LINE_STEP = 0.3
-"""Spacing of points on the line, in the logarithm of the copper's strength."""
+"""Spacing of points on the line, in the logarithm of the strength of the copper."""
 _MIN_SEPARATION = 0.1 * _LINE_STEP
 """Difference of the logarithm of the strength of the copper below which minima count as equal."""
 _MAX_RISE = 200.0
-"""Rise of the objective above which a minimum is left out: no quantile of few samples is as
-large."""
+"""Rise of the objective above which a minimum is left out.
+
+No squared quantile of few samples is as large.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,8 +74,8 @@ class LocalMinimum:
     ----------
     fit : fit at the minimum
     rise : rise of the objective above the lowest minimum
-    uncertainty : covariance, with its degrees of freedom
-    mixture : covariance for each possible scatter of the samples
+    uncertainty : covariance of parameters and gain, with degrees of freedom
+    mixture : covariances of parameters and gain for each possible scatter of the samples
     """
 
     fit: Fit
@@ -89,7 +92,7 @@ class Minima:
     ----------
     local_minima : local minima, the lowest first
     line_unknowns : shape (n, 4), logarithms of the parameters and of the gain on the line through
-        all minima, from bound to bound of the copper's strength
+        all minima, from bound to bound of the strength of the copper
     line_rise : shape (n,), rise of the objective above its minimum, on the line
     widening : factor on quantiles that accounts for the curvature of the line
     """
@@ -111,7 +114,7 @@ class Minima:
 
 
 def find_minima(problem: Problem, logs: Floats) -> Minima:
-    """Find all local minima, with the levels of noise and scatter of the lowest.
+    """Find all local minima, with the levels of noise and scatter of the lowest minimum.
 
     Parameters
     ----------
@@ -123,7 +126,7 @@ def find_minima(problem: Problem, logs: Floats) -> Minima:
     ValueError
         If the model cannot follow the curves at any start.
     """
-    first_scatter = 0.05  # relative, of the first search
+    first_scatter = 0.05  # relative scatter of samples in the first search
     levels = Levels(1.0, 0.0, first_scatter if problem.scatter is None else problem.scatter)
     fit = refine_levels(_search_first_fit(problem, levels, _yield_starts(problem, logs)))
     line = follow_line(fit)
@@ -155,7 +158,7 @@ def _is_separate(first: Fit, second: Fit) -> bool:
 
 
 def _select_distinct(fits: list[Fit]) -> list[Fit]:
-    """Select distinct minima, the lowest first: two searches may end in the same minimum."""
+    """Select distinct minima, the lowest first; two searches may end in the same minimum."""
     distinct_fits: list[Fit] = []
     for fit in sorted(fits, key=lambda fit: fit.objective):
         if all(_is_separate(fit, other) for other in distinct_fits):
@@ -164,18 +167,19 @@ def _select_distinct(fits: list[Fit]) -> list[Fit]:
 
 
 def _search_from(fit: Fit, start: Fit) -> list[Fit]:
-    """Search in the problem of a fit from another fit; the list is empty if the model fails."""
+    """Search in the problem of a fit from another fit; return an empty list if the model fails."""
     unknowns = _drop_offsets(start.unknowns, fit.levels)
     try:
-        return [search(fit.problem, fit.levels, unknowns, guess=start.models, lowest=fit.objective)]
+        guess, best = start.model_forces, fit.objective
+        return [search(fit.problem, fit.levels, unknowns, guess=guess, best_objective=best)]
     except ValueError:
         return []
 
 
 def refine_levels(fit: Fit) -> Fit:
-    """Estimate noise and scatter of a fit, and search again until they converge."""
+    """Estimate noise and scatter of a fit, and search again, until the levels converge."""
     max_rounds = 6
-    level_tolerance = 0.01
+    level_tolerance = 0.01  # absolute for the correlation, relative for noise and scatter
     for _ in range(max_rounds):
         correlation = variances.estimate_correlation(fit)
         grams = objective.compute_products(fit, correlation)
@@ -186,7 +190,7 @@ def refine_levels(fit: Fit) -> Fit:
             (fit.levels.scatter - levels.scatter) / max(levels.scatter, 1e-9),
         )
         start = _drop_offsets(fit.unknowns, levels)
-        fit = search(fit.problem, levels, start, guess=fit.models)
+        fit = search(fit.problem, levels, start, guess=fit.model_forces)
         if np.max(np.abs(changes)) <= level_tolerance:
             break
     return fit
@@ -205,18 +209,18 @@ def _search_first_fit(problem: Problem, levels: Levels, starts: Iterable[Floats]
 
 
 def _drop_offsets(unknowns: Floats, levels: Levels) -> Floats:
-    """Return the unknowns, with factors of samples only if the samples scatter."""
+    """Return the unknowns; without scatter, the logarithms of the factors of samples are 0."""
     is_offset = np.arange(len(unknowns)) > P
     return np.where(is_offset & (levels.scatter == 0.0), 0.0, unknowns)
 
 
 def _has_trade_off(problem: Problem) -> bool:
-    """Return whether insulation and copper are both free, so that one can replace the other."""
+    """Return whether insulation and copper are both fitted and can replace each other."""
     return bool(problem.is_free[_TUBE] and problem.is_free[_COPPER])
 
 
 def _yield_starts(problem: Problem, logs: Floats) -> Iterator[Floats]:
-    """Yield the stated start, then other starts if the model may not follow the curves there."""
+    """Yield the given start, then starts in which the insulation carries part of the load."""
     insulation_fractions = (0.3, 0.8)  # fractions of the load that the insulation carries
     yield logs
     if not _has_trade_off(problem):
@@ -226,7 +230,7 @@ def _yield_starts(problem: Problem, logs: Floats) -> Iterator[Floats]:
     nominal = np.where(is_nominal, np.log(np.where(is_nominal, nominal_values, 1.0)), logs)
     models = objective.compute_model_forces(problem.law, np.exp(nominal), problem.curves)
     total = sum(float(np.abs(model.force).sum()) for model in models)
-    insulation_total = sum(float(np.abs(model.change[_TUBE]).sum()) for model in models)
+    insulation_total = sum(float(np.abs(model.sensitivity[_TUBE]).sum()) for model in models)
     copper_total = max(total - insulation_total, 0.01 * total)
     measured_total = sum(float(np.abs(curve.force).sum()) for curve in problem.curves)
     for fraction in insulation_fractions:
@@ -241,12 +245,13 @@ def find_local_minima(line: list[Fit], fit: Fit) -> list[Fit]:
 
     Parameters
     ----------
-    line : fits along the line, in order of the copper's strength
+    line : fits along the line, in order of the strength of the copper
     fit : a minimum on the line
 
     Returns
     -------
-    Minima in order of the copper's strength; of two without a hill between them, the lower.
+    Minima in order of the strength of the copper. Of two minima without a hill between them, only
+    the lower is returned.
     """
     min_hill = 1.0  # rise of the objective above the higher of two separate minima
     heights = np.pad([point.objective for point in line], 1, constant_values=np.inf)
@@ -270,7 +275,7 @@ def _get_strength(fit: Fit) -> float:
 
 
 def _compute_hill_height(line: list[Fit], first: Fit, second: Fit) -> float:
-    """Compute the rise of the line above the higher of two minima, between them."""
+    """Compute the height of the line between two minima above the higher minimum."""
     start, stop = _get_strength(first), _get_strength(second)
     heights = [fit.objective for fit in line if start < _get_strength(fit) < stop]
     return max(heights, default=-np.inf) - max(first.objective, second.objective)
@@ -285,8 +290,8 @@ def follow_line(fit: Fit) -> list[Fit]:
 
     Returns
     -------
-    Fits for evenly spaced strengths of the copper from bound to bound, including the minimum. Only
-    the minimum unless insulation and copper are both free.
+    Fits for evenly spaced strengths of the copper from bound to bound, including the minimum. It is
+    only the minimum unless insulation and copper are both fitted.
     """
     problem, strength = fit.problem, _get_strength(fit)
     if not _has_trade_off(problem):
@@ -299,28 +304,32 @@ def follow_line(fit: Fit) -> list[Fit]:
 
 
 def _follow_side(fit: Fit, stops: Floats) -> list[Fit]:
-    """Fit with the copper's strength at one stop after the other; starts are extrapolated."""
+    """Fit at successive strengths of the copper; each search starts from an extrapolation."""
     fits, problem = [fit, fit], fit.problem.hold(_COPPER)
-    search_line = partial(search, problem, fit.levels, tolerance=0.01, lowest=fit.objective)
+    search_line = partial(search, problem, fit.levels, tolerance=0.01, best_objective=fit.objective)
     for stop in stops:
         previous, last = fits[-2:]
         change = np.clip(last.logs - previous.logs, -1.0, 1.0)
         start = apply_step(last, np.pad(change, (0, len(last.unknowns) - P)))
         start[_COPPER] = stop
         try:
-            fits.append(search_line(start, guess=last.models))
+            fits.append(search_line(start, guess=last.model_forces))
         except ValueError:
             break  # the model cannot follow the curves with such copper
     return fits[2:]
 
 
 def compute_widening(line: list[Fit], base: Fit) -> float:
-    """Compute the quantile of a curved family relative to that of a straight one, at least 1.
+    """Compute the quantile of a curved family of curves relative to that of a straight family.
 
     Parameters
     ----------
     line : fits along the family, in order, including the base
     base : fit from which angles are measured
+
+    Returns
+    -------
+    Ratio of the quantiles, at least 1.
     """
     start = next(index for index, fit in enumerate(line) if fit is base)
     products = compute_differences(line, base)
@@ -330,7 +339,7 @@ def compute_widening(line: list[Fit], base: Fit) -> float:
 
 
 def compute_tube_quantile(angle: float) -> float:
-    """Compute the root of the rise of the objective that noise exceeds in 5 % of all cases.
+    """Compute the square root of the rise of the objective with a probability of 5 %.
 
     Parameters
     ----------
@@ -350,9 +359,9 @@ def compute_tube_quantile(angle: float) -> float:
 
 
 def _sum_angles(products: Floats, side: range) -> float:
-    """Sum the rotation of the direction to points, rad, up to the first that is too far away.
+    """Sum the rotations of the direction to successive points, rad, up to a largest distance.
 
-    The products are those of the points' differences from the base.
+    The products are those of the differences of the points from the base.
     """
     max_distance = 6.0  # standard deviations of noise; no farther curve fits better by chance
     distance = np.sqrt(np.maximum(np.diag(products), 0.0))
@@ -366,15 +375,18 @@ def _sum_angles(products: Floats, side: range) -> float:
 
 
 def compute_differences(line: list[Fit], base: Fit) -> Floats:
-    """Compute the Gram matrix of the differences of all fits from one, relative to the noise."""
+    """Compute the Gram matrix of the differences of fits from a base, relative to the noise.
+
+    The differences are those of the model forces and, with priors, of the unknowns.
+    """
     problem, levels = base.problem, base.levels
     total = np.zeros((len(line), len(line)))
     for index, curve in enumerate(problem.curves):
-        forces = [fit.factors[index] * fit.models[index].force for fit in line]
+        forces = [fit.factors[index] * fit.model_forces[index].force for fit in line]
         columns = np.stack(forces, axis=1)
-        columns -= (base.factors[index] * base.models[index].force)[:, None]
+        columns -= (base.factors[index] * base.model_forces[index].force)[:, None]
         total += objective.compute_whitened_products(
-            curve, columns, base.models[index].slope, levels.correlation
+            curve, columns, base.model_forces[index].slope, levels.correlation
         )
     precision = problem.compute_precision(levels.scatter)
     weights = np.sqrt(np.where(np.isfinite(precision), precision, 0.0))
@@ -391,7 +403,7 @@ class LocalProfile:
     logs : shape (n,), logarithms of the parameter, increasing
     deviance : shape (n,), rise of the objective above its minimum
     lower, upper : logarithms of the parameter at the ends of the interval
-    is_open_below, is_open_above : whether the deviance stays below the threshold to the bound
+    is_open_below, is_open_above : whether the deviance is below the threshold up to the bound
     threshold_below, threshold_above : deviance at which the interval ends
     """
 
@@ -421,10 +433,10 @@ def follow_profiles(minima: Minima, index: int, *, factor: float = 1.0) -> tuple
     )
 
 
-def unite_intervals(traces: tuple[LocalProfile, ...]) -> tuple[tuple[float, float], ...]:
-    """Return the ends of the union of the intervals of several traces, increasing logarithms."""
+def unite_intervals(profiles: tuple[LocalProfile, ...]) -> tuple[tuple[float, float], ...]:
+    """Return the intervals of the union of several profiles, in increasing logarithms."""
     intervals: list[tuple[float, float]] = []
-    for lower, upper in sorted((trace.lower, trace.upper) for trace in traces):
+    for lower, upper in sorted((profile.lower, profile.upper) for profile in profiles):
         if intervals and lower <= intervals[-1][1]:
             intervals[-1] = (intervals[-1][0], max(intervals[-1][1], upper))
         else:
@@ -443,15 +455,16 @@ def compute_limit(minima: Minima, minimum: LocalMinimum) -> float:
     Notes
     -----
     The limit is the square of a quantile, in standard errors, of the combination of parameters in
-    the direction from the lowest minimum to this one. The shape of the curves selects the minimum.
-    The quantile is therefore that of many points, even if the mean force depends on few samples.
+    the direction from the lowest minimum to this minimum. The shape of the curves distinguishes the
+    minima. The quantile is therefore that of many points, even if the mean force depends on few
+    samples.
     """
     difference = minimum.fit.unknowns[: P + 1] - minima.fit.unknowns[: P + 1]
     return float(_compute_limits(minima, difference[None, :])[0])
 
 
 def find_line_range(minima: Minima, index: int, factor: float) -> tuple[float, float]:
-    """Find the range of a parameter on the line of minima, in logarithms.
+    """Find the range of the logarithm of a parameter on the line of minima.
 
     Parameters
     ----------
@@ -486,7 +499,8 @@ def _compute_quantile_ratio(quantile: Floats, error: Floats) -> Floats:
     """Compute quantiles in standard errors, at least that of a normal distribution.
 
     The uncertainty of noise and scatter increases the quantiles. If a parameter has no effect, such
-    as for an insulation without stiffness, the linear model fails, and its quantile is arbitrary.
+    as the modulus of an insulation without stiffness, the quantile of the linear model is
+    arbitrary.
     """
     min_quantile = 1.96
     ratio = np.divide(quantile, error, out=np.zeros_like(quantile), where=error > 0.0)
@@ -503,9 +517,9 @@ def _follow_profile(
     relative_rise = minimum.rise / compute_limit(minima, minimum) if minimum.rise > 0.0 else 0.0
     widening = minima.widening * float(np.sqrt(factor - relative_rise))
     roots = widening * _compute_quantile_ratio(np.append(-below, above), np.full(2, error))
-    walk = _ProfileWalk(fit, index, _find_direction(fit, index))
-    low = _find_end(walk, -1.0, float(roots[0]), error)
-    high = _find_end(walk, 1.0, float(roots[1]), error)
+    path = _ProfilePath(fit, index, _compute_direction(fit, index))
+    low = _find_end(path, -1.0, float(roots[0]), error)
+    high = _find_end(path, 1.0, float(roots[1]), error)
     points = {(start, 0.0)}
     for side in (low, high):
         is_single = len(minima.local_minima) == 1
@@ -524,8 +538,9 @@ class _ProfileSide:
     Parameters
     ----------
     end : logarithm of the parameter at the end of the interval
-    is_open : whether the deviance stays below the threshold to the bound
-    points : logarithms of the parameter and roots of the deviance, in order of evaluation
+    is_open : whether the deviance is below the threshold up to the bound
+    points : logarithm of the parameter and root of the deviance of each point, in order of
+        evaluation
     """
 
     end: float
@@ -534,7 +549,7 @@ class _ProfileSide:
 
 
 def _select_uphill(start: float, side: _ProfileSide) -> list[tuple[float, float]]:
-    """Select the points up to the first hill; another minimum beyond it is followed separately."""
+    """Select the points of a side up to the first hill; minima beyond are followed separately."""
     points: list[tuple[float, float]] = []
     for point in sorted(side.points, key=lambda point: abs(point[0] - start)):
         if points and point[1] < points[-1][1]:
@@ -543,25 +558,25 @@ def _select_uphill(start: float, side: _ProfileSide) -> list[tuple[float, float]
     return points
 
 
-def _find_direction(fit: Fit, index: int) -> Floats:
-    """Find the change of all unknowns per change of a parameter, for a quadratic objective."""
-    matrix, _, may_move = objective.make_normal_equations(fit)
-    may_move[index] = False
+def _compute_direction(fit: Fit, index: int) -> Floats:
+    """Compute the change of all unknowns per change of a parameter, for a quadratic objective."""
+    matrix, _, may_change = objective.make_normal_equations(fit)
+    may_change[index] = False
     direction = np.zeros(len(matrix))
     direction[index] = 1.0
-    if may_move.any():
-        unit, scale = objective.scale_matrix(matrix[np.ix_(may_move, may_move)])
-        direction[may_move] = -np.linalg.solve(unit, matrix[may_move, index] / scale) / scale
+    if may_change.any():
+        unit, scale = objective.scale_matrix(matrix[np.ix_(may_change, may_change)])
+        direction[may_change] = -np.linalg.solve(unit, matrix[may_change, index] / scale) / scale
     return direction
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _ProfileWalk:
-    """A walk along a profile.
+class _ProfilePath:
+    """Profile of a parameter, which is evaluated point by point.
 
     Parameters
     ----------
-    fit : minimum at which the walk starts
+    fit : minimum from which the profile starts
     index : index of the parameter
     direction : shape (4 + samples,), change of all unknowns per change of the parameter
     """
@@ -584,7 +599,7 @@ class _ProfileWalk:
         for step in (shift, 0.0 * shift):
             unknowns = apply_step(start, step)
             unknowns[self.index] = target
-            fits.append(search_profile(unknowns, guess=start.models))
+            fits.append(search_profile(unknowns, guess=start.model_forces))
             best = min(fits, key=lambda fit: fit.objective)
             rise = best.objective - self.fit.objective
             if rise <= max_threshold_factor * root**2:
@@ -592,21 +607,21 @@ class _ProfileWalk:
         return float(np.sqrt(max(rise, 0.0))), best
 
 
-def _find_end(walk: _ProfileWalk, sign: float, root: float, error: float) -> _ProfileSide:
-    """Find where the root of the deviance reaches `root`: extrapolate first, then interpolate."""
+def _find_end(path: _ProfilePath, sign: float, root: float, error: float) -> _ProfileSide:
+    """Find the end of the interval, at which the root of the deviance is `root`."""
     root_tolerance = 0.01  # relative to the root
     max_evaluations = 24
-    problem, start = walk.fit.problem, float(walk.fit.logs[walk.index])
-    bound = float((problem.lower if sign < 0.0 else problem.upper)[walk.index])
+    problem, start = path.fit.problem, float(path.fit.logs[path.index])
+    bound = float((problem.lower if sign < 0.0 else problem.upper)[path.index])
     max_distance = sign * (bound - start)
     if max_distance <= 0.0:
         return _ProfileSide(bound, is_open=True, points=[])
-    inner, start_fit, n_kept = (0.0, 0.0), walk.fit, 0
+    inner, start_fit, n_kept = (0.0, 0.0), path.fit, 0
     outer: tuple[float, float] | None = None
     points: list[tuple[float, float]] = []
     distance = min(root * error, max_distance) if error > 0.0 else max_distance
     for _ in range(max_evaluations):
-        height, fit = walk.evaluate(start_fit, start + sign * distance, root)
+        height, fit = path.evaluate(start_fit, start + sign * distance, root)
         points.append((start + sign * distance, height))
         if abs(height - root) <= root_tolerance * root:
             break
@@ -617,7 +632,7 @@ def _find_end(walk: _ProfileWalk, sign: float, root: float, error: float) -> _Pr
         else:
             start_fit, inner, n_kept = fit, (distance, height), max(n_kept, 0) + 1
         distance = _choose_distance(inner, outer, n_kept, root, max_distance)
-    else:  # not converged: take the wider interval
+    else:  # without convergence, the wider interval is taken
         distance = outer[0] if outer else max_distance
     return _ProfileSide(start + sign * distance, outer is None and distance >= max_distance, points)
 
@@ -631,9 +646,9 @@ def _choose_distance(
 ) -> float:
     """Choose the next distance: a limited extrapolation, then false position or bisection.
 
-    `inner` and `outer` are distances and heights inside and outside the interval. The distance is
-    bisected if one of the two was kept twice (`n_kept`), because the deviance is then not
-    quadratic.
+    `inner` and `outer` are the last points inside and outside the interval: distance and root of
+    the deviance. `n_kept` counts successive points on the same side, negative outside. After three
+    such points the interval between the two is bisected, because the deviance is not quadratic.
     """
     max_growth = 2.5  # ratio of successive distances
     inner_distance, height = inner

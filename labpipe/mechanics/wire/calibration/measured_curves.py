@@ -24,32 +24,34 @@ from labpipe.records.wire import (
 )
 
 MAX_DEFLECTION = 0.65
-"""Largest deflection relative to the length; stations may unload beyond it, see
-`wire.first_loading`."""
+"""Largest deflection relative to the length.
+
+At larger deflections, stations may unload (`wire.first_loading`).
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasuredCurve(ArrayRecord):
-    """The first loading of one sample.
+    """Measured curve of first loading of one sample.
 
     Parameters
     ----------
     wire : name of the wire
     test : name of the test
-    sample : name of the sample; all tests of a sample share its factor
-    length : m, free length
+    sample : name of the sample; all tests of a sample have the same factor on the force
+    length : m, free length of the wire
     deflection : shape (n,), m, deflection of the tip from rest
     force : shape (n,), N, force of the load cell, zeroed at rest; `select_usable_curves` leaves out
         points at which force or deflection is NaN
-    noise : N, standard deviation of the force, one number or shape (n,). It includes the noise of
+    noise : N, standard deviation of the force, one value or shape (n,). It includes the noise of
         the deflection times the slope of the curve
     rig : string and counterweight; None for an end load normal to the undeformed axis
     zero_error : N, standard error of the zero of the force
-    offset_error : m, standard error of the offset of all deflections, due to zero and clock
-    scale_error : relative standard error of the deflection's scale, common to all curves of a
+    offset_error : m, standard error of the common offset of the deflections, due to zero and clock
+    scale_error : relative standard error of the scale of the deflection, common to all curves of a
         calibration
-    own_scale_error : relative standard error of the deflection's scale in this curve
-    self_weight : N/m, weight per length of the wire, which lies level at rest
+    own_scale_error : relative standard error of the scale of the deflection in this curve only
+    self_weight : N/m, weight per length of the wire, which is level at rest
     """
 
     wire: str
@@ -73,7 +75,7 @@ class MeasuredCurve(ArrayRecord):
 
     @property
     def setup(self) -> tuple[float, ...]:
-        """Inputs of the model's loading curve; curves with equal inputs share it."""
+        """Inputs of the loading curve of the model, which is the same for curves of equal setup."""
         wire = self.length, self.self_weight
         return wire if self.rig is None else (*wire, *astuple(self.rig))
 
@@ -84,9 +86,9 @@ class MeasuredCurve(ArrayRecord):
 
     @property
     def point_error(self) -> float:
-        """Standard deviation of a point, N, as root mean square over the curve.
+        """Standard deviation of a force, N, as root mean square over the curve.
 
-        Errors of the deflection are converted with the secant from rest to the peak.
+        Errors of the deflection are multiplied by the secant stiffness from rest to the peak.
         """
         slope = self.peak / float(np.nanmax(np.abs(self.deflection)))
         shared = compute_shared_errors(self, np.full(len(self.force), slope))
@@ -113,18 +115,19 @@ def compute_shared_errors(curve: MeasuredCurve, slope: Floats) -> Floats:
 def select_usable_curves(
     curves: tuple[MeasuredCurve, ...],
 ) -> tuple[MeasuredCurve, ...] | CalibrationFailure:
-    """Leave out NaN points and empty curves; refuse curves that cannot be fitted.
+    """Select the finite points of curves, and the curves with such points.
 
     Returns
     -------
-    The curves, with the common error of the scale multiplied by n^(1/2) so that it can be treated
-    as an error of each curve; or a failure ``no_sample_usable``, ``wires_mixed``,
-    ``noise_not_positive`` or ``deflection_too_large``.
+    The curves, or a failure if a calibration cannot use them: ``no_sample_usable``,
+    ``wires_mixed``, ``noise_not_positive`` or ``deflection_too_large``. The common error of the
+    scale is multiplied by n^(1/2), and can then be treated as an independent error of each of the n
+    curves.
 
     Notes
     -----
-    A common error e of n curves shifts their mean by e, as do n independent errors of n^(1/2) e.
-    Only the differences between curves then have less weight than they could have.
+    A common error e of n curves shifts their mean by e. Independent errors of n^(1/2) e have the
+    same effect on the mean, but reduce the weight of the differences between curves.
     """
     usable = tuple(_select_finite_points(curve) for curve in curves)
     usable = tuple(curve for curve in usable if len(curve.force))
@@ -155,7 +158,7 @@ def select_usable_curves(
 
 
 def _select_finite_points(curve: MeasuredCurve) -> MeasuredCurve:
-    """Select the curve without the points at which force or deflection is not finite."""
+    """Return the curve without points at which force or deflection is not finite."""
     is_finite = np.isfinite(curve.deflection) & np.isfinite(curve.force)
     deflection, force = curve.deflection[is_finite], curve.force[is_finite]
     noise = np.asarray(curve.noise)[is_finite]
@@ -168,11 +171,11 @@ def whiten(values: Floats, correlation: float) -> Floats:
     Parameters
     ----------
     values : shape (n, ...), values in order of time, relative to the standard deviation of noise
-    correlation : correlation of neighbouring values, at least 0 and below 1
+    correlation : correlation of the noise of neighbouring values, at least 0 and below 1
 
     Returns
     -------
-    Values of the same shape; noise in them is uncorrelated.
+    Values of the same shape, with uncorrelated noise.
     """
     if correlation == 0.0:
         return values
@@ -185,7 +188,7 @@ def whiten(values: Floats, correlation: float) -> Floats:
 def compute_curve_errors(
     force: Floats, model: Floats, lower: Floats | None = None, upper: Floats | None = None
 ) -> CurveErrors:
-    """Compute the errors of a model at the points of a curve; leave out NaN.
+    """Compute the errors of a model at the points of a curve; NaNs are left out.
 
     Parameters
     ----------
@@ -194,13 +197,13 @@ def compute_curve_errors(
 
     Returns
     -------
-    SSE, RMSE, RMSE relative to the largest force, and fraction of the points inside the band, which
-    is NaN without a band.
+    Number of points, SSE, RMSE, RMSE relative to the largest force, and fraction of the points
+    inside the band, which is NaN without a band.
 
     Raises
     ------
     ValueError
-        If no point has both forces.
+        If no point has a measured and a modelled force.
 
     Notes
     -----
@@ -214,11 +217,11 @@ def compute_curve_errors(
     residuals = force[is_valid] - model[is_valid]
     sse = float(residuals @ residuals)
     rmse = float(np.sqrt(sse / len(residuals)))
-    inside = np.nan
+    coverage = np.nan
     if lower is not None and upper is not None:
-        inside = float(np.mean(((lower <= force) & (force <= upper))[is_valid]))
+        coverage = float(np.mean(((lower <= force) & (force <= upper))[is_valid]))
     rmse_share = rmse / float(np.max(np.abs(force[is_valid])))
-    return CurveErrors(len(residuals), sse, rmse, rmse_share, inside)
+    return CurveErrors(len(residuals), sse, rmse, rmse_share, coverage)
 
 
 def compare_with_model(curve: MeasuredCurve, model: Floats, factor: float) -> CurveAgreement:
@@ -227,13 +230,13 @@ def compare_with_model(curve: MeasuredCurve, model: Floats, factor: float) -> Cu
     Parameters
     ----------
     curve : measured curve
-    model : shape (n,), N, force of the model without the sample's factor
-    factor : factor of the sample, including that of the load cell
+    model : shape (n,), N, force of the model without the factor of the sample
+    factor : product of the factors of the sample and of the load cell
 
     Returns
     -------
-    Errors of the model without the factor; correlation and runs test of the residuals with the
-    factor.
+    Errors of the model without the factor, and correlation and runs test of the residuals of the
+    model with the factor.
     """
     errors = compute_curve_errors(curve.force, model)
     residuals = (curve.force - factor * model) / np.asarray(curve.noise)
@@ -254,34 +257,34 @@ def compare_with_model(curve: MeasuredCurve, model: Floats, factor: float) -> Cu
 
 
 def compute_lag_one_correlation(residuals: Floats) -> float:
-    """Compute the correlation of neighbouring residuals about zero; 0 if all are zero."""
+    """Compute the correlation of neighbouring residuals about zero; 0 if all residuals are zero."""
     squares = float(residuals @ residuals)
     return float(residuals[1:] @ residuals[:-1]) / squares if squares > 0.0 else 0.0
 
 
 def compute_runs_p(residuals: Floats) -> float:
-    """Compute the two-sided p-value of Wald and Wolfowitz's runs test of the residuals' signs.
+    """Compute the two-sided p-value of the runs test of Wald and Wolfowitz on signs of residuals.
 
     Notes
     -----
-    The distribution is approximated as normal (Ann. Math. Stat. 11 (1940) 147). The value is 0 if
-    all residuals have one sign. Zeros count as negative.
+    The distribution is approximated as normal (Ann. Math. Stat. 11 (1940) 147). The p-value is 0 if
+    all residuals have the same sign. Zeros count as negative.
     """
     is_above = residuals > 0.0
     n_above, n_below = int(is_above.sum()), int((~is_above).sum())
     n = n_above + n_below
     if n_above == 0 or n_below == 0:
         return 0.0
-    runs = 1 + int(np.sum(is_above[1:] != is_above[:-1]))
+    n_runs = 1 + int(np.sum(is_above[1:] != is_above[:-1]))
     mean = 1.0 + 2.0 * n_above * n_below / n
     variance = (mean - 1.0) * (mean - 2.0) / (n - 1.0)
     if variance <= 0.0:
         return 1.0
-    return float(2.0 * ndtr(-abs(runs - mean) / np.sqrt(variance)))
+    return float(2.0 * ndtr(-abs(n_runs - mean) / np.sqrt(variance)))
 
 
 MIN_COMPARED_POINTS = 3
-"""Smallest number of points to compare two curves."""
+"""Smallest number of points at which two curves are compared."""
 
 
 def compare_curves(
@@ -298,15 +301,15 @@ def compare_curves(
     curve : external curve
     deflection : shape (m,), m, deflections of the reference curve, increasing
     force : shape (m,), N, forces of the reference curve
-    band : lower and upper ends of its 95 % band, shape (m,), N, which may be NaN; None without a
-        band
+    band : lower and upper ends of the 95 % band of the reference curve, shape (m,), N, which may be
+        NaN; None without a band
     label : name of the reference curve in messages: ``the tests``, ``the model``
 
     Returns
     -------
-    Errors at the points of the external curve that lie within the range of the reference curve. The
-    reference is interpolated linearly, and all points have the same weight. The errors are None for
-    fewer than 3 points.
+    Errors at the points of the external curve that are within the range of the reference curve. The
+    reference curve is interpolated linearly, and all points have the same weight. The errors are
+    None for fewer than 3 points.
 
     Notes
     -----

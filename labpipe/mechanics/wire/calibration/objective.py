@@ -2,19 +2,20 @@
 
 The objective is
 
-    sum |W (F - exp(g + b_s) f(p))|^2 / v + sum b_s^2 / tau^2 + g^2 / gain^2
-    + sum (ln p - ln prior)^2 / prior^2.
+    sum |W (F - exp(g + b_s) f(p))|^2 / v + sum b_s^2 / tau^2 + g^2 / u_g^2
+    + sum (ln p - ln p_0)^2 / u_p^2.
 
-The unknowns are the logarithms of the parameters p, of the gain of the load cell, g, and of the
-factors of the samples, b_s. F are measured forces and f those of the model. The matrix W whitens
-the residuals, v is the variance of the noise relative to the stated variance, and tau is the
-scatter of the samples. The factors multiply the forces of the model. A covariance computed from
-measured forces would bias the model to small forces if the scatter is large (Peelle's puzzle). For
-fixed levels v and tau, the objective is the Laplace form of the marginal likelihood. It is
-minimised by damped Gauss-Newton steps within the bounds.
+The unknowns are the logarithms of the parameters p, the logarithm g of the gain of the load cell,
+and the logarithms b_s of the factors of the samples. F are measured forces, f forces of the model.
+The matrix W whitens the residuals, v is the variance of the noise relative to the stated variance,
+and tau is the scatter of the samples. u_g and u_p are standard uncertainties of the gain and of the
+priors p_0. The factors multiply the forces of the model. A covariance computed from measured forces
+would bias the model to small forces if the scatter is large (Peelle's puzzle). For fixed levels v
+and tau, the objective is the Laplace form of the marginal likelihood. It is minimised by damped
+Gauss-Newton steps within the bounds.
 
-The unknowns are in one vector: P logarithms of parameters, that of the gain, and those of the
-samples' factors.
+The unknowns are in one vector: the logarithms of P parameters, then that of the gain, then those of
+the factors of the samples.
 """
 
 from __future__ import annotations
@@ -52,19 +53,22 @@ from labpipe.records.wire import (
 )
 
 P = len(PARAMETERS)
-"""Number of parameters: index of the gain among the unknowns, and of the force in `Fit.grams`."""
+"""Number of parameters.
+
+It is also the index of the gain among the unknowns, and of the force of the model in `Fit.grams`.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class Wire:
-    """A wire with the nominal values of its sheet.
+    """Wire with the nominal values of its sheet.
 
     Parameters
     ----------
     section : cross-section with nominal materials
-    contacts : friction coefficients, whose ratios are kept, and nominal radial force
-    orientation : rad, rotation of the section against the neutral axis
-    self_weight : N/m, weight per length
+    contacts : nominal radial force, and friction coefficients, whose ratios are not changed
+    orientation : rad, rotation of the section relative to the neutral axis
+    self_weight : N/m, weight per length of the wire
     linear_range : 1/m, curvature up to which the insulation is linear
     """
 
@@ -86,10 +90,11 @@ class Settings:
 
     Parameters
     ----------
-    choices : how to treat a parameter, keyed by its name; others are free if they act on the wire
+    choices : treatment of parameters, keyed by the name of the parameter; other parameters are
+        fitted if they have an effect on the wire
     gain : relative standard uncertainty of the gain of the load cell, common to all curves
-    scatter : relative standard deviation of the samples' factors on the force; None to estimate it
-        from the samples
+    scatter : relative standard deviation of the factors of the samples; None to estimate it from
+        the samples
     """
 
     choices: Mapping[str, ParameterChoice] = field(default_factory=dict)
@@ -102,8 +107,10 @@ SEARCH_RANGES: Mapping[str, tuple[float, float, float]] = {
     INSULATION_MODULUS: (1e5, 1e9, 1e11),
     COPPER_SCALE: (0.05, 1.0, 20.0),
 }
-"""Lower bound, start and upper bound of each parameter, in N, Pa and 1. The start is used if the
-nominal value of the wire is missing or zero."""
+"""Lower bound, first value and upper bound of each parameter, in N, Pa and 1.
+
+The first value is used if the nominal value of the wire is zero.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,27 +122,28 @@ class Problem:
     law : law of the wire, split into its components
     curves : measured curves with usable points only
     sample_index : shape (curves,), index of the sample of each curve
-    centre : shape (3,), centres of the priors on the logarithms
-    precision : shape (3,), inverse variances of the priors; 0 without a prior
-    lower, upper : shape (3,), bounds of the logarithms
-    gain : standard uncertainty of the logarithm of the load cell's gain
+    prior_centre : shape (3,), centres of the priors on the logarithms of the parameters
+    prior_precision : shape (3,), inverse variances of the priors; 0 without a prior
+    lower, upper : shape (3,), lower and upper bounds of the logarithms of the parameters
+    gain_uncertainty : standard uncertainty of the logarithm of the gain of the load cell
     is_free : shape (3,), whether each parameter is fitted
-    scatter : standard deviation of the logarithms of the samples' factors; None to estimate it
+    scatter : standard deviation of the logarithms of the factors of the samples; None to estimate
+        it
     """
 
     law: WireLaw
     curves: tuple[MeasuredCurve, ...]
     sample_index: Ints
-    centre: Floats
-    precision: Floats
+    prior_centre: Floats
+    prior_precision: Floats
     lower: Floats
     upper: Floats
-    gain: float
+    gain_uncertainty: float
     is_free: Flags
     scatter: float | None = None
 
     def hold(self, index: int) -> Problem:
-        """Return the problem in which the parameter with this index is fixed."""
+        """Return the problem in which the parameter with an index is not fitted."""
         return replace(self, is_free=self.is_free & (np.arange(P) != index))
 
     @property
@@ -149,19 +157,19 @@ class Problem:
         return sum(len(curve.force) for curve in self.curves)
 
     def compute_precision(self, scatter: float) -> Floats:
-        """Compute the inverse variances of all unknowns; infinite for those that are fixed at 0.
+        """Compute the inverse prior variances of all unknowns; infinite for one fixed at 0.
 
         Parameters
         ----------
-        scatter : standard deviation of the logarithms of the samples' factors
+        scatter : standard deviation of the logarithms of the factors of the samples
         """
-        deviations = np.append(self.gain, np.full(self.n_samples, scatter))
+        deviations = np.append(self.gain_uncertainty, np.full(self.n_samples, scatter))
         with np.errstate(divide="ignore"):
-            return np.append(self.precision, deviations**-2.0)
+            return np.append(self.prior_precision, deviations**-2.0)
 
     def compute_offsets(self, unknowns: Floats) -> Floats:
-        """Compute the differences of all unknowns from their centres."""
-        return np.append(unknowns[:P] - self.centre, unknowns[P:])
+        """Compute the differences of all unknowns from the centres of their priors."""
+        return np.append(unknowns[:P] - self.prior_centre, unknowns[P:])
 
 
 def set_up_problem(
@@ -177,16 +185,16 @@ def set_up_problem(
 
     Returns
     -------
-    The problem and the logarithms from which to start; or a failure ``parameter_without_effect``,
-    ``value_out_of_bounds`` or ``too_few_points``.
+    The problem and the logarithms from which the search starts, shape (3,). Otherwise a failure
+    ``parameter_without_effect``, ``value_out_of_bounds`` or ``too_few_points``.
     """
     logs, centre, precision, lower, upper = np.zeros((5, P))
-    free = np.zeros(P, dtype=np.bool_)
+    is_free = np.zeros(P, dtype=np.bool_)
     for index, name in enumerate(PARAMETERS):
-        acts, choice = law.is_active[index], settings.choices.get(name, ParameterChoice())
-        if not acts and name in settings.choices and not choice.is_fixed:
+        is_active, choice = law.is_active[index], settings.choices.get(name, ParameterChoice())
+        if not is_active and name in settings.choices and not choice.is_fixed:
             return CalibrationFailure.of("mechanics.wire.parameter_without_effect", name=name)
-        if not acts:
+        if not is_active:
             continue
         nominal, (lowest, start, highest) = float(law.nominal[index]), SEARCH_RANGES[name]
         value = choice.value or (nominal if nominal > 0.0 else start)
@@ -198,23 +206,23 @@ def set_up_problem(
             return CalibrationFailure.of(
                 "mechanics.wire.value_out_of_bounds", name=name, value=text, bounds=bounds
             )
-        free[index] = not choice.is_fixed
+        is_free[index] = not choice.is_fixed
         logs[index], lower[index], upper[index] = np.log([value, low, high])
         if choice.factor is not None and not choice.is_fixed:
             centre[index] = logs[index]
             precision[index] = (NORMAL_95 / np.log(choice.factor)) ** 2
     names = list(dict.fromkeys(curve.sample for curve in curves))
-    samples = np.array([names.index(curve.sample) for curve in curves], dtype=np.int64)
-    priors = centre, precision, lower, upper, settings.gain, free, settings.scatter
-    problem = Problem(law, curves, samples, *priors)
-    needed = int(free.sum()) + problem.n_samples + 1
-    if problem.n_points < needed:
+    sample_index = np.array([names.index(curve.sample) for curve in curves], dtype=np.int64)
+    bounds_and_gain = lower, upper, settings.gain, is_free, settings.scatter
+    problem = Problem(law, curves, sample_index, centre, precision, *bounds_and_gain)
+    min_points = int(is_free.sum()) + problem.n_samples + 1
+    if problem.n_points < min_points:
         return CalibrationFailure.of(
             "mechanics.wire.too_few_points",
             points=problem.n_points,
-            parameters=int(free.sum()),
+            parameters=int(is_free.sum()),
             samples=problem.n_samples,
-            needed=needed,
+            needed=min_points,
         )
     return problem, logs
 
@@ -225,16 +233,17 @@ class ModelForce:
 
     Parameters
     ----------
-    force : shape (n,), N, force without the sample's factor
-    change : shape (3, n), N, derivatives with respect to the logarithms of the parameters
-    slope : shape (n,), N/m, derivative with respect to deflection
-    loading : loading curve, from which a search with other parameters starts
+    force : shape (n,), N, force without the factor of the sample
+    sensitivity : shape (3, n), N, derivatives of the force with respect to the logarithms of the
+        parameters
+    slope : shape (n,), N/m, derivative of the force with respect to deflection
+    loading_curve : loading curve of the model, the first guess for similar parameters
     """
 
     force: Floats
-    change: Floats
+    sensitivity: Floats
     slope: Floats
-    loading: LoadingCurve | None = None
+    loading_curve: LoadingCurve | None = None
 
 
 def compute_model_forces(
@@ -243,34 +252,38 @@ def compute_model_forces(
     curves: tuple[MeasuredCurve, ...],
     guess: list[ModelForce] | None = None,
 ) -> list[ModelForce]:
-    """Compute the force of the model at every point of the curves, without the samples' factors.
+    """Compute the force of the model at each point of the curves, without factors of samples.
 
     Parameters
     ----------
     law, values : law of the wire and values of its parameters, as for `compute_loading_curve`
     curves : measured curves
-    guess : forces at similar values of the parameters, from which to start
+    guess : forces at similar values of the parameters; None if there are none
+
+    Returns
+    -------
+    Forces for each curve.
 
     Raises
     ------
     ValueError
-        If a curve goes beyond first loading.
+        If a curve goes beyond first loading, or no equilibrium is found.
     """
     forces: dict[int, ModelForce] = {}
     order = sorted(range(len(curves)), key=lambda i: curves[i].setup)
     for _, members in groupby(order, key=lambda i: curves[i].setup):
         indices = list(members)
         deflections = np.concatenate([curves[i].deflection for i in indices])
-        first = curves[indices[0]]
+        curve = curves[indices[0]]  # all curves of a setup have the same length, rig and weight
         loading = compute_loading_curve(
-            *(law, values, first.length, first.rig, float(np.max(np.abs(deflections)))),
-            self_weight=first.self_weight,
-            guess=guess[indices[0]].loading if guess else None,
+            *(law, values, curve.length, curve.rig, float(np.max(np.abs(deflections)))),
+            self_weight=curve.self_weight,
+            guess=guess[indices[0]].loading_curve if guess else None,
         )
-        force, change = interpolate_force(loading, deflections)
+        force, sensitivity = interpolate_force(loading, deflections)
         slope = np.interp(np.abs(deflections), loading.deflection, loading.stiffness)
         ends = np.cumsum([len(curves[i].deflection) for i in indices])[:-1]
-        pieces = (np.split(array, ends, axis=-1) for array in (force, change, slope))
+        pieces = (np.split(array, ends, axis=-1) for array in (force, sensitivity, slope))
         for index, *piece in zip(indices, *pieces, strict=True):
             forces[index] = ModelForce(piece[0], piece[1], piece[2], loading)
     return [forces[index] for index in range(len(curves))]
@@ -279,30 +292,33 @@ def compute_model_forces(
 def compute_whitened_products(
     curve: MeasuredCurve, columns: Floats, slope: Floats, correlation: float
 ) -> Floats:
-    """Compute the Gram matrix of columns of forces, relative to the stated noise.
+    """Compute the Gram matrix of whitened columns of forces, relative to the stated noise.
 
     Parameters
     ----------
     curve : measured curve
     columns : shape (points, n), N, columns of forces
-    slope : shape (points,), N/m, slope of the curve
+    slope : shape (points,), N/m, derivative of the force with respect to deflection
     correlation : correlation of the noise of neighbouring points
+
+    Returns
+    -------
+    Shape (n, n).
 
     Notes
     -----
     With errors N that all points share, the covariance is R + N N', where R is that of the noise.
     For whitened columns W and errors N the products are W'W - W'N (1 + N'N)^-1 N'W (Woodbury). The
     result is the same as if each error were fitted with its standard deviation as prior. If the
-    residuals have more noise than stated, the shared errors grow with it.
+    residuals have more noise than stated, the shared errors are larger by the same factor.
     """
     noise = np.asarray(curve.noise)[:, None]
-    white = whiten(columns / noise, correlation)
-    shared = whiten(compute_shared_errors(curve, slope).T / noise, correlation)
-    shared_products = shared.T @ white
-    capacitance = np.eye(shared.shape[1]) + shared.T @ shared
-    return np.asarray(
-        white.T @ white - shared_products.T @ np.linalg.solve(capacitance, shared_products)
-    )
+    white_columns = whiten(columns / noise, correlation)
+    white_errors = whiten(compute_shared_errors(curve, slope).T / noise, correlation)
+    products = white_errors.T @ white_columns
+    capacitance = np.eye(white_errors.shape[1]) + white_errors.T @ white_errors
+    correction = products.T @ np.linalg.solve(capacitance, products)
+    return np.asarray(white_columns.T @ white_columns - correction)
 
 
 @dataclass(frozen=True, slots=True)
@@ -311,9 +327,9 @@ class Levels:
 
     Parameters
     ----------
-    noise : variance of the noise relative to the stated variance
+    noise : v, variance of the noise relative to the stated variance
     correlation : correlation of the noise of neighbouring points
-    scatter : standard deviation of the logarithms of the samples' factors
+    scatter : tau, standard deviation of the logarithms of the factors of the samples
     """
 
     noise: float
@@ -323,18 +339,19 @@ class Levels:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fit:
-    """Objective and model for a set of unknowns, such as the minimum that a search finds.
+    """Objective and model for a set of unknowns, such as the result of a search.
 
     Parameters
     ----------
     problem : input of the search
     levels : levels of noise and scatter
-    unknowns : shape (4 + samples,), logarithms of parameters, gain and factors
+    unknowns : shape (4 + samples,), logarithms of parameters, gain and factors of samples
     objective : value of the objective
-    grams : shape (samples, 5, 5), whitened products of the derivatives with respect to the
-        parameters, the force of the model and the residual, relative to the stated noise
-    models : forces of the model for each curve
-    steps : number of steps of the search
+    grams : shape (samples, 5, 5), Gram matrix of each sample, whose columns are the derivatives
+        with respect to the parameters, the force of the model and the residual; see
+        `compute_whitened_products`
+    model_forces : forces of the model for each curve
+    n_steps : number of steps of the search
     has_converged : whether the search converged
     """
 
@@ -343,8 +360,8 @@ class Fit:
     unknowns: Floats
     objective: float
     grams: Floats
-    models: list[ModelForce]
-    steps: int = 0
+    model_forces: list[ModelForce]
+    n_steps: int = 0
     has_converged: bool = False
 
     @property
@@ -354,7 +371,7 @@ class Fit:
 
     @property
     def factors(self) -> Floats:
-        """Factor of sample and load cell on the model's force of each curve."""
+        """Factor of sample and load cell on the force of the model, shape (curves,)."""
         offsets = self.unknowns[P + 1 :][self.problem.sample_index]
         return np.asarray(np.exp(self.unknowns[P] + offsets))
 
@@ -362,9 +379,9 @@ class Fit:
 def evaluate_objective(
     problem: Problem, levels: Levels, unknowns: Floats, guess: list[ModelForce] | None = None
 ) -> Fit:
-    """Evaluate the objective for a set of unknowns; the model starts from a guess of its forces."""
-    models = compute_model_forces(problem.law, np.exp(unknowns[:P]), problem.curves, guess)
-    fit = Fit(problem, levels, unknowns, np.nan, np.zeros(0), models)
+    """Evaluate the objective for a set of unknowns, with an optional guess of the model forces."""
+    forces = compute_model_forces(problem.law, np.exp(unknowns[:P]), problem.curves, guess)
+    fit = Fit(problem, levels, unknowns, np.nan, np.zeros(0), forces)
     grams = compute_products(fit, levels.correlation)
     offsets = problem.compute_offsets(unknowns)
     precision = problem.compute_precision(levels.scatter)
@@ -379,18 +396,18 @@ def compute_products(fit: Fit, correlation: float) -> Floats:
     problem = fit.problem
     grams = np.zeros((problem.n_samples, P + 2, P + 2))
     for curve, model, sample, factor in zip(
-        problem.curves, fit.models, problem.sample_index, fit.factors, strict=True
+        problem.curves, fit.model_forces, problem.sample_index, fit.factors, strict=True
     ):
         force = factor * model.force
-        columns = np.column_stack([factor * model.change.T, force, curve.force - force])
+        columns = np.column_stack([factor * model.sensitivity.T, force, curve.force - force])
         grams[sample] += compute_whitened_products(curve, columns, model.slope, correlation)
     return grams
 
 
 def make_normal_equations(fit: Fit) -> tuple[Floats, Floats, Flags]:
-    """Make matrix and right side of the normal equations, and which unknowns may move.
+    """Make matrix and right side of the normal equations, and find the unknowns that may change.
 
-    The matrix is half the Hessian, and the right side is minus half the gradient.
+    The matrix is half the Hessian of the objective, and the right side is minus half the gradient.
     """
     problem = fit.problem
     total, grams = fit.grams.sum(axis=0) / fit.levels.noise, fit.grams / fit.levels.noise
@@ -398,29 +415,34 @@ def make_normal_equations(fit: Fit) -> tuple[Floats, Floats, Flags]:
     matrix = np.block([[total[: P + 1, : P + 1], cross.T], [cross, own]])
     right_side = np.append(total[-1, : P + 1], grams[:, P, -1])
     precision = problem.compute_precision(fit.levels.scatter)
-    may_move = np.isfinite(precision)
-    precision = np.where(may_move, precision, 0.0)
+    may_change = np.isfinite(precision)
+    precision = np.where(may_change, precision, 0.0)
     matrix[np.diag_indices_from(matrix)] += precision
     right_side -= precision * problem.compute_offsets(fit.unknowns)
-    may_move[:P] = problem.is_free
-    may_move[:P] &= ~((fit.logs <= problem.lower) & (right_side[:P] < 0.0))
-    may_move[:P] &= ~((fit.logs >= problem.upper) & (right_side[:P] > 0.0))
-    return matrix, right_side, may_move
+    may_change[:P] = problem.is_free
+    may_change[:P] &= ~((fit.logs <= problem.lower) & (right_side[:P] < 0.0))
+    may_change[:P] &= ~((fit.logs >= problem.upper) & (right_side[:P] > 0.0))
+    return matrix, right_side, may_change
 
 
 def scale_matrix(matrix: Floats, ridge: float = 1e-12) -> tuple[Floats, Floats]:
-    """Scale a symmetric matrix to a unit diagonal and add a ridge; return it with the scale.
+    """Scale a symmetric matrix to a unit diagonal, and add a ridge.
 
     Parameters
     ----------
     matrix : shape (n, n), symmetric
-    ridge : number added to the diagonal
+    ridge : value added to the unit diagonal
+
+    Returns
+    -------
+    The scaled matrix, and the scale of its rows and columns, shape (n,).
     """
     scale = np.sqrt(np.maximum(np.diag(matrix), 1e-30))
     return matrix / np.outer(scale, scale) + ridge * np.eye(len(scale)), scale
 
 
 _MAX_SEARCH_STEPS = 60
+"""Largest number of steps of a search."""
 
 
 def search(
@@ -430,7 +452,7 @@ def search(
     *,
     guess: list[ModelForce] | None = None,
     tolerance: float = 1e-5,
-    lowest: float = np.inf,
+    best_objective: float = np.inf,
 ) -> Fit:
     """Search for a minimum of the objective.
 
@@ -438,57 +460,59 @@ def search(
     ----------
     problem : input of the search
     levels : levels of noise and scatter
-    start : first guess of the unknowns; parameters that are not free stay there
-    guess : forces of the model near the start for each curve, from which its solution starts
-    tolerance : predicted change of the objective below which the search ends; intervals depend on
+    start : first guess of the unknowns; parameters that are not fitted keep these values
+    guess : forces of the model near the start for each curve; None if there are none
+    tolerance : predicted decrease of the objective below which the search ends; intervals depend on
         changes of 1
-    lowest : objective of a better fit; the tolerance increases with the rise above it
+    best_objective : objective of a better fit; the tolerance increases with the rise above it
 
     Raises
     ------
     ValueError
         If the model cannot follow the curves at the start.
     """
-    idle_gain = 1e-3  # decrease of the objective in an idle step
-    max_idle_steps = 3  # successive idle steps, after which a search along a flat valley ends
+    idle_decrease = 1e-3  # largest decrease of the objective in an idle step
+    max_idle_steps = 3  # after as many successive idle steps, a search along a flat valley ends
     relative_tolerance = 1e-3  # decrease relative to the rise above the better fit
-    jitter = 1e-2  # predicted gain below which a step fails because the curves are tabulated
-    damping_range = (1e-6, 10.0, 1e8)  # first, growth, last
-    max_far_steps, far_rise = 8, 200.0  # no quantile of so few samples is as large as the rise
+    table_error = 1e-2  # a smaller predicted decrease may fail because curves are tabulated
+    min_damping, damping_factor, max_damping = 1e-6, 10.0, 1e8
+    # No quantile of so few samples is as large as this rise.
+    max_far_steps, far_rise = 8, 200.0
     fit = evaluate_objective(problem, levels, start, guess)
-    damping, steps, idle_steps = damping_range[0], 0, 0
-    while damping <= damping_range[2] and idle_steps < max_idle_steps:
-        is_far = fit.objective - lowest > far_rise
-        if steps >= (max_far_steps if is_far else _MAX_SEARCH_STEPS):
+    damping, n_steps, n_idle_steps = min_damping, 0, 0
+    while damping <= max_damping and n_idle_steps < max_idle_steps:
+        rise = fit.objective - best_objective
+        if n_steps >= (max_far_steps if rise > far_rise else _MAX_SEARCH_STEPS):
             break
-        step, gain = _compute_step(fit, damping)
-        if gain <= max(tolerance, relative_tolerance * (fit.objective - lowest)):
-            return replace(fit, steps=steps, has_converged=True)
-        steps += 1
-        next_fit = _take_step(fit, step, gain)
+        step, decrease = _compute_step(fit, damping)
+        if decrease <= max(tolerance, relative_tolerance * rise):
+            return replace(fit, n_steps=n_steps, has_converged=True)
+        n_steps += 1
+        next_fit = _take_step(fit, step, decrease)
         if next_fit is not None and next_fit.objective <= fit.objective:
-            slow_gain = max(idle_gain, (fit.objective - lowest) / _MAX_SEARCH_STEPS)
-            is_idle = fit.objective - next_fit.objective <= slow_gain
-            idle_steps = idle_steps + 1 if is_idle else 0
-            fit, damping = next_fit, max(damping / damping_range[1] ** 2, damping_range[0])
-        elif gain <= jitter:
-            return replace(fit, steps=steps, has_converged=True)
+            max_idle_decrease = max(idle_decrease, rise / _MAX_SEARCH_STEPS)
+            is_idle = fit.objective - next_fit.objective <= max_idle_decrease
+            n_idle_steps = n_idle_steps + 1 if is_idle else 0
+            fit, damping = next_fit, max(damping / damping_factor**2, min_damping)
+        elif decrease <= table_error:
+            return replace(fit, n_steps=n_steps, has_converged=True)
         else:
-            damping *= damping_range[1]
-    return replace(fit, steps=steps, has_converged=steps < _MAX_SEARCH_STEPS)
+            damping *= damping_factor
+    return replace(fit, n_steps=n_steps, has_converged=n_steps < _MAX_SEARCH_STEPS)
 
 
-def _take_step(fit: Fit, step: Floats, gain: float) -> Fit | None:
-    """Evaluate a step, or a fraction of it if a parabola has its minimum well before its end.
+def _take_step(fit: Fit, step: Floats, decrease: float) -> Fit | None:
+    """Evaluate a step, or a part of it if a parabola has its minimum well before the full step.
 
-    In a narrow curved valley full steps oscillate between its sides.
+    `decrease` is the predicted decrease of the objective. In a narrow curved valley, full steps
+    would oscillate between the sides of the valley.
     """
-    min_full_fraction = 0.75  # position of the minimum from which the full step is taken
+    min_full_fraction = 0.75  # the full step is taken if the minimum is beyond this fraction
     min_fraction = 0.1
     full_step = _evaluate_step(fit, step)
     if full_step is None:
         return None
-    fraction = gain / max(full_step.objective - fit.objective + 2.0 * gain, gain)
+    fraction = decrease / max(full_step.objective - fit.objective + 2.0 * decrease, decrease)
     if fraction > min_full_fraction:
         return full_step
     short_step = _evaluate_step(fit, max(fraction, min_fraction) * step)
@@ -496,9 +520,9 @@ def _take_step(fit: Fit, step: Floats, gain: float) -> Fit | None:
 
 
 def _evaluate_step(fit: Fit, step: Floats) -> Fit | None:
-    """Evaluate a step; None if the model cannot follow the curves, so that it is shortened."""
+    """Evaluate a step; None if the model cannot follow the curves after the step."""
     try:
-        return evaluate_objective(fit.problem, fit.levels, apply_step(fit, step), fit.models)
+        return evaluate_objective(fit.problem, fit.levels, apply_step(fit, step), fit.model_forces)
     except ValueError:
         return None
 
@@ -511,27 +535,27 @@ def apply_step(fit: Fit, step: Floats) -> Floats:
 
 
 def _compute_step(fit: Fit, damping: float) -> tuple[Floats, float]:
-    """Compute a step within the bounds, and the gain that a parabola predicts.
+    """Compute a step within the bounds, and the decrease of the objective that it predicts.
 
-    Parameters that cross a bound stop there. The others are solved again, because a clipped step
-    need not lead downhill.
+    Parameters that would cross a bound stop at the bound. The step of the others is then solved
+    again, because a clipped step may increase the objective.
     """
-    longest_step = 1.5  # change of a logarithm
+    longest_step = 1.5  # largest change of a logarithm
     problem = fit.problem
-    matrix, right_side, may_move = make_normal_equations(fit)
+    matrix, right_side, may_change = make_normal_equations(fit)
     fixed_step = np.zeros(len(right_side))
     while True:  # each round fixes at least one of the parameters
         step = np.zeros(len(right_side))
-        if may_move.any():
-            unit, scale = scale_matrix(matrix[np.ix_(may_move, may_move)], damping)
-            remainder = (right_side - matrix @ fixed_step)[may_move]
-            step[may_move] = np.linalg.solve(unit, remainder / scale) / scale
+        if may_change.any():
+            unit, scale = scale_matrix(matrix[np.ix_(may_change, may_change)], damping)
+            remainder = (right_side - matrix @ fixed_step)[may_change]
+            step[may_change] = np.linalg.solve(unit, remainder / scale) / scale
             step *= min(1.0, longest_step / max(float(np.max(np.abs(step))), 1e-300))
         step += fixed_step
         target = fit.logs + step[:P]
-        is_outside = may_move[:P] & ((target < problem.lower) | (target > problem.upper))
+        is_outside = may_change[:P] & ((target < problem.lower) | (target > problem.upper))
         if not is_outside.any():
             return step, float(step @ right_side)
         bounded_step = np.clip(target, problem.lower, problem.upper) - fit.logs
         fixed_step[:P][is_outside] = bounded_step[is_outside]
-        may_move[:P] &= ~is_outside
+        may_change[:P] &= ~is_outside

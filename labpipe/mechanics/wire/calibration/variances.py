@@ -1,16 +1,17 @@
 """Estimate the variances of noise and samples, and the covariance of calibrated parameters.
 
-At the minimum of the objective the model is linearised in parameters and factors. Every sum over
-points is then in the Gram matrices of the samples. Noise and scatter of samples are estimated by
-restricted maximum likelihood [1]_ with a free mean factor. The scatter is therefore that between
-samples, independent of priors and of the gain of the load cell. The variance C of a parameter
-depends on both. Its degrees of freedom are those of Satterthwaite [2]_, 2 C^2 / var(C), as in [3]_.
+At the minimum of the objective the model is linearised in parameters and factors. The Gram matrices
+of the samples then contain all sums over points. Noise and scatter of samples are estimated by
+restricted maximum likelihood [1]_, with the mean factor of the samples as an unknown. The estimated
+scatter is therefore that between samples, independent of priors and of the gain of the load cell.
+The variance C of a parameter depends on noise and scatter. The degrees of freedom of C are those of
+Satterthwaite [2]_, 2 C^2 / var(C), as in [3]_.
 
-Two or three samples hardly determine the scatter of samples. The scatter decides to what degree a
-parameter depends on the mean of the samples or on the shape of the curves. Intervals are therefore
-averages over the possible scatters. In the linear model every scatter has a restricted likelihood,
-an estimate of the parameters and a covariance, and the distribution of a parameter is the mixture
-of the corresponding Student's t distributions. If the interval depends only on the mean of n
+Two or three samples hardly determine the scatter of samples. The scatter determines whether a
+parameter depends more on the mean of the samples or on the shape of the curves. Intervals are
+therefore averages over the possible scatters. In the linear model, each scatter has a restricted
+likelihood, an estimate of the parameters and a covariance. The distribution of a parameter is the
+mixture of the corresponding Student's t distributions. If a parameter depends only on the mean of n
 samples, the mixture is Student's t with n - 1 degrees of freedom.
 
 References
@@ -36,6 +37,7 @@ from labpipe.records.wire import ScatterMixture
 _LOG_VARIANCE_STEP = 0.02
 """Step of the logarithms of variances for numerical derivatives."""
 _UP, _DOWN = np.exp([_LOG_VARIANCE_STEP, -_LOG_VARIANCE_STEP]).tolist()
+"""Factors on variances for a step up and a step down."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,7 +46,7 @@ class Uncertainty:
 
     Parameters
     ----------
-    covariance : shape (4, 4), covariance; 0 for parameters that are not free
+    covariance : shape (4, 4), covariance; 0 for unknowns that are fixed
     covariance_by_level : shape (2, 4, 4), derivatives of the covariance with respect to the
         logarithms of the variances of noise and samples
     level_covariance : shape (2, 2), covariance of the estimates of these logarithms
@@ -55,7 +57,10 @@ class Uncertainty:
     level_covariance: Floats
 
     def compute_freedom(self, direction: Floats) -> float:
-        """Compute the degrees of freedom of the variance of a linear combination, shape (4,)."""
+        """Compute the degrees of freedom of the variance of a linear combination.
+
+        `direction` has the coefficients of the combination, shape (4,).
+        """
         variance = float(direction @ self.covariance @ direction)
         slopes = self.covariance_by_level @ direction @ direction
         variance_of_variance = float(slopes @ self.level_covariance @ slopes)
@@ -65,11 +70,11 @@ class Uncertainty:
 def estimate_correlation(fit: Fit) -> float:
     """Estimate the correlation of neighbouring residuals over all curves, from 0 to 0.98.
 
-    Errors shared by all points of a curve are estimated and removed first.
+    Errors that all points of a curve share are first estimated and removed.
     """
     max_correlation = 0.98
     products = squares = 0.0
-    for curve, model, factor in zip(fit.problem.curves, fit.models, fit.factors, strict=True):
+    for curve, model, factor in zip(fit.problem.curves, fit.model_forces, fit.factors, strict=True):
         noise = np.asarray(curve.noise)
         residuals = (curve.force - factor * model.force) / noise
         shared = compute_shared_errors(curve, model.slope) / noise
@@ -82,14 +87,14 @@ def estimate_correlation(fit: Fit) -> float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LinearModel:
-    """The model linearised at a fit, as whitened products of each sample.
+    """Model that is linearised at a fit, as whitened products of each sample.
 
     Parameters
     ----------
-    grams : shape (samples, 5, 5), products of derivatives, model and residual; the residual
-        includes the offset of the sample
-    columns : indices of the unknowns: free parameters and the mean factor
-    n_points : number of points
+    grams : shape (samples, 5, 5), products of derivatives, model and residual, as in `Fit`; the
+        residual includes the offset of the sample
+    columns : indices of the unknowns: fitted parameters and the mean factor
+    n_points : number of points of all curves
     """
 
     grams: Floats
@@ -102,13 +107,19 @@ class LinearModel:
         return self.n_points - len(self.columns)
 
     def compute_products(self, ratio: float) -> Floats:
-        """Compute the products for a variance of samples that is `ratio` times that of noise."""
+        """Compute the products for a variance of samples of `ratio` times that of noise.
+
+        The shape is (samples, 5, 5).
+        """
         sample = self.grams[:, P, :]
         weights = ratio / (1.0 + ratio * self.grams[:, P, P])
         return self.grams - weights[:, None, None] * sample[:, :, None] * sample[:, None, :]
 
     def estimate_noise(self, ratio: float) -> tuple[float, float]:
-        """Estimate the noise variance for a ratio, and -2 times the log restricted likelihood."""
+        """Estimate the variance of noise, and compute -2 times the log restricted likelihood.
+
+        `ratio` is the variance of samples relative to that of noise.
+        """
         total = self.compute_products(ratio).sum(axis=0)
         unit, scale = scale_matrix(total[np.ix_(self.columns, self.columns)])
         right_side = total[self.columns, -1] / scale
@@ -120,12 +131,13 @@ class LinearModel:
 
 
 def estimate_levels(fit: Fit, correlation: float) -> Levels:
-    """Estimate noise and scatter at the minimum of the objective; 0 scatter for one sample.
+    """Estimate noise and scatter at the minimum of the objective; a scatter of 0 for one sample.
 
     Parameters
     ----------
     fit : fit at the minimum
-    correlation : correlation of neighbouring points for which the products of the fit are whitened
+    correlation : correlation of neighbouring points with which the Gram matrices of the fit were
+        whitened
     """
     # First, last and number of logarithms of scatter^2 times information over noise variance.
     log_ratios = (-6.0, 14.0, 41)
@@ -154,7 +166,7 @@ def estimate_levels(fit: Fit, correlation: float) -> Levels:
 
 
 def make_linear_model(fit: Fit) -> LinearModel:
-    """Build the linear model of a fit; the offset of each sample is added to its residual."""
+    """Build the linear model of a fit, with the offset of each sample added to the residual."""
     grams, offsets = fit.grams.copy(), fit.unknowns[P + 1 :]
     shift = offsets[:, None] * fit.grams[:, P, :]
     grams[:, :, -1] += shift
@@ -184,10 +196,10 @@ def estimate_uncertainty(fit: Fit) -> Uncertainty:
 def _compute_posterior(fit: Fit, total: Floats) -> tuple[Floats, Floats]:
     """Compute the shift from the fit and the covariance of parameters and gain.
 
-    They follow from the whitened products `total`, shape (5, 5), and from the priors.
+    Both follow from the whitened products `total`, shape (5, 5), and from the priors.
     """
     problem = fit.problem
-    is_free = np.append(problem.is_free, problem.gain > 0.0)
+    is_free = np.append(problem.is_free, problem.gain_uncertainty > 0.0)
     precision = np.where(is_free, problem.compute_precision(0.0)[: P + 1], 0.0)
     offsets = problem.compute_offsets(fit.unknowns)[: P + 1]
     matrix, right_side = total[: P + 1, : P + 1].copy(), total[: P + 1, -1] - precision * offsets
@@ -204,9 +216,9 @@ def _compute_posterior(fit: Fit, total: Floats) -> tuple[Floats, Floats]:
 def _compute_level_covariance(
     linear: LinearModel, levels: Levels, *, is_scatter_known: bool
 ) -> Floats:
-    """Compute the covariance of the log variances from the expected restricted information.
+    """Compute the covariance of the log variances of noise and samples, shape (2, 2).
 
-    It is a matrix of shape (2, 2) for noise and samples.
+    It is the inverse of the expected information of the restricted likelihood.
     """
     if is_scatter_known:
         return np.diag([2.0 / linear.freedom, 0.0])
@@ -215,8 +227,9 @@ def _compute_level_covariance(
     def compute_trace(noise_factor: float, sample_factor: float) -> float:
         return float(np.trace(_project(linear, noise * noise_factor, samples * sample_factor)))
 
-    # P is inversely proportional to a common factor of both variances. The derivative of the trace
-    # with respect to the noise is the difference of those with respect to both and to the samples.
+    # The projection is inversely proportional to a common factor of both variances. The derivative
+    # of the trace with respect to noise is the derivative with respect to both minus that with
+    # respect to the samples.
     by_both = (compute_trace(_UP, _UP) - compute_trace(_DOWN, _DOWN)) / (2.0 * _LOG_VARIANCE_STEP)
     by_samples = (compute_trace(1.0, _UP) - compute_trace(1.0, _DOWN)) / (2.0 * _LOG_VARIANCE_STEP)
     samples_term = float(np.sum(_project(linear, noise, samples) ** 2)) * samples**2
@@ -238,14 +251,14 @@ def _project(linear: LinearModel, noise: float, samples: float) -> Floats:
 def compute_quantiles(
     mixture: ScatterMixture, directions: Floats, sample_slope: Floats | float = 0.0
 ) -> tuple[Floats, Floats]:
-    """Compute 2.5 and 97.5 % quantiles of linear combinations, relative to the fit.
+    """Compute 2.5 % and 97.5 % quantiles of linear combinations, relative to the fit.
 
     Parameters
     ----------
     mixture : mixture of the fit
     directions : shape (n, 4), coefficients of the logarithms of parameters and of the gain
-    sample_slope : shape (n,), derivative with respect to the factor of a further sample; 0 without
-        a further sample
+    sample_slope : shape (n,), derivative of the combinations with respect to the logarithm of the
+        factor of a further sample; 0 without a further sample
 
     Returns
     -------
@@ -277,14 +290,14 @@ def compute_quantiles(
 
 
 def make_mixture(fit: Fit) -> ScatterMixture:
-    """Weight possible scatters of samples by their restricted likelihood.
+    """Make the mixture of possible scatters of samples, weighted by restricted likelihood.
 
-    The mixture has one scatter if it is stated, or for one sample.
+    The mixture has one scatter if the scatter is stated, or for one sample.
 
     Notes
     -----
     The prior is uniform in the logarithm of the scatter. The smallest scatter is three tenths of
-    the standard error of a sample's factor due to noise. Smaller scatters have no effect.
+    the standard error due to noise of the factor of a sample. Smaller scatters have no effect.
     """
     min_probability = 1e-6  # smallest probability of a scatter that is included
     linear, levels = make_linear_model(fit), fit.levels
@@ -310,8 +323,8 @@ def make_mixture(fit: Fit) -> ScatterMixture:
 
 
 def _space_variance_ratios(linear: LinearModel, levels: Levels) -> Floats:
-    """Space a grid of ratios of the variances of samples and noise."""
-    min_factor = 0.3  # relative to the standard error of a sample's factor due to noise
+    """Return a grid of ratios of the variance of samples to that of noise."""
+    min_factor = 0.3  # relative to the standard error due to noise of the factor of a sample
     max_factor = 1000.0  # relative to the estimated scatter
     n_scatters = 64
     noise_error = float(np.median(linear.grams[:, P, P])) ** -0.5
