@@ -13,9 +13,9 @@ from scipy.interpolate import PchipInterpolator
 from labpipe.mechanics.rod import bands as line_bands
 from labpipe.mechanics.rod.path import RodPath
 from labpipe.mechanics.studies.harness_line import (
-    LAW_FACTOR,
-    MASS_FACTOR,
-    TORSION_FACTOR,
+    LOG_MASS_FACTOR,
+    LOG_MOMENT_FACTOR,
+    LOG_TORSION_FACTOR,
     SectionFunction,
     make_section_function,
 )
@@ -47,9 +47,9 @@ NOISE, GAIN = 2e-3, 0.005
 """N, of a point; of the load cell, in logarithms."""
 LENGTH_FACTOR = "length_factor"
 _INPUTS = {
-    "spool": LAW_FACTOR,
-    "mass_factor": MASS_FACTOR,
-    "torsion_factor": TORSION_FACTOR,
+    "spool": LOG_MOMENT_FACTOR,
+    "mass_factor": LOG_MASS_FACTOR,
+    "torsion_factor": LOG_TORSION_FACTOR,
     "length_factor": LENGTH_FACTOR,
 }
 _STILL = 1e-9
@@ -145,7 +145,7 @@ def beliefs_of(
         if name != "specimen"
     ]
     calibrated = line_bands.build_calibration_distributions(
-        found.solutions, found.widening, specimen=LAW_FACTOR
+        found.solutions, found.widening, specimen=LOG_MOMENT_FACTOR
     )
     return tuple(line_bands.join_distributions([each, *stated]) for each in calibrated)
 

@@ -19,7 +19,7 @@ from labpipe.mechanics.rod.boundaries import Gravity, Held, Load
 from labpipe.mechanics.rod.line import Line, Section
 from labpipe.mechanics.rod.path import RodPath
 from labpipe.mechanics.rod.statics import follow
-from labpipe.mechanics.studies.harness_line import LAW_FACTOR
+from labpipe.mechanics.studies.harness_line import LOG_MOMENT_FACTOR
 from labpipe.mechanics.wire.calibration.calibrate_wire import Settings, calibrate
 from labpipe.mechanics.wire.calibration.variances import compute_quantiles
 from labpipe.records.result import Status
@@ -136,12 +136,12 @@ def drawn(belief: InputDistribution, direction: dict[str, float]) -> np.ndarray:
 
 def test_there_is_one_for_each_solution_of_the_set(calibration: Calibration) -> None:
     beliefs = build_calibration_distributions(
-        calibration.solutions, calibration.widening, specimen=LAW_FACTOR
+        calibration.solutions, calibration.widening, specimen=LOG_MOMENT_FACTOR
     )
     assert len(beliefs) == 2
     for belief, solution in zip(beliefs, calibration.solutions, strict=True):
         assert belief.to_inputs()["copper_scale"] == pytest.approx(np.log(solution.values[2]))
-        assert belief.to_inputs()[LAW_FACTOR] == 0.0
+        assert belief.to_inputs()[LOG_MOMENT_FACTOR] == 0.0
     unlikely = replace(calibration.solutions[1], rise=2.0 * calibration.solutions[1].limit)
     assert len(build_calibration_distributions([calibration.solutions[0], unlikely])) == 1
 
@@ -149,9 +149,9 @@ def test_there_is_one_for_each_solution_of_the_set(calibration: Calibration) -> 
 @pytest.mark.parametrize("one_more", [0.0, 1.0])
 def test_draws_have_the_quantiles_of_the_mixture(calibration: Calibration, one_more: float) -> None:
     solution = replace(calibration.solutions[0], rise=0.0)
-    belief = build_calibration_distributions([solution], specimen=LAW_FACTOR, n_draws=MANY)[0]
+    [belief] = build_calibration_distributions([solution], specimen=LOG_MOMENT_FACTOR, n_draws=MANY)
     for weights in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.2, 0.5, 0.3)):
-        direction = dict(zip(belief.names, weights, strict=False)) | {LAW_FACTOR: one_more}
+        direction = dict(zip(belief.names, weights, strict=False)) | {LOG_MOMENT_FACTOR: one_more}
         ends = np.quantile(drawn(belief, direction), [0.025, 0.975])
         directions = np.array([[*weights, 0.0]])
         expected = np.ravel(compute_quantiles(solution.mixture, directions, np.array([one_more])))
@@ -166,7 +166,7 @@ def test_a_less_likely_solution_is_narrower(calibration: Calibration) -> None:
         likely.amounts @ likely.steps.T, axis=0
     )
     assert ratio == pytest.approx([0.5, 0.5, 0.5], rel=0.2)
-    assert LAW_FACTOR not in likely.names
+    assert LOG_MOMENT_FACTOR not in likely.names
 
 
 def test_a_stated_deviation_is_drawn_from_students_t() -> None:

@@ -194,7 +194,7 @@ def test_a_wire_has_the_law_of_its_sheet(tmp_path: Path) -> None:
     assert section.torsional_stiffness == pytest.approx(table.torsional_stiffness)
     assert wire.diameter == pytest.approx(1.6e-3)
     assert wire.curvature_limit == pytest.approx(table.doubtful_curvature)
-    assert wire.limit_source == "the straight line of its insulation"
+    assert wire.limit_source == "the linear range of the insulation"
     assert wire.best_inputs == {"isotropic_share": 0.675}
     assert wire.varies_only_share
     assert [file.role for file in wire.files] == ["wires"]

@@ -13,8 +13,8 @@ from labpipe.mechanics.rod.path import RodPath
 from labpipe.mechanics.rod.statics import follow
 from labpipe.mechanics.studies.harness_line import PreparedLine, prepare_line
 from labpipe.mechanics.studies.harness_numbers import (
+    PATH_RADIUS,
     RADIUS,
-    RADIUS_ON_PATH,
     Doubt,
     build_results,
     choose_bend_limit,
@@ -23,13 +23,13 @@ from labpipe.mechanics.studies.harness_numbers import (
     compute_numbers,
     compute_radius,
     evaluate_numbers,
-    find_convergence_doubts,
     find_jump_doubt,
     find_reasons,
-    find_share_doubts,
     find_sharpest_bend,
     find_unloading_doubt,
     list_releases,
+    make_convergence_doubts,
+    make_share_doubts,
 )
 from labpipe.mechanics.studies.harness_solution import HarnessSolution
 from labpipe.mechanics.studies.harness_study import (
@@ -115,7 +115,7 @@ def test_elements_that_turn_far_are_too_long(
         return prepare_line(other, material.sections[0]({}), {})
 
     path, exact = follow(*at(elements), steps=2), follow(*at(100), steps=2)
-    doubts = find_convergence_doubts(path, at(elements // 2), {})
+    doubts = make_convergence_doubts(path, at(elements // 2), {})
     assert [doubt.reason.code for doubt in doubts] == ["coarse_elements"] * is_coarse
     if not is_coarse:
         radius, exact_radius = (compute_numbers(line)[RADIUS] for line in (path, exact))
@@ -172,7 +172,7 @@ def test_an_isotropic_share_leaves_a_bend_and_no_doubt() -> None:
 @pytest.mark.parametrize(("upper", "wide"), [(1.9, False), (2.1, True)])
 def test_a_wide_interval_over_the_share_is_doubtful(upper: float, *, wide: bool) -> None:
     intervals = {"kept_curvature": Interval(1.0, upper), "lowest_point": Interval(-1.0, 1.0)}
-    doubts = list(find_share_doubts(intervals, ("kept_curvature", "lowest_point"), (0.2, 0.9)))
+    doubts = list(make_share_doubts(intervals, ("kept_curvature", "lowest_point"), (0.2, 0.9)))
     assert all("between 0.2 and 0.9" in doubt.reason.message for doubt in doubts)
     assert [doubt.names for doubt in doubts] == [("kept_curvature",)] * wide
 
@@ -201,7 +201,7 @@ def test_numbers_are_those_of_the_line() -> None:
     assert list(responses) == list(numbers)
     for name, value in numbers.items():
         response = float(responses[name])
-        assert (1.0 / response if name in (RADIUS, RADIUS_ON_PATH) else response) == pytest.approx(
+        assert (1.0 / response if name in (RADIUS, PATH_RADIUS) else response) == pytest.approx(
             value
         )
 

@@ -14,7 +14,7 @@ from openpyxl import load_workbook
 from labpipe.errors import ReadError, StoreError
 from labpipe.mechanics.decks import make_deck_texts
 from labpipe.mechanics.studies import wire_models as modelling
-from labpipe.mechanics.studies.wire_models import make_tables, model_wires
+from labpipe.mechanics.studies.wire_models import model_wires, tabulate_wires
 from labpipe.mechanics.studies.wire_sheets import read_wire_sheet
 from labpipe.mechanics.wire import wire_table as making
 from labpipe.records.wire import WireSpec, WireTable
@@ -44,7 +44,7 @@ def test_wires_that_cannot_be_modelled_are_refused(
     soft = replace(GOOD, name="B", place="line 3")
     specs = [replace(GOOD, name="C"), tight, soft, GOOD, replace(GOOD, name="D")]
     names: list[str] = []
-    modelled, refused = make_tables(specs, SHEET, names.append)
+    modelled, refused = tabulate_wires(specs, SHEET, names.append)
     assert names == ["C", "X1", "B", "A2", "D"]
     assert [table.name for table, _ in modelled] == ["C", "A2", "D"]
     assert modelled[1][1] == make_deck_texts(modelled[1][0])

@@ -15,9 +15,9 @@ from labpipe.mechanics.law.loss_card import fit_wire_sliders
 from labpipe.mechanics.law.sliders import compute_first_loading
 from labpipe.mechanics.law.thinning import make_concave_law
 from labpipe.mechanics.studies.harness_line import (
-    LAW_FACTOR,
-    MASS_FACTOR,
-    TORSION_FACTOR,
+    LOG_MASS_FACTOR,
+    LOG_MOMENT_FACTOR,
+    LOG_TORSION_FACTOR,
     make_section_function,
 )
 from labpipe.mechanics.studies.wire_sheets import read_wire_sheet
@@ -302,7 +302,7 @@ def test_beyond_the_insulations_straight_line_the_table_is_doubtful() -> None:
 def test_factors_multiply_moment_torsion_mass_and_tables() -> None:
     build_section = make_section_function(table_of("A2").spec, {})
     plain = build_section({})
-    made = build_section({LAW_FACTOR: 0.1, TORSION_FACTOR: -0.2, MASS_FACTOR: 0.05})
+    made = build_section({LOG_MOMENT_FACTOR: 0.1, LOG_TORSION_FACTOR: -0.2, LOG_MASS_FACTOR: 0.05})
     assert made.law.slider_stiffnesses == pytest.approx(np.exp(0.1) * plain.law.slider_stiffnesses)
     assert made.law.spring_stiffness == pytest.approx(np.exp(0.1) * plain.law.spring_stiffness)
     assert made.torsional_stiffness == pytest.approx(np.exp(-0.2) * plain.torsional_stiffness)

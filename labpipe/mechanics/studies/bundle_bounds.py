@@ -1,4 +1,4 @@
-"""Run ``labpipe bundle``: bounds of the bending stiffness of a bundle, and its measured cycles."""
+"""Run ``labpipe bundle``: compute the bounds of the bending stiffness, and fit the friction."""
 
 from __future__ import annotations
 
@@ -58,14 +58,15 @@ from labpipe.store.summaries import select_json
 from labpipe.units import GRAVITY
 
 STIFFNESS_NAME = "bending_stiffness"
-_Outcome = BundleModel | tuple[Reason, ...]
+"""Name of the result that is compared with the bounds."""
+_BundleOutcome = BundleModel | tuple[Reason, ...]
 """Model of a bundle, or the reasons why there is none."""
 
 
 def bound_stiffnesses(
     groups: Sequence[Group], wires: Sequence[WireSpec]
 ) -> Iterator[BoundedStiffness]:
-    """Compute the bounds of the bending stiffnesses of all samples and means of bundles.
+    """Compute bounds of the bending stiffness for all samples and means of bundles.
 
     Parameters
     ----------
@@ -74,19 +75,19 @@ def bound_stiffnesses(
 
     Yields
     ------
-    For each group, the stiffnesses of its samples and then the stiffness of its mean. The mean has
-    bounds only if all samples have the same bundle. A record without bounds or value gives the
+    For each group, the stiffnesses of the samples, then the mean stiffness. The mean has bounds
+    only if all samples have the same bundle. A record without bounds or without a value states the
     reason.
 
     Notes
     -----
-    The share of a stiffness between its bounds is 0 if all wires and all strands slip, and 1 if
-    nothing slips; see `compute_composite_degree`.
+    The composite degree is the position of a stiffness between its bounds. It is 0 if all wires and
+    all strands slip, and 1 if nothing slips; see `compute_composite_degree`.
     """
-    make_table = cache(partial(_make_table, {wire.name: wire for wire in wires}))
-    compute_bounds = cache(partial(_compute_bounds, make_table))
+    tabulate = cache(partial(_tabulate_wire, {wire.name: wire for wire in wires}))
+    model_bare_bundle = cache(partial(_model_bare_bundle, tabulate))
     for group in groups:
-        # conduit and tape do not affect the bounds
+        # Conduit and tape do not affect the bounds.
         bundles = [
             bundle and Bundle(bundle.wires, bundle.arrangement, bundle.positions)
             for bundle in (sample.specimen.bundle for sample in group.samples)
@@ -94,15 +95,15 @@ def bound_stiffnesses(
         if not any(bundles):
             continue
         for sample, bundle in zip(group.samples, bundles, strict=True):
-            yield _add_bounds(_get_stiffness(group, sample), compute_bounds(bundle))
-        bounds = compute_bounds(bundles[0])
+            yield _add_bounds(_get_stiffness(group, sample), model_bare_bundle(bundle))
+        outcome = model_bare_bundle(bundles[0])
         if len(set(bundles)) > 1:
-            bounds = (Reason.of("mechanics.studies.bundles_differ"),)
-        yield _add_bounds(_get_mean_stiffness(group), bounds)
+            outcome = (Reason.of("mechanics.studies.bundles_differ"),)
+        yield _add_bounds(_get_mean_stiffness(group), outcome)
 
 
-def _make_table(specs: Mapping[str, WireSpec], name: str) -> WireTable | Reason:
-    """Make the law of a wire, or return the reason why there is none."""
+def _tabulate_wire(specs: Mapping[str, WireSpec], name: str) -> WireTable | Reason:
+    """Tabulate the law of a wire, or return the reason why there is no law."""
     if name not in specs:
         return Reason.of("mechanics.studies.not_in_sheet", wire=name)
     try:
@@ -111,57 +112,57 @@ def _make_table(specs: Mapping[str, WireSpec], name: str) -> WireTable | Reason:
         return Reason.of("mechanics.studies.no_law", wire=name, error=error)
 
 
-def _compute_bounds(
-    make_table: Callable[[str], WireTable | Reason], bundle: Bundle | None
-) -> _Outcome:
-    """Compute the model of a bundle, or return the reasons why there is none."""
+def _model_bare_bundle(
+    tabulate: Callable[[str], WireTable | Reason], bundle: Bundle | None
+) -> _BundleOutcome:
+    """Compute the model of a bundle, or return the reasons why there is no model."""
     if bundle is None:
         return (Reason.of("mechanics.studies.no_bundle"),)
-    tables = [make_table(wire.type) for wire in bundle.wires]
-    if table_errors := tuple(table for table in tables if isinstance(table, Reason)):
-        return table_errors
-    laws = {table.name: table for table in tables if isinstance(table, WireTable)}
+    outcomes = [tabulate(wire.type) for wire in bundle.wires]
+    if reasons := tuple(outcome for outcome in outcomes if isinstance(outcome, Reason)):
+        return reasons
+    tables = {table.name: table for table in outcomes if isinstance(table, WireTable)}
     try:
-        return compute_bundle_model(bundle, laws)
+        return compute_bundle_model(bundle, tables)
     except ValueError as error:
         return (Reason.of("mechanics.studies.no_model", error=error),)
 
 
 def _get_stiffness(group: Group, sample: Sample) -> BoundedStiffness:
-    """Get the stiffness of a sample without bounds, or the reasons why it has no value."""
+    """Return the stiffness of a sample, without bounds, or the reasons of a missing value."""
     result = find_result(sample.results, STIFFNESS_NAME)
     if result is None:
-        no_stiffness = (Reason.of("mechanics.studies.no_stiffness"),)
-        return BoundedStiffness(group.name, sample.test, None, None, reasons=no_stiffness)
+        reasons: tuple[Reason, ...] = (Reason.of("mechanics.studies.no_stiffness"),)
+        return BoundedStiffness(group.name, sample.test, None, None, reasons=reasons)
     reasons = result.reasons if result.value is None else ()
     return BoundedStiffness(group.name, sample.test, result.value, result.interval, reasons=reasons)
 
 
 def _get_mean_stiffness(group: Group) -> BoundedStiffness:
-    """Get the mean stiffness of a group without bounds, or the reason why it has no value."""
-    number = group.find_number(STIFFNESS_NAME)
-    if number is None or not number.values:
+    """Return the mean stiffness of a group, without bounds, or the reason of a missing value."""
+    group_result = group.find_number(STIFFNESS_NAME)
+    if group_result is None or not group_result.values:
         reasons = (Reason.of("mechanics.studies.no_mean_stiffness"),)
         return BoundedStiffness(group.name, "", None, None, reasons=reasons)
-    mean = number.mean.chosen
+    mean = group_result.mean.chosen
     return BoundedStiffness(group.name, "", mean.mean, mean.interval)
 
 
-def _add_bounds(stiffness: BoundedStiffness, model: _Outcome) -> BoundedStiffness:
-    """Add the bounds of a model, and the composite degree, to a measured stiffness."""
+def _add_bounds(stiffness: BoundedStiffness, model: _BundleOutcome) -> BoundedStiffness:
+    """Add bounds and composite degree to a measured stiffness, or the reasons without a model."""
     if isinstance(model, tuple):
         return replace(stiffness, reasons=model)
-    numbers = {name: getattr(model, name) for name in ("low", "free", "high", "principal")}
-    stiffness = replace(stiffness, **numbers)
+    bounds = {name: getattr(model, name) for name in ("low", "free", "high", "principal")}
+    stiffness = replace(stiffness, **bounds)
     if stiffness.value is None:
         return stiffness
     if not model.high > model.low:
         return replace(stiffness, reasons=(Reason.of("mechanics.studies.one_bound"),))
-    convert = partial(compute_composite_degree, low=model.low, high=model.high)
+    to_degree = partial(compute_composite_degree, low=model.low, high=model.high)
     interval = stiffness.interval
     if interval is not None:
-        interval = Interval(convert(interval.lower), convert(interval.upper), interval.level)
-    return replace(stiffness, degree=convert(stiffness.value), degree_interval=interval)
+        interval = Interval(to_degree(interval.lower), to_degree(interval.upper), interval.level)
+    return replace(stiffness, degree=to_degree(stiffness.value), degree_interval=interval)
 
 
 BUNDLE_FILE = "bundle.json"
@@ -174,13 +175,13 @@ _UNSAFE_CHARACTERS = re.compile(r"[^\w.-]+")
 
 @dataclass(frozen=True, slots=True)
 class Conduit:
-    """A conduit that may be chosen for a bundle.
+    """Conduit that may be chosen for a bundle.
 
     Parameters
     ----------
     bore : inner diameter, m
     packing_fraction : packing fraction of the wires in the conduit
-    holds : whether the wires in their layout fit into the conduit
+    holds : whether the wires fit into the conduit in their layout
     """
 
     bore: float
@@ -190,18 +191,19 @@ class Conduit:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ModelledBundle:
-    """A bundle with its model and files.
+    """Bundle with its model and the files that were written.
 
     Parameters
     ----------
     name : composition of the bundle, or name of its test
-    model : bounds of the bending of the bundle
+    model : model of the bundle, with the bounds of its bending stiffness
     conduits : conduits that may be chosen, in the order given
     wanted_bore : inner diameter of a conduit with the packing fraction `WANTED_FRACTION`, m
     folder : folder of the results
     files : paths of the files that were written
     friction : friction fitted to the cycles of a processed test; None without such a test
-    no_friction : reason why no friction was fitted to a processed test; may be empty
+    no_friction : reason why no friction was fitted to a processed test; empty if it was fitted, or
+        without such a test
     """
 
     name: str
@@ -231,8 +233,9 @@ def model_bundle(
     target : path of a processed test (its folder or ``result.h5``), of a test sheet or of its
         folder, or a text such as ``10 B1 + 9 B2``
     wires : path of the wire sheet, which names its wires by the types in the bundle
-    arrangement : arrangement instead of that of the test sheet; None to keep it
-    bores : inner diameters of conduits that may be chosen, m, instead of that of the test sheet
+    arrangement : arrangement to use instead of that in the test sheet; None to use that one
+    bores : inner diameters, m, of the conduits that may be chosen; empty to use that in the test
+        sheet
     out : folder of the results; None for ``processed/bundles/<name>`` in the working folder
     figures : whether figures are drawn
     png : whether figures are also written as PNG; otherwise PNG files of an earlier run are removed
@@ -246,17 +249,13 @@ def model_bundle(
     ------
     LabpipeError
         If the text, the test sheet or the wire sheet has faults, a wire is not in the sheet, or
-        the bundle fits into no conduit; earlier results are then kept.
+        the bundle fits into no conduit. Earlier results are then kept.
     """
     if arrangement not in (None, *ARRANGEMENTS):
-        raise UsageError.about(
-            "mechanics.studies.no_such_arrangement",
-            "--arrangement",
-            choices=", ".join(ARRANGEMENTS),
-            name=arrangement,
-        )
+        values = {"choices": ", ".join(ARRANGEMENTS), "name": arrangement}
+        raise UsageError.about("mechanics.studies.no_such_arrangement", "--arrangement", **values)
     name, bundle, test = _read_bundle(target, arrangement)
-    tables = _read_tables(target, bundle, wires)
+    tables = _tabulate_wires(target, bundle, wires)
     stated_bores = [] if bundle.conduit_bore is None else [bundle.conduit_bore]
     offered_bores = list(bores) or stated_bores
     try:
@@ -272,7 +271,8 @@ def model_bundle(
         Conduit(bore, compute_packing_fraction(diameters, bore), fits_bore(min_bore, bore))
         for bore in offered_bores
     )
-    modelled = ModelledBundle(name, model, conduits, compute_bore(diameters), folder)
+    wanted_bore = compute_bore(diameters)
+    modelled = ModelledBundle(name, model, conduits, wanted_bore, folder)
     if test is not None:
         laws = [tables[wire.type] for wire in bundle.wires]
         try:
@@ -291,9 +291,9 @@ def model_bundle(
 
 
 def _read_bundle(target: str, arrangement: str | None) -> tuple[str, Bundle, TestResult | None]:
-    """Read the name and the bundle of a processed test, a test sheet or a text, and the test."""
+    """Read the name and the bundle of a processed test, a test sheet or a text, and any test."""
     path, test = Path(target), None
-    with suppress(OSError):  # the text is too long for a file name
+    with suppress(OSError):  # a text may be too long for a file name
         if path.is_dir():
             path /= RESULT_FILE if (path / RESULT_FILE).exists() else SHEET_NAME
     if path.suffix == ".h5":
@@ -312,8 +312,8 @@ def _read_bundle(target: str, arrangement: str | None) -> tuple[str, Bundle, Tes
     return name, replace(bundle, arrangement=arrangement or bundle.arrangement), test
 
 
-def _read_tables(target: str, bundle: Bundle, wires: Path) -> dict[str, WireTable]:
-    """Compute the laws of the wires of a bundle."""
+def _tabulate_wires(target: str, bundle: Bundle, wires: Path) -> dict[str, WireTable]:
+    """Tabulate the laws of the wires of a bundle, keyed by type of wire."""
     sheet, tables = read_wire_sheet(wires), {}
     names = dict.fromkeys(wire.type for wire in bundle.wires)
     for spec in [sheet.find_wire(name, target) for name in names]:
@@ -325,7 +325,7 @@ def _read_tables(target: str, bundle: Bundle, wires: Path) -> dict[str, WireTabl
 
 
 def _choose_conduit(model: BundleModel, bores: Sequence[float]) -> BundleModel:
-    """Choose the best conduit by its bore, m, and add it to the model."""
+    """Choose the best conduit among those with given bores, m, and add it to the model."""
     if not bores:
         return model
     diameters = model.layout.diameter
@@ -339,8 +339,7 @@ _MODEL_FIELDS = (
     *("axial_stiffness", "smallest_bore", "middle", "packing_fraction"),
     *("curvature", "moment_slip", "moment_stick", "layout", "notes"),
 )
-
-
+"""Fields of `BundleModel` in ``bundle.json``."""
 _FRICTION_FIELDS = (
     *("composite_share", "slip_curvature", "slide_curvature", "held", "held_lower", "held_upper"),
     *("error_fitted", "error_held_out", "loss", "predicted_loss", "predicted", "is_held_out"),
@@ -355,7 +354,7 @@ def build_json(modelled: ModelledBundle) -> dict[str, object]:
     modelled : bundle with its model
     """
     model, friction = modelled.model, modelled.friction
-    slip, stick = model.is_doubtful, model.is_doubtful_stick
+    slip_flags, stick_flags = model.is_doubtful, model.is_doubtful_stick
     return {
         "schema": SCHEMA,
         "labpipe": __version__,
@@ -365,8 +364,8 @@ def build_json(modelled: ModelledBundle) -> dict[str, object]:
         **select_json(
             model, *_MODEL_FIELDS, doubtful="is_doubtful", doubtful_stick="is_doubtful_stick"
         ),
-        "doubtful_curvature": model.doubtful_curvature if slip.any() else None,
-        "doubtful_curvature_stick": model.doubtful_curvature_stick if stick.any() else None,
+        "doubtful_curvature": model.doubtful_curvature if slip_flags.any() else None,
+        "doubtful_curvature_stick": model.doubtful_curvature_stick if stick_flags.any() else None,
         "friction": friction
         and {
             **select_json(friction, *_FRICTION_FIELDS),
@@ -376,7 +375,7 @@ def build_json(modelled: ModelledBundle) -> dict[str, object]:
 
 
 def extract_loop(test: TestResult) -> BundleLoop:
-    """Extract the cycles of a processed test as those of a cantilever.
+    """Extract the cycles of a processed test, as those of a cantilever.
 
     Parameters
     ----------
@@ -392,8 +391,7 @@ def extract_loop(test: TestResult) -> BundleLoop:
     ValueError
         If the test has no curve, no kink, or neither length nor span.
     """
-    # Deflections that are smaller relative to the length are within the error of the zero.
-    min_relative_deflection = 1e-3
+    min_relative_deflection = 1e-3  # smaller deflections are within the error of the zero
     curve, dimensions = test.curve, test.specimen.dimensions
     values = {result.name: result.value for result in test.results}
     kink = values.get("kink_displacement"), values.get("kink_force")
@@ -404,9 +402,9 @@ def extract_loop(test: TestResult) -> BundleLoop:
     if "length" not in dimensions and "span" not in dimensions:
         raise ValueError(format_sentence("mechanics.studies.no_length_or_span"))
     length = dimensions.get("length", dimensions.get("span", 0.0) / 2.0)
-    force_ratio = 1.0 if "length" in dimensions else 0.5  # a half of a span carries half the force
-    rows, branch = _thin_branches(curve, min_relative_deflection * length)
-    slide = values.get("plateau_displacement")
+    force_ratio = 1.0 if "length" in dimensions else 0.5  # half of a span carries half the force
+    rows, branch = _select_points(curve, min_relative_deflection * length)
+    slide_deflection = values.get("plateau_displacement")
     self_weight = 0.0
     if "length" in dimensions:
         specimen = parse_protocol(test.protocol_yaml, test.test).specimen
@@ -417,13 +415,13 @@ def extract_loop(test: TestResult) -> BundleLoop:
         force=force_ratio * curve.force[rows],
         branch=branch,
         kink=(kink[0], force_ratio * kink[1]),
-        slide=np.inf if slide is None else slide,
+        slide=np.inf if slide_deflection is None else slide_deflection,
         self_weight=self_weight,
     )
 
 
-def _thin_branches(curve: Curve, min_deflection: float) -> tuple[Ints, Ints]:
-    """Choose evenly spaced points of all branches, and return their rows and branch numbers."""
+def _select_points(curve: Curve, min_deflection: float) -> tuple[Ints, Ints]:
+    """Select evenly spaced points of all branches, and return their rows and branch numbers."""
     max_points = 30  # points of each branch
     is_used = (curve.displacement > min_deflection) & np.isfinite(curve.force)
     rows, branch_numbers = [], []

@@ -1,4 +1,4 @@
-"""Build the content of ``calibration.json``, and read the part of it that predictions need."""
+"""Build the content of ``calibration.json``, and read the part that predictions need."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 
 from labpipe import __version__
 from labpipe.errors import ProcessingError
-from labpipe.mechanics.studies.wire_sheets import StatedCurve
+from labpipe.mechanics.studies.wire_sheets import StressCurve
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Interval
 from labpipe.records.wire import (
@@ -30,23 +30,24 @@ from labpipe.report.calibration_report import BentShape, ValidationGroup
 from labpipe.store.summaries import replace_non_finite, select_json, to_json
 
 SCHEMA = 2
-"""Version of the format of the file."""
+"""Version of the format of ``calibration.json``."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CalibrationStudy:
-    """A calibration with its comparisons.
+    """Calibration with its comparisons and the files that were written.
 
     Parameters
     ----------
     folder : folder of the results
     calibration : calibration of the wire
     groups : groups of samples of one wire and length; groups of the calibrated wire come first
-    left_out : reason why a test was not used, keyed by its file
+    left_out : reason why a test was not used, keyed by the path of its file
     files : paths of the files that were written
     comparisons : comparisons of external curves with the tests and with the model
     tested_curvature : largest curvature in the tests of the calibrated wire, 1/m; NaN if unknown
-    shapes : shapes of one sample of the calibrated wire and of the model, keyed by test
+    shapes : shapes of one sample of the calibrated wire and of the model, keyed by the name of the
+        test
     stress_tables : stress tables of the calibrated wire, keyed by column of the sheet
     """
 
@@ -58,15 +59,15 @@ class CalibrationStudy:
     comparisons: tuple[ExternalCurveComparison, ...] = ()
     tested_curvature: float = math.nan
     shapes: Mapping[str, tuple[BentShape, ...]] = field(default_factory=dict)
-    stress_tables: Mapping[str, StatedCurve] = field(default_factory=dict)
+    stress_tables: Mapping[str, StressCurve] = field(default_factory=dict)
 
 
 def build_json(study: CalibrationStudy) -> dict[str, object]:
-    """Build the content of ``labpipe calibrate --json``: lists and numbers in SI units.
+    """Build the content of ``calibration.json``, with values in SI units.
 
     Parameters
     ----------
-    study : calibration with its comparisons; a missing number becomes None
+    study : calibration with its comparisons; a missing value becomes None
     """
     calibration, share = study.calibration, study.calibration.isotropic_share
     error_names = ("sse", "rmse", "rmse_share")
@@ -111,27 +112,28 @@ def build_json(study: CalibrationStudy) -> dict[str, object]:
 
 
 def _build_parameter(parameter: CalibratedParameter) -> dict[str, object]:
-    """Build the entry of a parameter; an open end of its intervals is None."""
+    """Build the entry of a parameter; an open end of an interval is None."""
     interval, conflict = parameter.interval, parameter.conflict
-    bounds = [[to_json(piece.lower), to_json(piece.upper)] for piece in parameter.intervals]
+    bounds = [[to_json(item.lower), to_json(item.upper)] for item in parameter.intervals]
     if bounds and parameter.is_open_below:
         bounds[0][0] = None
     if bounds and parameter.is_open_above:
         bounds[-1][1] = None
     names = ("name", "value", "unit", "verdict", "profiles", "source")
-    fields = ("factor", "source", "size", "contradicts", "message")
+    prior_names = ("factor", "source", "size", "contradicts", "message")
     return {
         **select_json(parameter, *names, words="explanation"),
         "lower": bounds[0][0] if bounds else None,
         "upper": bounds[-1][1] if bounds else None,
         "level": interval and interval.level,
         "intervals": bounds,
-        "prior": conflict and select_json(conflict, *fields, value="centre", without="estimate"),
+        "prior": conflict
+        and select_json(conflict, *prior_names, value="centre", without="estimate"),
     }
 
 
 def _build_group(group: ValidationGroup) -> dict[str, object]:
-    """Build the entry of a group of samples; its prediction is None if there is none."""
+    """Build the entry of a group of samples; a missing prediction is None."""
     errors, prediction = group.errors, group.prediction
     curve_names = ("deflection", "force", "lower", "upper", "lower_mean", "upper_mean")
     return {
@@ -146,17 +148,17 @@ def _build_group(group: ValidationGroup) -> dict[str, object]:
 
 
 def _build_errors(errors: CurveErrors | None) -> dict[str, float | None]:
-    """Build the entries of errors; each is None if there are no errors."""
+    """Build the entries of errors; each entry is None if there are no errors."""
     names = {"rmse": "rmse", "rmse_share": "rmse_share", "inside_band": "coverage"}
     return dict.fromkeys(names) if errors is None else select_json(errors, **names)
 
 
 def build_comparison_json(comparison: ExternalCurveComparison) -> dict[str, object]:
-    """Build the entry of the comparison of an external curve: lists and numbers in SI units.
+    """Build the entry of the comparison of an external curve, with values in SI units.
 
     Parameters
     ----------
-    comparison : comparison; a missing number becomes None
+    comparison : comparison of the curve; a missing value becomes None
     """
     curve = comparison.curve
     return {
@@ -177,13 +179,13 @@ def _build_match(match: CurveMatch) -> dict[str, object]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StoredCalibration:
-    """The part of a calibration that predictions need.
+    """Part of a stored calibration that predictions need.
 
     Parameters
     ----------
     wire : name of the wire
     solutions : solutions of the calibration; the best solution is first
-    widening : factor on the standard deviations of the parameters
+    widening : factor by which the standard deviations of the parameters are multiplied
     tested_curvature : largest curvature in the tests, 1/m; NaN if unknown
     share : isotropic share of the hardening and its standard error; None if it is not calibrated or
         if the tests show creep
@@ -206,10 +208,10 @@ def read_calibration(path: Path) -> StoredCalibration:
     Raises
     ------
     ProcessingError
-        If the file cannot be read, or it does not contain the numbers that predictions need.
+        If the file cannot be read, or it does not contain the values that predictions need.
     """
     try:
-        return _parse_file(json.loads(path.read_text(encoding="utf-8")))
+        return _parse_calibration(json.loads(path.read_text(encoding="utf-8")))
     except OSError as error:
         fault = error.strerror or "no file"
     except (ValueError, LookupError, TypeError) as error:
@@ -219,7 +221,7 @@ def read_calibration(path: Path) -> StoredCalibration:
     )
 
 
-def _parse_file(content: dict[str, Any]) -> StoredCalibration:
+def _parse_calibration(content: dict[str, Any]) -> StoredCalibration:
     """Parse the content of ``calibration.json``."""
     solutions = tuple(_parse_solution(entry) for entry in content["solutions"])
     share, entry = None, content.get("isotropic_share")
@@ -230,11 +232,11 @@ def _parse_file(content: dict[str, Any]) -> StoredCalibration:
         message = "no solution"
         raise ValueError(message)
     return StoredCalibration(
-        str(content["wire"]),
-        solutions,
-        float(content["widening"]),
-        float(_make_array(content["tested_curvature"])),
-        share,
+        wire=str(content["wire"]),
+        solutions=solutions,
+        widening=float(content["widening"]),
+        tested_curvature=float(_make_array(content["tested_curvature"])),
+        share=share,
     )
 
 
@@ -254,5 +256,5 @@ def _parse_solution(entry: dict[str, Any]) -> Solution:
 
 
 def _make_array(values: object) -> Floats:
-    """Make an array from numbers of JSON; None becomes NaN."""
+    """Make an array from values of JSON; None becomes NaN."""
     return np.array(values, dtype=np.float64)

@@ -1,4 +1,4 @@
-"""Study of ``labpipe calibrate``: fit a wire model to cantilever tests, and predict other tests."""
+"""Run ``labpipe calibrate``: fit a wire model to cantilever tests, and predict other tests."""
 
 from __future__ import annotations
 
@@ -86,11 +86,11 @@ def calibrate_tests(
     out : folder of the results; None for ``calibration`` in the common folder of all tests
     figures : whether figures are drawn
     png : whether figures are also written as PNG; otherwise PNG files of an earlier run are removed
-    say : function that is called with the name of each test as it is read, then with each stage
+    say : function that is called with the name of each test before it is read, then with each stage
 
     Returns
     -------
-    The calibration and its files.
+    The calibration with its comparisons and files.
 
     Raises
     ------
@@ -104,13 +104,13 @@ def calibrate_tests(
     specs = {spec.name: spec for spec in sheet.specs}
     curves = read_external_curves(settings, plan, sheet)
     files = find_results(targets)
-    loadings, left_out = read_first_loadings(
+    loadings, reasons_by_file = read_first_loadings(
         files, min_points=settings.points, max_deflection=settings.up_to, report_name=say
     )
     if not loadings:
-        raise ProcessingError("\n".join(left_out.values()))
+        raise ProcessingError("\n".join(reasons_by_file.values()))
     refuse_duplicates([(loading.curve.test, loading.file) for loading in loadings], "name")
-    loadings, copies = drop_copies(loadings)
+    loadings, copy_reasons = drop_copies(loadings)
     name = choose_wire(loadings, settings, plan)
     for loading in loadings:
         sheet.find_wire(loading.curve.wire, f"test {loading.curve.test}, specimen.type")
@@ -130,7 +130,7 @@ def calibrate_tests(
     groups = compare_tests(calibration, models, loadings)
     notes = [
         *calibration.notes,
-        *_list_share_notes(specs[name], isotropic_share),
+        *_make_share_notes(specs[name], isotropic_share),
         *weight_notes,
         *make_insulation_notes(calibration, models, specs, loadings),
         *make_misfit_notes(groups),
@@ -140,7 +140,7 @@ def calibrate_tests(
         folder=find_shared_folder(files) / "calibration" if out is None else out,
         calibration=calibration,
         groups=groups,
-        left_out=left_out | copies,
+        left_out=reasons_by_file | copy_reasons,
         files=(),
         comparisons=tuple(
             compare_external_curves(
@@ -194,21 +194,20 @@ def find_wire_sheet() -> Path:
     for name in DEFAULT_SHEETS:
         if Path(name).is_file():
             return Path(name)
-    raise UsageError.about(
-        "mechanics.studies.no_wire_sheet", "--wire", names=" or ".join(DEFAULT_SHEETS)
-    )
+    names = " or ".join(DEFAULT_SHEETS)
+    raise UsageError.about("mechanics.studies.no_wire_sheet", "--wire", names=names)
 
 
 def choose_wire(
-    loadings: Sequence[FirstLoading], settings: CalibrationPlan, plan: Path | None
+    loadings: Sequence[FirstLoading], plan: CalibrationPlan, plan_path: Path | None
 ) -> str:
     """Choose the wire to calibrate: the wire of the plan, or the only wire that has tests.
 
     Parameters
     ----------
     loadings : first loadings of all tests
-    settings : content of the plan
-    plan : path of the plan, for messages
+    plan : plan of the calibration
+    plan_path : path of the plan, for messages; None without a plan
 
     Returns
     -------
@@ -221,17 +220,14 @@ def choose_wire(
         tests.
     """
     tested_wires = sorted({loading.curve.wire for loading in loadings})
-    wire = settings.wire
+    wire = plan.wire
     if wire is None and len(tested_wires) > 1:
-        count, names = len(tested_wires), ", ".join(tested_wires)
-        raise UsageError.about(
-            "mechanics.studies.several_wires", plan or "tests", count=count, wires=names
-        )
+        values = {"count": len(tested_wires), "wires": ", ".join(tested_wires)}
+        raise UsageError.about("mechanics.studies.several_wires", plan_path or "tests", **values)
     if wire is not None and wire not in tested_wires:
-        names = ", ".join(sort_by_likeness(wire, tested_wires))
-        raise UsageError.about(
-            "mechanics.studies.untested_wire", plan or "plan", "wire", wire=wire, tested=names
-        )
+        names, place = ", ".join(sort_by_likeness(wire, tested_wires)), plan_path or "plan"
+        values = {"wire": wire, "tested": names}
+        raise UsageError.about("mechanics.studies.untested_wire", place, "wire", **values)
     return wire or tested_wires[0]
 
 
@@ -245,21 +241,21 @@ def drop_copies(loadings: Sequence[FirstLoading]) -> tuple[list[FirstLoading], d
     Returns
     -------
     originals : the first loadings without copies
-    left_out : reason why a copy was left out, keyed by its file
+    reasons_by_file : reason why a copy is not used, keyed by the path of its file
     """
     originals: dict[tuple[bytes, bytes], FirstLoading] = {}
-    left_out: dict[str, str] = {}
+    reasons_by_file: dict[str, str] = {}
     for loading in loadings:
         content = loading.curve.deflection.tobytes(), loading.curve.force.tobytes()
         original = originals.setdefault(content, loading)
         if original is not loading:
             error = UsageError.about("mechanics.studies.copy", loading.file, original=original.file)
-            left_out[str(loading.file)] = str(error)
-    return list(originals.values()), left_out
+            reasons_by_file[str(loading.file)] = str(error)
+    return list(originals.values()), reasons_by_file
 
 
 def build_sheet_wire(spec: WireSpec, wires: Path) -> Wire:
-    """Build the model of a wire of a wire sheet.
+    """Build the model of a wire in a wire sheet.
 
     Parameters
     ----------
@@ -269,24 +265,24 @@ def build_sheet_wire(spec: WireSpec, wires: Path) -> Wire:
     Raises
     ------
     ProcessingError
-        If the strands of the wire do not fit.
+        If the wire cannot be built, for example because its strands do not fit.
     """
     try:
         wire = build_wire(spec)
     except ValueError as error:
         raise build_wire_error(wires, spec, "a wire that can be built", error) from error
-    weight = GRAVITY * wire.mass_per_length
+    self_weight = GRAVITY * wire.mass_per_length
     linear_range = compute_insulation_limit(spec)
-    return Wire(wire.section, wire.contacts, spec.orientation, weight, linear_range)
+    return Wire(wire.section, wire.contacts, spec.orientation, self_weight, linear_range)
 
 
 def apply_calibration(spec: WireSpec, calibration: Calibration) -> WireSpec:
-    """Replace the parameters of a wire by those of a calibration.
+    """Replace parameters of a wire with the calibrated parameters.
 
     Parameters
     ----------
     spec : specification of the calibrated wire, or of another wire of the same make
-    calibration : calibration; parameters without effect are left unchanged
+    calibration : calibration; parameters that have no effect on the tests remain unchanged
 
     Returns
     -------
@@ -298,18 +294,24 @@ def apply_calibration(spec: WireSpec, calibration: Calibration) -> WireSpec:
 
 
 def _calibrate(
-    wire: Wire, loadings: Sequence[FirstLoading], plan: CalibrationPlan, tables: Sequence[str]
+    wire: Wire, loadings: Sequence[FirstLoading], plan: CalibrationPlan, table_names: Sequence[str]
 ) -> Calibration:
-    """Calibrate a wire by its first loadings, and raise an error if this fails.
+    """Calibrate a wire on its first loadings.
 
     Parameters
     ----------
     wire : model of the wire
     loadings : first loadings of the wire
     plan : plan of the calibration
-    tables : stress tables of the wire, for the message of a model that cannot follow the tests
+    table_names : names of the stress tables of the wire, for the message if the model cannot follow
+        the tests
+
+    Raises
+    ------
+    ProcessingError
+        If the calibration fails.
     """
-    chosen = {name: getattr(plan.parameters, name) for name in plan.parameters.model_fields_set}
+    choices = {name: getattr(plan.parameters, name) for name in plan.parameters.model_fields_set}
     settings = Settings(
         choices={
             name: ParameterChoice(
@@ -318,21 +320,17 @@ def _calibrate(
                 factor=choice.factor,
                 source=choice.because,
             )
-            for name, choice in chosen.items()
+            for name, choice in choices.items()
         },
         gain=max(loading.gain_uncertainty for loading in loadings),
         scatter=plan.scatter,
     )
     outcome = calibrate(wire, [loading.curve for loading in loadings], settings)
     if isinstance(outcome, CalibrationFailure):
-        message = format_sentence(
-            "mechanics.studies.calibration_failed",
-            wire=loadings[0].curve.wire,
-            code=outcome.code,
-            reason=outcome.message,
-        )
-        if tables and outcome.code == "model_cannot_follow":
-            names = ", ".join(tables)
+        values = {"wire": loadings[0].curve.wire, "code": outcome.code, "reason": outcome.message}
+        message = format_sentence("mechanics.studies.calibration_failed", **values)
+        if table_names and outcome.code == "model_cannot_follow":
+            names = ", ".join(table_names)
             message += " " + format_sentence("mechanics.studies.short_stress_table", tables=names)
         raise ProcessingError(message)
     notes = (*outcome.notes, *(note for loading in loadings for note in loading.notes))
@@ -342,14 +340,17 @@ def _calibrate(
 def _calibrate_share(
     spec: WireSpec, calibration: Calibration, loadings: Sequence[FirstLoading]
 ) -> IsotropicShare | None:
-    """Calibrate the isotropic share of the hardening with the law of the best solution."""
+    """Calibrate the isotropic share of the hardening with the law of the best solution.
+
+    Return None if no test contributes to the share.
+    """
     solution = calibration.solutions[0]
-    indices = np.flatnonzero(np.isfinite(solution.values))  # parameters that have an effect
+    indices = np.flatnonzero(np.isfinite(solution.values))  # of parameters that have an effect
     names = [PARAMETERS[index] for index in indices]
     values = dict(zip(names, solution.values[indices], strict=True))
 
     def make_law(log_changes: Mapping[str, float], isotropic_share: float) -> PlayLaw:
-        """Make the law with changed logarithms of the parameters."""
+        """Make the law for changes of the logarithms of the parameters."""
         changed_values = {
             name: value * math.exp(log_changes.get(name, 0.0)) for name, value in values.items()
         }
@@ -373,10 +374,10 @@ def _calibrate_share(
     )
 
 
-def _list_share_notes(
+def _make_share_notes(
     spec: WireSpec, isotropic_share: IsotropicShare | None
 ) -> Iterator[QualityNote]:
-    """Yield notes on a doubtful isotropic share, and on a stress table that ends early."""
+    """Yield notes on a missing or doubtful isotropic share, and on a stress table that is short."""
     if isotropic_share is None:
         yield QualityNote.of("mechanics.studies.share_not_calibrated", spec.name)
     elif isotropic_share.is_creep:
@@ -385,4 +386,4 @@ def _list_share_notes(
         table_end = 2.0 * spec.stress_table[0][-1] / max(spec.strand_diameters)
         max_curvature = find_law_range(spec)[0]
         if table_end < LOOP_RANGE * max_curvature:
-            yield QualityNote.of("mechanics.studies.strands_end", spec.name, last=table_end)
+            yield QualityNote.of("mechanics.studies.strands_end", spec.name, table_end=table_end)

@@ -1,13 +1,14 @@
 """Prepare the line of a harness for the rod solver: material, nodes, shape at rest, boundaries.
 
-The section of the line is a function of uncertain inputs. Each position along the line that the
-file names becomes a node.
+A line is a cable or wire of the harness. Its section is a function of uncertain inputs. Each
+position along the line that is named in the file becomes a node.
 
-The path of a boundary has a row for the start and one for each step. At the start, the line has its
-shape at rest, and all boundaries are on the line. Boundaries move on straight lines from one pose
-to the next. Their direction turns about the axis normal to the old and the new direction, and is
-then rotated about the line. A ring starts at the nearest point of the line. The anchor of a string
-that is too short starts as near to its goal as the string allows.
+The path of a boundary has a row for the start and a row for each step. At the start, the line has
+its shape at rest, and all boundaries are on the line. Boundaries move on straight lines from one
+pose to the next. The frame of a boundary rotates about the axis normal to the old and the new
+direction, and then about the line. A ring starts at the point of the line nearest to the position
+of the ring. The anchor of a string that is too short starts as near to its target position as the
+string allows.
 """
 
 from __future__ import annotations
@@ -80,11 +81,12 @@ from labpipe.records.quality import QualityNote
 from labpipe.records.result import InputFile
 from labpipe.records.wire import PARAMETERS, WireSpec
 
-LENGTH_FACTOR = "length_factor"
-"""Logarithm of the factor on the length of the line."""
-FREE_CURVATURES = ("free_curvature_1", "free_curvature_2")
-"""Additions to the curvature at rest, 1/m: towards the side of the spool, and across it."""
+LOG_LENGTH_FACTOR = "length_factor"
+"""Name of an input: logarithm of the factor on the length of the line."""
+REST_CURVATURE_CHANGES = ("free_curvature_1", "free_curvature_2")
+"""Names of inputs: changes of the curvature at rest, 1/m, towards the spool and normal to it."""
 Inputs = Mapping[str, float]
+"""Values of inputs, keyed by name."""
 
 
 class PreparedLine(NamedTuple):
@@ -93,7 +95,7 @@ class PreparedLine(NamedTuple):
     Parameters
     ----------
     line : line in its shape at rest
-    boundaries : boundaries in the order of the file; the weight, if there is any, is last
+    boundaries : boundaries in the order of the file; gravity, if any, is last
     """
 
     line: Line
@@ -107,81 +109,87 @@ def prepare_line(harness: HarnessFile, section: Section, inputs: Inputs) -> Prep
     ----------
     harness : harness as described by its file
     section : section of the line
-    inputs : `LENGTH_FACTOR` and `FREE_CURVATURES`; missing inputs are 0, others are ignored
+    inputs : values of `LOG_LENGTH_FACTOR` and `REST_CURVATURE_CHANGES`. A missing input is 0. Other
+        inputs are ignored
+
+    Returns
+    -------
+    The line with its boundaries.
 
     Raises
     ------
     ValueError
-        If the section is out of its range, or a spool is in the direction of the line.
+        If the direction towards a spool is parallel to the line.
     """
-    stations = _place_nodes(harness)
-    line = _build_line(harness, section, stations * float(np.exp(inputs.get(LENGTH_FACTOR, 0.0))))
-    free_curvatures = np.array([inputs.get(name, 0.0) for name in FREE_CURVATURES])
-    if np.any(free_curvatures):
+    stations = _compute_stations(harness)
+    length_factor = float(np.exp(inputs.get(LOG_LENGTH_FACTOR, 0.0)))
+    line = _build_line(harness, section, stations * length_factor)
+    curvature_changes = np.array([inputs.get(name, 0.0) for name in REST_CURVATURE_CHANGES])
+    if np.any(curvature_changes):
         rest_curvature = line.rest_curvature.copy()
-        rest_curvature[:, :2] += free_curvatures @ _compute_bend_axes(line, harness.line.spool)
+        rest_curvature[:, :2] += curvature_changes @ _compute_unit_curls(line, harness.line.spool)
         line = replace(line, rest_curvature=rest_curvature)
     return PreparedLine(line, tuple(_build_boundaries(harness, line, stations)))
 
 
-def _compute_bend_axes(line: Line, spool: Spool | None) -> Floats:
-    """Compute the curvatures about the axes d1 and d2 of curls of 1 1/m towards and across a spool.
+def _compute_unit_curls(line: Line, spool: Spool | None) -> Floats:
+    """Return the curvature vectors of two unit curls, in the axes d1 and d2.
 
-    A line that curls to a side t turns about d3 x t, where d3 is the axis along the line. Without a
-    spool, the side is d1.
+    The first curl bends the line towards the spool, and the second normal to it. A line that curls
+    towards a unit vector t turns about d3 x t, where d3 is the axis along the line. Without a
+    spool, t of the first curl is d1.
 
     Returns
     -------
-    Curvatures of each curl, shape (2 curls, 2 axes), 1/m.
+    Curvature of each curl, shape (2 curls, 2 axes), 1/m.
     """
     axes = to_matrices(line.frames[0])
     side = np.array([1.0, 0.0])
     if spool is not None:
-        side = (_compute_side(spool, axes[:, 2]) @ axes)[:2]
-    return np.array([[-side[1], side[0]], [-side[0], -side[1]]])
+        side = (_compute_spool_normal(spool, axes[:, 2]) @ axes)[:2]
+    return np.array([[-side[1], side[0]], [-side[0], -side[1]]])  # d3 x t, and -t
 
 
-def _place_nodes(harness: HarnessFile) -> Floats:
-    """Compute the stations of the nodes, m; elements between named positions have equal lengths."""
+def _compute_stations(harness: HarnessFile) -> Floats:
+    """Compute the arc lengths of nodes, m; elements between named positions are equally long."""
     length = harness.line.length
     positions = (getattr(boundary, "at", 0.0) for boundary in harness.boundaries)
     named_stations = sorted({0.0, length, *(min(position, length) for position in positions)})
     n_elements = harness.line.elements
     segments = [
-        np.linspace(low, high, 1 + max(1, round(n_elements * (high - low) / length)))[1:]
-        for low, high in pairwise(named_stations)
+        np.linspace(start, stop, 1 + max(1, round(n_elements * (stop - start) / length)))[1:]
+        for start, stop in pairwise(named_stations)
     ]
     return np.concatenate([[0.0], *segments])
 
 
 def _build_line(harness: HarnessFile, section: Section, stations: Floats) -> Line:
     """Build the line in its shape at rest: straight, or an arc with the curvature of the spool."""
-    steep_rise = 0.9  # z of the unit direction; the axis d1 of a steeper line does not point up
+    max_z = 0.9  # of the unit direction; the axis d1 of a steeper line is along x instead of z
     start, direction = (np.array(vector) for vector in get_line_start(harness))
     spool = harness.line.spool
     if spool is None:
         positions = start + stations[:, None] * direction
-        is_steep = abs(direction[2]) > steep_rise
-        up = np.array([1.0, 0.0, 0.0] if is_steep else [0.0, 0.0, 1.0])
+        up = np.array([1.0, 0.0, 0.0] if abs(direction[2]) > max_z else [0.0, 0.0, 1.0])
         return build_line(positions, section, up=up)
-    side = _compute_side(spool, direction)
+    side = _compute_spool_normal(spool, direction)
     angles = 0.5 * spool.curvature * (stations[1:] + stations[:-1])
     tangents = np.cos(angles)[:, None] * direction + np.sin(angles)[:, None] * side
     arc = np.cumsum(np.diff(stations)[:, None] * tangents, axis=0)
     return build_line(start + np.vstack([np.zeros(3), arc]), section, up=side, is_rest_shape=True)
 
 
-def _compute_side(spool: Spool, direction: Floats) -> Floats:
-    """Compute the unit vector normal to a direction, on the side of a spool.
+def _compute_spool_normal(spool: Spool, direction: Floats) -> Floats:
+    """Compute the unit vector normal to the line that points towards the spool.
 
     Raises
     ------
     ValueError
-        If the spool is in the direction of the line.
+        If the direction towards the spool is parallel to the line.
     """
     min_norm = 1e-6
-    towards = np.array(spool.towards)
-    normal = towards - (towards @ direction) * direction
+    spool_direction = np.array(spool.towards)
+    normal = spool_direction - (spool_direction @ direction) * direction
     if np.linalg.norm(normal) < min_norm:
         raise ValueError(format_sentence("mechanics.studies.spool_side", towards=spool.towards))
     return np.asarray(normalise(normal))
@@ -194,7 +202,7 @@ def _build_boundaries(harness: HarnessFile, line: Line, stations: Floats) -> Ite
     ----------
     harness : harness as described by its file
     line : line in its shape at rest
-    stations : positions of the nodes along the line with the length in the file, m
+    stations : arc lengths of the nodes before the length factor is applied, m
     """
     steps = harness.steps
     for boundary in harness.boundaries:
@@ -207,7 +215,7 @@ def _build_boundaries(harness: HarnessFile, line: Line, stations: Floats) -> Ite
                 frames = _interpolate_frames(boundary, line.compute_clamp_frame(node), steps)
                 yield rod.Held(node, path, frames, boundary.release, name)
             case Ring():
-                # the path starts at the nearest point of the line
+                # The path starts at the nearest point of the line.
                 target = np.array(boundary.position)
                 node = int(np.argmin(np.linalg.norm(line.positions - target, axis=1)))
                 parameter = rod.find_nearest_parameter(line.positions, target, float(node))
@@ -217,7 +225,8 @@ def _build_boundaries(harness: HarnessFile, line: Line, stations: Floats) -> Ite
                 path = compute_path(boundary, line.positions[node], steps)
                 yield rod.String(node, path, boundary.length, name=name)
             case Load():
-                force = _build_ramp(boundary.by or steps, steps)[:, None] * np.array(boundary.force)
+                last_step = boundary.by or steps
+                force = _build_ramp(last_step, steps)[:, None] * np.array(boundary.force)
                 yield rod.Load(node, force, name=name)
             case Plane():
                 point, normal = np.array(boundary.point), np.array(boundary.normal)
@@ -229,8 +238,9 @@ def _build_boundaries(harness: HarnessFile, line: Line, stations: Floats) -> Ite
 def _build_gravity(harness: HarnessFile) -> Floats:
     """Build the acceleration of gravity in each step, m/s^2.
 
-    If the line is held at two positions, the acceleration increases over the first fifth of the
-    steps, because an inextensible line that starts taut cannot carry its whole weight.
+    If the line is held at two or more positions, the acceleration increases over the first fifth of
+    the steps, because an inextensible line that starts taut has no equilibrium under its full
+    weight.
     """
     acceleration = np.array(harness.gravity)
     if sum(isinstance(boundary, Holder) for boundary in harness.boundaries) < 2:
@@ -240,68 +250,72 @@ def _build_gravity(harness: HarnessFile) -> Floats:
 
 
 def _build_ramp(last_step: int, steps: int) -> Floats:
-    """Build a ramp from 0 at the start to 1 at its last step, then constant, shape (steps + 1,)."""
+    """Build a ramp from 0 at the start to 1 at `last_step`, then constant, shape (steps + 1,)."""
     return np.minimum(1.0, np.arange(steps + 1) / last_step)
 
 
 def _interpolate_frames(boundary: Clip | Pin | Grip, start: Floats, steps: int) -> Floats | None:
     """Interpolate the frames of a path: rotations without twist, then rotations about the line.
 
-    The result is None if the boundary holds only the position.
+    Return quaternions, shape (steps + 1, 4); None if the boundary holds only the position. `start`
+    is the frame at the start.
     """
     if isinstance(boundary, Pin) or (isinstance(boundary, Grip) and boundary.holds != "pose"):
         return None
-    frames, turns = [start], {0: 0.0}
-    points = boundary.path if isinstance(boundary, Grip) else (boundary,)
-    for point in points:
-        step = point.step if isinstance(point, Waypoint) else point.by or steps
-        n_steps = step - len(frames) + 1
+    frames, twist_angles = [start], {0: 0.0}  # angles, rad, keyed by step
+    waypoints = boundary.path if isinstance(boundary, Grip) else (boundary,)
+    for point in waypoints:
+        last_step = point.step if isinstance(point, Waypoint) else point.by or steps
+        previous_step = len(frames) - 1
+        n_steps = last_step - previous_step
         start_direction = to_matrices(frames[-1])[:, 2]
         direction = start_direction if point.direction is None else np.array(point.direction)
         rotation = to_rotation_vectors(compute_shortest_rotations(start_direction, direction))
         fractions = np.arange(1, n_steps + 1) / n_steps
         partial_rotations = from_rotation_vectors(fractions[:, None] * rotation)
         frames += list(multiply(partial_rotations, np.tile(frames[-1], (n_steps, 1))))
-        turns[step] = turns[step - n_steps] if point.turn is None else point.turn
+        twist_angles[last_step] = twist_angles[previous_step] if point.turn is None else point.turn
     frames += [frames[-1]] * (steps + 1 - len(frames))
-    turn_vectors = np.zeros((steps + 1, 3))
-    turn_vectors[:, 2] = np.interp(np.arange(steps + 1), list(turns), list(turns.values()))
-    return np.asarray(multiply(np.array(frames), from_rotation_vectors(turn_vectors)))
+    twists = np.zeros((steps + 1, 3))
+    twists[:, 2] = np.interp(np.arange(steps + 1), [*twist_angles], [*twist_angles.values()])
+    return np.asarray(multiply(np.array(frames), from_rotation_vectors(twists)))
 
 
-LAW_FACTOR, TORSION_FACTOR, MASS_FACTOR = "law_factor", "torsion_factor", "mass_factor"
-FACTORS = (LAW_FACTOR, TORSION_FACTOR, MASS_FACTOR)
-"""Inputs that are logarithms of factors on moments, on torsional stiffness and on mass.
+LOG_FACTORS = ("law_factor", "torsion_factor", "mass_factor")
+"""Names of inputs: logarithms of factors on moments, on torsional stiffness and on mass.
 
-The factor on moments is the scatter of specimens and spools.
+The factor on moments represents the scatter between specimens and spools.
 """
+LOG_MOMENT_FACTOR, LOG_TORSION_FACTOR, LOG_MASS_FACTOR = LOG_FACTORS
 ISOTROPIC_SHARE = "isotropic_share"
-"""Isotropic share of the hardening of the strands (docs/explanations/measurements.md)."""
+"""Name of an input: isotropic share of the hardening (docs/explanations/measurements.md)."""
 DEFAULT_SHEET = "wires.xlsx"
+"""Name of the wire sheet if the harness file names none."""
 _HARDENING = "hardening of the copper"
-_INSULATION_LIMIT = "the straight line of its insulation"
+_INSULATION_SOURCE = "the linear range of the insulation"
 
-SectionFunction = Callable[[Mapping[str, float]], Section]
-"""Section of a line as a function of named inputs."""
+SectionFunction = Callable[[Inputs], Section]
+"""Section of a line as a function of inputs."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Material:
-    """Material of a line.
+    """Section of a line as a function of inputs, with its limits of validity.
 
     Parameters
     ----------
     name : name of the wire, or a description
-    sections : section for each solution of a calibration, as a function of named inputs such as
-        ``law_factor``; the best solution is first, and missing inputs are 0
-    curvature_limit : largest curvature that tests or tables of the law cover, 1/m
-    limit_source : description of the origin of this limit
-    share_range : range of the isotropic share of the strands; None if the share is known
-    stretch_limit : largest axial strain for which the axial stiffness is valid
-    files : files from which the material was read
+    sections : section for each solution of a calibration, as a function of inputs; the best
+        solution is first. A missing input has the value of the calibration, of the wire sheet or of
+        the slider file; a missing factor is 1
+    curvature_limit : largest curvature for which the section is valid, 1/m
+    limit_source : source of `curvature_limit`, for messages
+    files : files from which the section was read
     notes : quality notes of the law
     distributions : distribution of the inputs for each solution of a calibration; empty if the
         uncertainty of the law is unknown
+    stretch_limit : largest axial strain for which the axial stiffness is valid
+    share_range : range of the isotropic share of the strands; None if the share is given
     """
 
     name: str
@@ -316,18 +330,18 @@ class Material:
 
     @property
     def diameter(self) -> float:
-        """Outer diameter, m."""
+        """Return the outer diameter, m."""
         return self.sections[0](self.best_inputs).diameter
 
     @property
     def varies_only_share(self) -> bool:
-        """Whether the isotropic share is the only input with a distribution."""
+        """Return whether the isotropic share is the only input with a distribution."""
         names = {name for distribution in self.distributions for name in distribution.names}
         return names == {ISOTROPIC_SHARE}
 
     @property
     def best_inputs(self) -> Mapping[str, float]:
-        """Best values of the inputs with a distribution."""
+        """Return the best values of the inputs that have a distribution."""
         return self.distributions[0].to_inputs() if self.distributions else {}
 
 
@@ -337,8 +351,8 @@ def read_material(harness: HarnessFile, file: Path, wires: Path | None = None) -
     Parameters
     ----------
     harness : harness as described by its file
-    file : path of the YAML file; other files are relative to its folder
-    wires : wire sheet that replaces the one that the file names; None to keep it
+    file : path of the harness file; other files are relative to its folder
+    wires : path of a wire sheet to use instead of the one that the file names; None to use that one
 
     Raises
     ------
@@ -349,29 +363,30 @@ def read_material(harness: HarnessFile, file: Path, wires: Path | None = None) -
     if block.wire is not None:
         material = _read_wire_material(block, file, wires)
     elif block.sliders is not None:
-        material = _read_deck_material(block, resolve_file_name(block.sliders, file))
+        material = _read_slider_file_material(block, resolve_file_name(block.sliders, file))
     else:
-        material = _build_stiffness_material(block)
-    deviations = [(LAW_FACTOR, block.stiffness_uncertainty or 0.0, "stiffness as stated")]
+        material = _build_linear_material(block)
+    # name of the input, standard deviation, cause
+    deviations = [(LOG_MOMENT_FACTOR, block.stiffness_uncertainty or 0.0, "stiffness as stated")]
     if harness.line.spool is not None:
         spread = harness.line.spool.spread
-        deviations += [(name, spread, "curl of the spool") for name in FREE_CURVATURES]
-    stated_distributions = tuple(
+        deviations += [(name, spread, "curl of the spool") for name in REST_CURVATURE_CHANGES]
+    common_distributions = tuple(
         build_t_distribution(name, deviation, cause=cause)
         for name, deviation, cause in deviations
         if deviation > 0.0
     )
-    return replace(material, distributions=_join_all(material.distributions, stated_distributions))
+    return replace(material, distributions=_join_each(material.distributions, common_distributions))
 
 
-def _join_all(
+def _join_each(
     distributions: tuple[InputDistribution, ...], common: tuple[InputDistribution, ...]
 ) -> tuple[InputDistribution, ...]:
     """Join the distribution of each solution of a calibration with common distributions."""
     if not common:
         return distributions
-    parts_by_solution = [(distribution, *common) for distribution in distributions] or [common]
-    return tuple(map(join_distributions, parts_by_solution))
+    groups = [(distribution, *common) for distribution in distributions] or [common]
+    return tuple(map(join_distributions, groups))
 
 
 def describe_file(role: str, path: Path) -> InputFile:
@@ -387,11 +402,11 @@ def describe_file(role: str, path: Path) -> InputFile:
 
 
 def _read_wire_material(block: SectionBlock, file: Path, wires: Path | None) -> Material:
-    """Read the material of a wire of a sheet, with its calibration if the file names one."""
+    """Read the material of a wire in a sheet, with a calibration if the file names one."""
     max_stretch = 1e-3  # copper yields beyond this strain
-    sheet = wires or resolve_file_name(block.sheet or DEFAULT_SHEET, file)
-    spec = read_wire_sheet(sheet).find_wire(str(block.wire), f"{file}, line.section.wire")
-    files = [describe_file("wires", sheet)]
+    sheet_path = wires or resolve_file_name(block.sheet or DEFAULT_SHEET, file)
+    spec = read_wire_sheet(sheet_path).find_wire(str(block.wire), f"{file}, line.section.wire")
+    files = [describe_file("wires", sheet_path)]
     calibration = None
     if block.calibration is not None:
         path = resolve_file_name(block.calibration, file)
@@ -409,46 +424,37 @@ def _read_wire_material(block: SectionBlock, file: Path, wires: Path | None) -> 
         sections = [make_section_function(spec, values) for values in values_by_solution]
     except ValueError as error:
         expected = "a wire whose law can be fitted by sliders"
-        raise build_wire_error(sheet, spec, expected, error) from error
-    limits = {"its table": float(table.curvature[-1]), _INSULATION_LIMIT: table.doubtful_curvature}
+        raise build_wire_error(sheet_path, spec, expected, error) from error
+    limits = {"the table of the wire": float(table.curvature[-1])}
+    limits[_INSULATION_SOURCE] = table.doubtful_curvature
     if calibration is not None and np.isfinite(calibration.tested_curvature):
-        limits["the tests of its calibration"] = calibration.tested_curvature
+        limits["the tests of the calibration"] = calibration.tested_curvature
     name = spec.name
     if calibration is not None and calibration.wire != name:
         name = f"{name} (calibrated as {calibration.wire})"
+    is_share_given = spec.isotropic_share is not None or (calibration and calibration.share)
+    limit_source = min(limits, key=lambda source: limits[source])
     return Material(
-        name,
-        tuple(sections),
-        *_find_lowest_limit(limits),
+        name=name,
+        sections=tuple(sections),
+        curvature_limit=limits[limit_source],
+        limit_source=limit_source,
         files=tuple(files),
         notes=table.notes,
         distributions=_build_distributions(spec, calibration),
-        share_range=None
-        if spec.isotropic_share is not None or (calibration and calibration.share)
-        else DEFAULT_SHARE_RANGE,
+        share_range=None if is_share_given else DEFAULT_SHARE_RANGE,
         stretch_limit=max_stretch,
     )
-
-
-def _find_lowest_limit(limits: Mapping[str, float]) -> tuple[float, str]:
-    """Find the lowest limit of the curvature, 1/m, and its source.
-
-    Parameters
-    ----------
-    limits : limits of the curvature, 1/m, keyed by description of their sources
-    """
-    source = min(limits, key=lambda name: limits[name])
-    return limits[source], source
 
 
 def _build_distributions(
     spec: WireSpec, calibration: StoredCalibration | None
 ) -> tuple[InputDistribution, ...]:
-    """Build the distributions of a calibration and of an isotropic share that is not stated."""
+    """Build the distributions of a calibration, and of a share that the sheet does not give."""
     distributions: tuple[InputDistribution, ...] = ()
     if calibration is not None:
         distributions = build_calibration_distributions(
-            calibration.solutions, calibration.widening, specimen=LAW_FACTOR
+            calibration.solutions, calibration.widening, specimen=LOG_MOMENT_FACTOR
         )
     if spec.isotropic_share is not None:
         return distributions
@@ -457,7 +463,7 @@ def _build_distributions(
         share = build_t_distribution(ISOTROPIC_SHARE, error, centre=value, cause=_HARDENING)
     else:
         share = build_uniform_distribution(ISOTROPIC_SHARE, *DEFAULT_SHARE_RANGE, cause=_HARDENING)
-    return _join_all(distributions, (share,))
+    return _join_each(distributions, (share,))
 
 
 def make_section_function(spec: WireSpec, values: Mapping[str, float]) -> SectionFunction:
@@ -465,15 +471,16 @@ def make_section_function(spec: WireSpec, values: Mapping[str, float]) -> Sectio
 
     Parameters
     ----------
-    spec : wire as described by its sheet
+    spec : specification of the wire in its sheet
     values : values of `PARAMETERS` for which the slip curvatures are chosen, such as those of a
         calibration; the sheet gives the values of parameters that are missing or NaN
 
     Returns
     -------
-    Function that builds the section for other inputs: logarithms of `PARAMETERS`, by default those
-    of `values` or the sheet; `FACTORS`, by default 0; and `ISOTROPIC_SHARE`, by default that of the
-    sheet, or 0. Other names are ignored. It raises a `ValueError` if no wire has these parameters.
+    Function that builds the section for given inputs: logarithms of `PARAMETERS`, by default those
+    of `values` or the sheet; `LOG_FACTORS`, by default 0; and `ISOTROPIC_SHARE`, by default that of
+    the sheet, or 0. The function ignores other names. It raises a `ValueError` if the parameters
+    are inconsistent.
 
     Raises
     ------
@@ -482,42 +489,48 @@ def make_section_function(spec: WireSpec, values: Mapping[str, float]) -> Sectio
 
     Notes
     -----
-    If the law were fitted separately for each set of parameters, the sliders would move, and the
-    response of a rod would jump. Therefore the sliders keep their slip curvatures, and their
-    stiffnesses are the drops of slope of the changed law, which are smooth in all parameters. The
-    error is largest where strands begin to slip. With twice the friction, it is up to 30 % of the
-    moment at a few hundredths of 1/m, and at most 1.5 % from 1 1/m upwards.
+    If the law were fitted separately for each set of parameters, the slip curvatures would change,
+    and the response of a rod would be discontinuous. Therefore the sliders keep their slip
+    curvatures. Their stiffnesses are the decreases in slope of the new law, which are smooth in all
+    parameters. The error is largest where strands begin to slip. With twice the friction, the error
+    is up to 30 % of the moment near 0.03 1/m, and at most 1.5 % at curvatures above 1 1/m.
     """
-    # A slider that a changed law does not use keeps this stiffness relative to the first one.
-    min_slider_stiffness = 1e-9
+    min_slider_stiffness = 1e-9  # lower bound, relative to the first slope of the law
     table = tabulate_wire(set_parameters(spec, values))
     base_law = fit_wire_sliders(table)
-    chord_scale = compute_chord_ratio(base_law, table)
+    chord_ratio = compute_chord_ratio(base_law, table)
     corners = np.concatenate([[0.0], base_law.slip_curvatures, [base_law.max_curvature]])
 
-    def build_section(inputs: Mapping[str, float]) -> Section:
-        """Build the section of a line for other inputs."""
-        changed = {name: float(np.exp(inputs[name])) for name in PARAMETERS if name in inputs}
-        wire = build_wire(set_parameters(spec, {**values, **changed}))
-        slopes = chord_scale * compute_hull_slopes(corners, wire.compute_curve(corners).moment)
-        sliders = np.maximum(-np.diff(slopes), min_slider_stiffness * slopes[0])
-        law = replace(base_law, spring_stiffness=float(slopes[-1]), slider_stiffnesses=sliders)
+    def build_section(inputs: Inputs) -> Section:
+        """Build the section of a line for given inputs."""
+        new_values = {name: float(np.exp(inputs[name])) for name in PARAMETERS if name in inputs}
+        wire = build_wire(set_parameters(spec, {**values, **new_values}))
+        slopes = chord_ratio * compute_hull_slopes(corners, wire.compute_curve(corners).moment)
+        stiffnesses = np.maximum(-np.diff(slopes), min_slider_stiffness * slopes[0])
+        law = replace(base_law, spring_stiffness=float(slopes[-1]), slider_stiffnesses=stiffnesses)
         share = inputs.get(ISOTROPIC_SHARE, spec.isotropic_share or 0.0)
-        layers, factor = wire.section.layers, chord_scale
-        strands = make_strand_slider(layers, corners[1:], factor=factor) if share > 0.0 else None
+        strand_slider = None
+        if share > 0.0:
+            strand_slider = make_strand_slider(wire.section.layers, corners[1:], factor=chord_ratio)
         matrix = compute_stretch_torsion(wire.section)
-        stiffnesses = matrix.torsional_stiffness, matrix.axial_stiffness, matrix.coupling
-        section = Section(law, *stiffnesses, wire.mass_per_length, spec.wire_diameter)
-        return _adjust_section(section, strands, share, inputs)
+        section = Section(
+            law,
+            torsional_stiffness=matrix.torsional_stiffness,
+            axial_stiffness=matrix.axial_stiffness,
+            coupling=matrix.coupling,
+            mass_per_length=wire.mass_per_length,
+            diameter=spec.wire_diameter,
+        )
+        return _adjust_section(section, strand_slider, share, inputs)
 
     return build_section
 
 
-def _build_stiffness_material(block: SectionBlock) -> Material:
+def _build_linear_material(block: SectionBlock) -> Material:
     """Build the material of a line with constant stiffnesses, as stated in the harness file."""
-    stiffness, limit = block.bending_stiffness or 0.0, block.largest_curvature or 0.0
+    stiffness, max_curvature = block.bending_stiffness or 0.0, block.largest_curvature or 0.0
     section = Section(
-        make_linear_law(stiffness, limit),
+        make_linear_law(stiffness, max_curvature),
         block.torsional_stiffness or 0.0,
         block.axial_stiffness or np.inf,
         mass_per_length=block.mass_per_length or 0.0,
@@ -525,79 +538,85 @@ def _build_stiffness_material(block: SectionBlock) -> Material:
     )
     name = f"stiffness {1e6 * stiffness:.6g} N mm^2"
     source = "'largest_curvature' of the file"
-    return Material(name, (partial(_adjust_section, section, None, 0.0),), limit, source)
+    return Material(name, (partial(_adjust_section, section, None, 0.0),), max_curvature, source)
 
 
-def _read_deck_material(block: SectionBlock, path: Path) -> Material:
-    """Read the material of a line from a deck of sliders."""
-    deck = _read_deck(path)
+def _read_slider_file_material(block: SectionBlock, path: Path) -> Material:
+    """Read the material of a line from a file of sliders (``<wire>.sliders.json``)."""
+    content = _read_slider_file(path)
     try:
         stiffnesses, slip_curvatures = (
-            np.array(deck[name], dtype=np.float64) for name in ("stiffnesses", "slip_curvatures")
+            np.array(content[name], dtype=np.float64) for name in ("stiffnesses", "slip_curvatures")
         )
-        first_curvature, last_curvature = map(float, deck["range"]["curvature"])
-        range_and_error = first_curvature, last_curvature, float(deck.get("error", 0.0))
+        min_curvature, max_curvature = map(float, content["range"]["curvature"])
+        spring_stiffness, law_error = float(content["stiffness"]), float(content.get("error", 0.0))
+        law = SliderLaw(
+            spring_stiffness, stiffnesses, slip_curvatures, min_curvature, max_curvature, law_error
+        )
         section = Section(
-            SliderLaw(float(deck["stiffness"]), stiffnesses, slip_curvatures, *range_and_error),
-            float(deck["torsional_stiffness"]),
+            law,
+            float(content["torsional_stiffness"]),
             block.axial_stiffness or np.inf,
-            mass_per_length=float(deck.get("mass_per_length") or 0.0),
+            mass_per_length=float(content.get("mass_per_length") or 0.0),
             diameter=block.diameter or 0.0,
         )
-        doubtful_curvature = float(deck.get("doubtful_beyond") or np.inf)
-        strands, (low, high) = _read_hardening(deck.get("growing"))
-    except (KeyError, TypeError, ValueError, IndexError) as cause:
-        fault = f"none under {cause}" if isinstance(cause, KeyError) else f"this: {cause}"
-        raise ReadError.about("mechanics.studies.deck_without_law", path, fault=fault) from cause
-    distributions: tuple[InputDistribution, ...] = ()
-    if low < high:
-        share = build_uniform_distribution(ISOTROPIC_SHARE, low, high, cause=_HARDENING)
+        doubtful_curvature = float(content.get("doubtful_beyond") or np.inf)
+        strand_slider, (low_share, high_share) = _read_hardening(content.get("growing"))
+    except (KeyError, TypeError, ValueError, IndexError) as error:
+        fault = f"no key {error}" if isinstance(error, KeyError) else f"an invalid value: {error}"
+        raise ReadError.about("mechanics.studies.deck_without_law", path, fault=fault) from error
+    default_share, distributions = low_share, tuple[InputDistribution, ...]()
+    if low_share < high_share:
+        default_share = 0.0
+        share = build_uniform_distribution(ISOTROPIC_SHARE, low_share, high_share, cause=_HARDENING)
         distributions = (share,)
+    range_source = "the range of the slider file"
     return Material(
-        str(deck.get("wire", path.stem)),
-        (partial(_adjust_section, section, strands, low if low == high else 0.0),),
-        *_find_lowest_limit(
-            {"the range of the deck": last_curvature, _INSULATION_LIMIT: doubtful_curvature}
-        ),
+        name=str(content.get("wire", path.stem)),
+        sections=(partial(_adjust_section, section, strand_slider, default_share),),
+        curvature_limit=min(max_curvature, doubtful_curvature),
+        limit_source=range_source if max_curvature <= doubtful_curvature else _INSULATION_SOURCE,
         files=(describe_file("sliders", path),),
         distributions=distributions,
-        share_range=(low, high) if distributions else None,
+        share_range=(low_share, high_share) if distributions else None,
     )
 
 
 def _read_hardening(
-    block: Mapping[str, Any] | None,
+    entry: Mapping[str, Any] | None,
 ) -> tuple[GrowingSlider | None, tuple[float, float]]:
-    """Read the hardening of the strands of a deck.
+    """Read the hardening of the strands from the entry ``growing`` of a slider file.
 
     Returns
     -------
     slider : growing slider at an isotropic share of 1; None if the copper follows Masing's rule
-    share_interval : ends of the interval of the isotropic share, which are equal if it is known
+    share_interval : ends of the interval of the isotropic share, which are equal if the share is
+        known
     """
-    if block is None:
+    if entry is None:
         return None, (0.0, 0.0)
-    slid, limits = (np.array(block[name], dtype=np.float64) for name in ("slid", "limits"))
-    slider = GrowingSlider(float(block["stiffness"]), slid, limits)
-    low, high = map(float, block["share_interval"])
-    require("share_interval", (low, high), "from 0 to 1, rising", holds=0.0 <= low <= high <= 1.0)
-    share = float(block["isotropic_share"])
+    slid_curvatures, limits = (np.array(entry[name], dtype=float) for name in ("slid", "limits"))
+    slider = GrowingSlider(float(entry["stiffness"]), slid_curvatures, limits)
+    low, high = map(float, entry["share_interval"])
+    is_valid = 0.0 <= low <= high <= 1.0
+    require("share_interval", (low, high), "from 0 to 1, not decreasing", holds=is_valid)
+    share = float(entry["isotropic_share"])
     require("isotropic_share", share, "above 0 and at most 1", holds=0.0 < share <= 1.0)
     return slider.scale(1.0 / share), (low, high)
 
 
 def _adjust_section(
     section: Section,
-    strands: GrowingSlider | None,
+    strand_slider: GrowingSlider | None,
     default_share: float,
-    inputs: Mapping[str, float],
+    inputs: Inputs,
 ) -> Section:
     """Apply the isotropic share and the factors of the inputs to a section."""
     law = section.law
-    if strands is not None:
+    if strand_slider is not None:
         share = min(max(inputs.get(ISOTROPIC_SHARE, default_share), 0.0), 1.0)
-        law = split_hardening(law, strands, share)
-    factors = [math.exp(inputs.get(name, 0.0)) for name in FACTORS]
+        law = split_hardening(law, strand_slider, share)
+    factors = [math.exp(inputs.get(name, 0.0)) for name in LOG_FACTORS]
     moment_factor, torsion_factor, mass_factor = factors
     return replace(
         section,
@@ -612,15 +631,21 @@ def _adjust_section(
     )
 
 
-def _read_deck(path: Path) -> dict[str, Any]:
-    """Read a deck of sliders; refuse a damaged file, and a deck that only states a reason."""
-    max_bytes = 1 << 26
+def _read_slider_file(path: Path) -> dict[str, Any]:
+    """Read the content of a file of sliders.
+
+    Raises
+    ------
+    ReadError
+        If the file is damaged or of another kind, or if it states only why sliders were not fitted.
+    """
+    max_bytes = 64 * 2**20
     try:
-        deck = json.loads(path.read_bytes()) if path.stat().st_size < max_bytes else None
+        content = json.loads(path.read_bytes()) if path.stat().st_size < max_bytes else None
     except (OSError, ValueError, RecursionError) as error:
         raise ReadError.about("mechanics.studies.damaged_deck", path, error=error) from error
-    if not isinstance(deck, dict):
+    if not isinstance(content, dict):
         raise ReadError.about("mechanics.studies.no_deck", path)
-    if "reason" in deck:
-        raise ReadError.about("mechanics.studies.deck_of_reason", path, reason=deck["reason"])
-    return deck
+    if "reason" in content:
+        raise ReadError.about("mechanics.studies.deck_of_reason", path, reason=content["reason"])
+    return content

@@ -1,16 +1,16 @@
 """Compute and check the numbers of a solved harness: bend radii, forces, residual curvature.
 
-Numbers are computed from *fields*, which are vectors along the line that depend smoothly on the
+Numbers are computed from *fields*, which are arrays along the line that depend smoothly on the
 uncertain inputs. A norm is not smooth where it vanishes, and a maximum is not smooth where its
 location changes. Therefore the fields are extrapolated linearly in the inputs, and each number is
 computed from the extrapolated fields in the same way as from a solved line.
 
-Sliders and friction depend on the loading path, which is linear within a step. The error decreases
-at least linearly with the size of the steps. It is therefore bounded by the change from a solution
-with half as many steps. When the number of steps is halved, steps at corners of a path are kept; if
-more than three quarters of the steps would be kept, their number is doubled instead. The error of
-the elements decreases with the square of their length. It is estimated as a third of the change
-from a solution with half as many elements.
+Sliders and friction depend on the loading path, which is linear within a step. The error of the
+steps decreases at least linearly with their size. This error is therefore bounded by the change
+from a solution with half as many steps. When the number of steps is halved, steps at corners of a
+path are kept. If more than three quarters of the steps would be kept, their number is doubled
+instead. The error of the elements decreases with the square of their length. This error is
+estimated as a third of the change from a solution with half as many elements.
 """
 
 from __future__ import annotations
@@ -38,20 +38,22 @@ from labpipe.records.quality import Reason
 from labpipe.records.result import Result, Status
 
 LOWEST_POINT, RADIUS = "lowest_point", "smallest_bend_radius"
-RADIUS_ON_PATH = f"{RADIUS}_on_the_way"
-ENERGY_LOST, RESIDUAL = "energy_lost", "kept_curvature"
+PATH_RADIUS = f"{RADIUS}_on_the_way"
+LOST_ENERGY, RESIDUAL_CURVATURE = "energy_lost", "kept_curvature"
 FORCE, MOMENT, SPRINGBACK = "force.", "moment.", "springback."
+"""Names of numbers, and beginnings of names that end with the name of a boundary."""
 SUPPORTS = rod.Held | rod.Ring | rod.String | rod.Plane
-_NUMBER_UNITS = {
+"""Boundaries that carry a force."""
+_UNITS_BY_PREFIX = {
     RADIUS: "m",
     LOWEST_POINT: "m",
     FORCE: "N",
     MOMENT: "N*m",
     SPRINGBACK: "m",
-    RESIDUAL: "1/m",
-    ENERGY_LOST: "J",
+    RESIDUAL_CURVATURE: "1/m",
+    LOST_ENERGY: "J",
 }
-"""SI unit of a number, keyed by the beginning of its name."""
+"""SI unit of a number, keyed by the beginning of the number's name."""
 
 
 def collect_fields(path: RodPath) -> dict[str, Floats]:
@@ -63,39 +65,43 @@ def collect_fields(path: RodPath) -> dict[str, Floats]:
 
     Returns
     -------
-    Fields of `collect_step_fields`
-    `RESIDUAL` : shape (n, 2), vectors of `compute_released_curvature`, 1/m
-    `ENERGY_LOST` : energy lost in bending, J
+    Fields of `collect_step_fields`; under `RESIDUAL_CURVATURE`, the vectors of
+    `compute_released_curvature`, 1/m; under `LOST_ENERGY`, the energy lost in bending, J.
     """
     return {
         **collect_step_fields(path),
-        RESIDUAL: compute_released_curvature(path.line.section.law, path.last.slider_rests),
-        ENERGY_LOST: np.asarray(path.lost_energy[-1]),
+        RESIDUAL_CURVATURE: compute_released_curvature(
+            path.line.section.law, path.last.slider_rests
+        ),
+        LOST_ENERGY: np.asarray(path.lost_energy[-1]),
     }
 
 
 def list_releases(path: RodPath) -> list[tuple[rod.Held, int]]:
-    """List the boundaries that release the line, and the first step after each release."""
+    """Return the supports that release the line, with the first step after each release."""
     supports = [boundary for boundary in path.boundaries if isinstance(boundary, rod.Held)]
     return [(support, support.release) for support in supports if support.release is not None]
 
 
-def evaluate_numbers(field: Callable[[str], Floats], path: RodPath) -> dict[str, Floats]:
+def evaluate_numbers(get_field: Callable[[str], Floats], path: RodPath) -> dict[str, Floats]:
     """Compute all numbers from fields.
 
     Parameters
     ----------
-    field : function that returns the field of a name; it may have leading axes, such as draws
+    get_field : function that returns the field of a name; a field may have leading axes, such as an
+        axis of draws
     path : path of the line at the best inputs
 
     Returns
     -------
-    Numbers, SI, keyed by name, with the leading axes of the fields. Instead of a bend radius, the
-    curvature is returned, 1/m.
+    Numbers in SI units, keyed by name, with the leading axes of the fields. A curvature, 1/m,
+    replaces each bend radius.
     """
-    last, vectors = len(path.states) - 1, {}
+    last_step = len(path.states) - 1
+    vectors = {}  # keyed by the names of numbers that are norms
     positions, forces, moments = (
-        field(f"{name} {last}") for name in ("positions", "reaction_forces", "reaction_moments")
+        get_field(f"{name} {last_step}")
+        for name in ("positions", "reaction_forces", "reaction_moments")
     )
     for index, boundary in enumerate(path.boundaries):
         if isinstance(boundary, SUPPORTS):
@@ -103,16 +109,18 @@ def evaluate_numbers(field: Callable[[str], Floats], path: RodPath) -> dict[str,
         if isinstance(boundary, rod.Held) and boundary.frame is not None:
             vectors[f"{MOMENT}{boundary.name}"] = moments[..., index, :]
     for support, release in list_releases(path):
-        moves = positions - field(f"positions {release - 1}")
-        vectors[f"{SPRINGBACK}{support.name}"] = moves[..., support.node, :]
-    curvatures = [_compute_max_norm(field(f"curvature_vectors {step}")) for step in range(last + 1)]
+        displacements = positions - get_field(f"positions {release - 1}")
+        vectors[f"{SPRINGBACK}{support.name}"] = displacements[..., support.node, :]
+    curvatures = [
+        _compute_max_norm(get_field(f"curvature_vectors {step}")) for step in range(last_step + 1)
+    ]
     return {
         RADIUS: curvatures[-1],
-        RADIUS_ON_PATH: np.max(curvatures, axis=0),
+        PATH_RADIUS: np.max(curvatures, axis=0),
         LOWEST_POINT: np.asarray(compute_heights(positions, path).min(axis=-1)),
         **{name: np.asarray(np.linalg.norm(vector, axis=-1)) for name, vector in vectors.items()},
-        RESIDUAL: _compute_max_norm(field(RESIDUAL)),
-        ENERGY_LOST: np.maximum(field(ENERGY_LOST), 0.0),
+        RESIDUAL_CURVATURE: _compute_max_norm(get_field(RESIDUAL_CURVATURE)),
+        LOST_ENERGY: np.maximum(get_field(LOST_ENERGY), 0.0),
     }
 
 
@@ -123,23 +131,23 @@ def _compute_max_norm(vectors: Floats) -> Floats:
 
 
 def compute_heights(positions: Floats, path: RodPath) -> Floats:
-    """Compute the heights of nodes against gravity, or along z for a line without weight.
+    """Compute the heights of nodes opposite to gravity, or along z without gravity.
 
     Parameters
     ----------
-    positions : shape (..., n + 1, 3), positions of the nodes, m
+    positions : shape (..., n + 1, 3), positions of the nodes of n elements, m
     path : path of the line
 
     Returns
     -------
     Heights, shape (..., n + 1), m.
     """
-    weights = [load.vector[-1] for load in path.boundaries if isinstance(load, rod.Gravity)]
-    return np.asarray(positions @ (-normalise(weights[0]) if weights else [0.0, 0.0, 1.0]))
+    gravities = [load.vector[-1] for load in path.boundaries if isinstance(load, rod.Gravity)]
+    return np.asarray(positions @ (-normalise(gravities[0]) if gravities else [0.0, 0.0, 1.0]))
 
 
 def compute_released_curvature(law: SliderLaw, rests: Floats) -> Floats:
-    """Compute the curvature of each station after release.
+    """Compute the curvature of each station at zero moment, after a release.
 
     Parameters
     ----------
@@ -152,11 +160,13 @@ def compute_released_curvature(law: SliderLaw, rests: Floats) -> Floats:
 
     Notes
     -----
-    This is the curvature at zero moment; sliders may slide back during release. It is the solution
-    of EI_0 kappa + sum of w_j (kappa - a_j) = 0 with w_j = K_j min(1, kappa_j / |kappa - a_j|). In
-    Weiszfeld's iteration, w_j is computed from the curvature of the previous iteration, which
-    decreases a convex energy. The first iteration assumes that no slider slides. Without sliders,
-    the curvature is 0. The limit of a growing slider does not grow during release.
+    Sliders may slide back during release. The curvature kappa is the solution of
+    EI_0 kappa + sum of w_j (kappa - a_j) = 0 with w_j = K_j min(1, kappa_j / |kappa - a_j|). Here
+    EI_0 is the stiffness of the spring. K_j, kappa_j and a_j are the stiffness, the slip curvature
+    and the history of slider j. In Weiszfeld's iteration, w_j is computed from the curvature of the
+    previous iteration, which decreases a convex energy. The first iteration assumes that no slider
+    slides. Without sliders, the curvature is 0. The limit of a growing slider does not grow during
+    release.
     """
     max_iterations, relative_tolerance = 1000, 1e-9
     curvature = np.zeros((*rests.shape[:-2], 2))
@@ -214,12 +224,12 @@ def compute_radius(curvature: Floats) -> Floats:
 
 @dataclass(frozen=True, slots=True)
 class BendLimit:
-    """The allowed bend radius.
+    """Allowed bend radius.
 
     Parameters
     ----------
     radius : smallest allowed bend radius, m
-    source : origin of the radius
+    source : source of the radius, for messages
     is_assumed : whether the radius is assumed because the file does not state it
     """
 
@@ -230,13 +240,13 @@ class BendLimit:
 
 @dataclass(frozen=True, slots=True)
 class Bend:
-    """The sharpest bend of a line.
+    """Sharpest bend of a line.
 
     Parameters
     ----------
     radius : bend radius, m; infinite for a straight line
-    step : number of the step
-    arc_length : distance from the start along the line, m
+    step : number of the step at which the bend occurs
+    arc_length : distance of the bend from the start along the line, m
     """
 
     radius: float
@@ -245,7 +255,7 @@ class Bend:
 
 
 def choose_bend_limit(harness: HarnessFile, material: Material) -> BendLimit:
-    """Choose the allowed bend radius: stated in the file, or assumed from the diameter.
+    """Choose the allowed bend radius: that in the file, or else a multiple of the diameter.
 
     Parameters
     ----------
@@ -254,15 +264,14 @@ def choose_bend_limit(harness: HarnessFile, material: Material) -> BendLimit:
     """
     if harness.allowed_bend_radius is not None:
         return BendLimit(harness.allowed_bend_radius, "stated in the file", is_assumed=False)
-    min_diameters = 5.0  # an assumption, which the reason states
-    source = format_sentence(
-        "mechanics.studies.assumed_radius", times=min_diameters, diameter=1e3 * material.diameter
-    )
-    return BendLimit(min_diameters * material.diameter, source, is_assumed=True)
+    radius_ratio = 5.0  # allowed radius over diameter: an assumption, which `source` states
+    values = {"ratio": radius_ratio, "diameter": 1e3 * material.diameter}
+    source = format_sentence("mechanics.studies.assumed_radius", **values)
+    return BendLimit(radius_ratio * material.diameter, source, is_assumed=True)
 
 
 def find_sharpest_bend(path: RodPath, steps: Sequence[int]) -> Bend:
-    """Find the sharpest bend of a line in some of its steps; NaN for a failed line.
+    """Find the sharpest bend of a line in given steps. Its radius is NaN for a failed line.
 
     Parameters
     ----------
@@ -277,19 +286,19 @@ def find_sharpest_bend(path: RodPath, steps: Sequence[int]) -> Bend:
 
 
 def find_largest(values_by_step: Sequence[Floats]) -> tuple[int, int, float]:
-    """Find the largest value of all steps, and return its row, its column and the value.
+    """Return row, column and value of the largest of the values in all steps.
 
     Parameters
     ----------
-    values_by_step : values along the line, of the same shape (n,) for each step
+    values_by_step : values along the line, shape (n,), for each step
     """
     values = np.array(values_by_step)
     row, column = divmod(int(np.argmax(values)), values.shape[1])
     return row, column, float(values[row, column])
 
 
-def estimate_sizes(line: Line) -> dict[str, float]:
-    """Estimate the magnitude of quantities of a line that is bent to a curvature of 1 / length.
+def estimate_magnitudes(line: Line) -> dict[str, float]:
+    """Estimate the magnitudes of quantities of a line that is bent to a curvature of 1 / length.
 
     Parameters
     ----------
@@ -316,7 +325,7 @@ def compute_numbers(path: RodPath) -> dict[str, float]:
     infinite.
     """
     values = evaluate_numbers(collect_fields(path).__getitem__, path)
-    values |= {name: compute_radius(values[name]) for name in (RADIUS, RADIUS_ON_PATH)}
+    values |= {name: compute_radius(values[name]) for name in (RADIUS, PATH_RADIUS)}
     return {name: float(value) for name, value in values.items()}
 
 
@@ -327,19 +336,19 @@ def get_unit(name: str) -> str:
     ----------
     name : name of the number
     """
-    return next(unit for prefix, unit in _NUMBER_UNITS.items() if name.startswith(prefix))
+    return next(unit for prefix, unit in _UNITS_BY_PREFIX.items() if name.startswith(prefix))
 
 
 def _describe_numbers(path: RodPath) -> dict[str, str]:
-    """Describe the places and steps of numbers, keyed by the names of the numbers."""
+    """Return remarks on the places and steps of numbers, keyed by the names of the numbers."""
     law, stations, steps = path.line.section.law, path.line.stations, range(len(path.states))
     final_bend, sharpest_bend = (find_sharpest_bend(path, rows) for rows in (steps[-1:], steps))
     lowest_node = int(np.argmin(compute_heights(path.last.positions, path)))
     remarks = {
         RADIUS: format_position(final_bend.arc_length),
-        RADIUS_ON_PATH: f"step {sharpest_bend.step}, {format_position(sharpest_bend.arc_length)}",
+        PATH_RADIUS: f"step {sharpest_bend.step}, {format_position(sharpest_bend.arc_length)}",
         LOWEST_POINT: format_position(stations[lowest_node]),
-        ENERGY_LOST: "in bending, since the start",
+        LOST_ENERGY: "in bending, since the start",
     }
     forces = np.array([np.linalg.norm(state.reaction_forces, axis=1) for state in path.states])
     for index, boundary in enumerate(path.boundaries):
@@ -353,17 +362,17 @@ def _describe_numbers(path: RodPath) -> dict[str, str]:
     node = int(np.argmax(residual))
     if residual[node]:
         suffix = "" if law.growing_sliders else ", by Masing's rule"
-        remarks[RESIDUAL] = f"{format_position(stations[node])}; if released{suffix}"
+        remarks[RESIDUAL_CURVATURE] = f"{format_position(stations[node])}; if released{suffix}"
     return remarks
 
 
 @dataclass(frozen=True, slots=True)
 class Doubt:
-    """A reason why some of the numbers are doubtful.
+    """Reason why some of the numbers are doubtful.
 
     Parameters
     ----------
-    reason : reason of the doubt
+    reason : reason why the numbers are doubtful
     names : names of these numbers, or beginnings of names
     """
 
@@ -372,9 +381,9 @@ class Doubt:
 
     def concerns(self, name: str) -> bool:
         """Return whether the doubt is about a number."""
-        # RADIUS_ON_PATH begins with RADIUS, the name of another number
-        is_named = name != RADIUS_ON_PATH or RADIUS_ON_PATH in self.names
-        return name.startswith(self.names) and is_named
+        # `PATH_RADIUS` begins with `RADIUS`, which is the name of another number.
+        is_matched = name != PATH_RADIUS or PATH_RADIUS in self.names
+        return name.startswith(self.names) and is_matched
 
 
 def build_results(
@@ -396,26 +405,26 @@ def build_results(
     for name, value in compute_numbers(path).items():
         unit = get_unit(name)
         if not math.isfinite(value):
-            straight_line = (Reason.of("mechanics.studies.straight"),)
-            results.append(Result(name, None, unit, None, Status.FAILED, straight_line))
+            straight_reasons = (Reason.of("mechanics.studies.straight"),)
+            results.append(Result(name, None, unit, None, Status.FAILED, straight_reasons))
             continue
         all_reasons = (*reasons, *(doubt.reason for doubt in doubts if doubt.concerns(name)))
         status = Status.DOUBTFUL if all_reasons else Status.OK
-        number = name, value, unit, intervals.get(name), status, all_reasons
-        results.append(Result(*number, remark=remarks.get(name, "")))
+        interval, remark = intervals.get(name), remarks.get(name, "")
+        results.append(Result(name, value, unit, interval, status, all_reasons, remark=remark))
     return tuple(results)
 
 
 MAX_CHANGE = 0.02
-"""Largest error of a number, relative to its size."""
+"""Largest allowed error of a number, relative to its magnitude."""
 MAX_CHANGE_OF_BAND = 0.1
-"""Largest error of a number, relative to the width of its band; the larger limit is applied."""
-_MIN_CURVATURE = 1e-3
+"""Largest allowed error of a number, relative to the width of its band, if that allows more."""
+_MIN_BENT_CURVATURE = 1e-3
 """Smallest curvature of a line that is not straight, 1/m."""
 
 
 def find_reasons(path: RodPath, material: Material) -> tuple[Reason, ...]:
-    """Find the reasons why all numbers of a harness are doubtful or missing.
+    """Collect the reasons why all numbers of a harness are doubtful or missing.
 
     Parameters
     ----------
@@ -453,7 +462,7 @@ def find_reasons(path: RodPath, material: Material) -> tuple[Reason, ...]:
 
 
 def find_jump_doubt(path: RodPath) -> Doubt | None:
-    """Find the doubt about numbers that depend on history if much energy was lost in jumps.
+    """Return the doubt about numbers that depend on history, if much energy was lost in jumps.
 
     Parameters
     ----------
@@ -467,20 +476,22 @@ def find_jump_doubt(path: RodPath) -> Doubt | None:
     damping, the shape differs by 0.5 % of the length if 7 % of the lost energy is lost in jumps, by
     2 % if 17 % is lost in jumps, and by 6 % if 33 % is lost in jumps.
     """
-    max_fraction = 0.1  # fraction of the lost energy that is lost in jumps
+    max_jump_fraction = 0.1  # fraction of the lost energy that is lost in jumps
     min_relative_loss = 0.1  # loss of a step that the reason names, relative to the largest loss
     energy, jump_energy = float(path.lost_energy[-1]), float(path.jump_energy[-1])
-    if jump_energy <= max_fraction * energy:
+    if jump_energy <= max_jump_fraction * energy:
         return None
-    losses = np.diff(path.jump_energy, prepend=0.0)
-    steps = ", ".join(map(str, np.flatnonzero(losses > min_relative_loss * np.max(losses))))
-    names = (ENERGY_LOST, RESIDUAL, MOMENT, *_list_released_numbers(path))
-    percentage = 100.0 * jump_energy / energy
-    return Doubt(Reason.of("mechanics.studies.jumped", steps=steps, share=percentage), names)
+    step_losses = np.diff(path.jump_energy, prepend=0.0)
+    steps = ", ".join(
+        map(str, np.flatnonzero(step_losses > min_relative_loss * np.max(step_losses)))
+    )
+    names = (LOST_ENERGY, RESIDUAL_CURVATURE, MOMENT, *_list_released_numbers(path))
+    percent = 100.0 * jump_energy / energy
+    return Doubt(Reason.of("mechanics.studies.jumped", steps=steps, percent=percent), names)
 
 
 def find_unloading_doubt(path: RodPath) -> Doubt | None:
-    """Find the doubt about numbers that depend on unloading if the law follows Masing's rule.
+    """Return the doubt about numbers that depend on unloading, if the law follows Masing's rule.
 
     Parameters
     ----------
@@ -493,21 +504,17 @@ def find_unloading_doubt(path: RodPath) -> Doubt | None:
     curvature, the lost energy, the shape of a released line, and the forces and moments of a line
     that was unbent and has several supports.
     """
-    max_ratio = 1.1  # ratio of the bound of the residual curvature to the curvature by the rule
+    max_bound_ratio = 1.1  # bound of the residual curvature over the curvature by Masing's rule
     law = path.line.section.law
     if law.growing_sliders:
         return None
     bound = bound_residual_curvature(path, law)
     node = int(np.argmax(bound))
     residual = float(compute_residual_curvature(path.last, law)[node])
-    if bound[node] <= max(_MIN_CURVATURE, max_ratio * residual):
+    if bound[node] <= max(_MIN_BENT_CURVATURE, max_bound_ratio * residual):
         return None
-    reason = Reason.of(
-        "mechanics.studies.unloading_assumed",
-        place=1e3 * path.line.stations[node],
-        by_rule=residual,
-        without_sliding=bound[node],
-    )
+    values = {"place": 1e3 * path.line.stations[node], "by_rule": residual, "bound": bound[node]}
+    reason = Reason.of("mechanics.studies.unloading_assumed", **values)
     return Doubt(reason, list_unloading_numbers(path))
 
 
@@ -521,8 +528,9 @@ def bound_residual_curvature(path: RodPath, law: SliderLaw) -> Floats:
 
     Notes
     -----
-    The bound assumes that no slider slides on unloading. It is the largest sum of K_j a_j of all
-    steps, divided by the first stiffness.
+    The bound assumes that no slider slides on unloading. The bound is the largest magnitude of the
+    sum of K_j a_j in all steps, divided by the first stiffness. K_j and a_j are the stiffness and
+    the history of slider j.
     """
     if not law.history_size:
         return np.zeros(len(path.last.positions))
@@ -532,17 +540,17 @@ def bound_residual_curvature(path: RodPath, law: SliderLaw) -> Floats:
 
 
 def list_unloading_numbers(path: RodPath) -> tuple[str, ...]:
-    """List the names of the numbers that depend on unloading; see `find_unloading_doubt`.
+    """Return the names of the numbers that depend on unloading; see `find_unloading_doubt`.
 
     Parameters
     ----------
     path : path of the line
     """
-    min_unbending = 0.1  # smallest relative decrease of curvature that changes forces and moments
-    names = (ENERGY_LOST, RESIDUAL, *_list_released_numbers(path))
+    min_unbending = 0.1  # relative decrease of curvature below which forces hardly change
+    names = (LOST_ENERGY, RESIDUAL_CURVATURE, *_list_released_numbers(path))
     supports = [boundary for boundary in path.boundaries if isinstance(boundary, SUPPORTS)]
-    is_held_twice = len(supports) - len(list_releases(path)) > 1
-    if is_held_twice and compute_unbending(path) > min_unbending:
+    has_several_supports = len(supports) - len(list_releases(path)) > 1
+    if has_several_supports and compute_unbending(path) > min_unbending:
         names += (FORCE, MOMENT)
     return names
 
@@ -555,11 +563,11 @@ def compute_unbending(path: RodPath) -> float:
     path : path of the line
     """
     curvature = np.array([state.bending_curvatures for state in path.states])
-    largest = curvature.max(axis=0)
-    return float(np.max(largest - curvature[-1]) / max(float(largest.max()), _MIN_CURVATURE))
+    peak = curvature.max(axis=0)  # of each station over all steps
+    return float(np.max(peak - curvature[-1]) / max(float(peak.max()), _MIN_BENT_CURVATURE))
 
 
-def find_share_doubts(
+def make_share_doubts(
     intervals: Mapping[str, Interval], names: Sequence[str], share_range: tuple[float, float]
 ) -> Iterator[Doubt]:
     """Yield the doubts about numbers with wide intervals if the isotropic share is unknown.
@@ -570,43 +578,41 @@ def find_share_doubts(
     names : names of numbers that depend on unloading, or beginnings of names
     share_range : range of the isotropic share of the hardening of copper
     """
-    first, last = share_range
-    max_ratio = 2.0  # ratio of the ends of an interval; it is meaningful for positive numbers only
-    positive_numbers = (ENERGY_LOST, RESIDUAL, SPRINGBACK, RADIUS)
+    min_share, max_share = share_range
+    max_ratio = 2.0  # of the ends of an interval; it has a meaning for positive numbers only
+    positive_numbers = (LOST_ENERGY, RESIDUAL_CURVATURE, SPRINGBACK, RADIUS)
     affected_names = tuple(name for name in names if name in positive_numbers)
     for name, interval in intervals.items():
         if name.startswith(affected_names) and interval.upper > max_ratio * interval.lower:
-            low, high = interval.lower, interval.upper
-            reason = Reason.of(
-                "mechanics.studies.share_unknown", low=low, high=high, first=first, last=last
-            )
-            yield Doubt(reason, (name,))
+            values = {"min_share": min_share, "max_share": max_share}
+            values |= {"lower": interval.lower, "upper": interval.upper}
+            yield Doubt(Reason.of("mechanics.studies.share_unknown", **values), (name,))
 
 
 def _list_released_numbers(path: RodPath) -> tuple[str, ...]:
-    """List the names of the numbers that a release of the line changes."""
+    """Return the names of the numbers that a release of the line changes."""
     return (SPRINGBACK, RADIUS, LOWEST_POINT) if list_releases(path) else ()
 
 
-def find_convergence_doubts(
+def make_convergence_doubts(
     path: RodPath, coarse_line: PreparedLine, intervals: Mapping[str, Interval]
 ) -> Iterator[Doubt]:
     """Yield the doubts about numbers that depend on the number of steps or elements.
 
-    If the line depends on its history, it is first solved with half as many steps and elements. If
-    numbers change, the effects of steps and elements are checked separately.
+    If the line depends on its history, it is first solved with other steps and half as many
+    elements. Only if numbers change are the effects of steps and of elements checked separately.
 
     Parameters
     ----------
     path : path of the line
     coarse_line : the same line with half as many elements
-    intervals : intervals of numbers, keyed by name; a number may have none
+    intervals : intervals of numbers, keyed by name; a number may have no interval
     """
     n_steps, has_history = len(path.states) - 1, depends_on_history(path)
     if has_history:
         _, coarse_path = solve_in_other_steps(coarse_line, n_steps)
         is_solved = coarse_path.status is not Status.FAILED
-        if is_solved and not _find_excess_changes(path, coarse_path, intervals):
+        if is_solved and not _find_excess_errors(path, coarse_path, intervals):
             return
     coarse_path, n_other = follow(*coarse_line, steps=n_steps), len(coarse_line.line.lengths)
     doubts = [find_change_doubt(path, coarse_path, intervals, changed="elements", n_other=n_other)]
@@ -623,7 +629,7 @@ def depends_on_history(line: RodPath | PreparedLine) -> bool:
 
     Parameters
     ----------
-    line : line with its boundaries
+    line : line with its boundaries, or its path
     """
     planes = [boundary for boundary in line.boundaries if isinstance(boundary, rod.Plane)]
     has_friction = any(plane.friction > 0.0 for plane in planes)
@@ -653,14 +659,14 @@ def select_coarse_steps(boundaries: Sequence[rod.Boundary], n_steps: int) -> Int
 
 
 def _find_corners(path: Floats, *, is_frame: bool) -> list[int]:
-    """Find the steps at which the change of a path per step changes."""
+    """Find the steps at which the movement of a path per step changes."""
     min_relative_change = 0.05  # change at a corner, relative to the largest move in a step
     min_move = 1e-9  # m, rad or N; smaller moves are rounding errors
     moves = np.diff(path, axis=0)
     if is_frame:
         moves = to_rotation_vectors(multiply(conjugate(path[:-1]), path[1:]))
-    largest = float(np.max(np.linalg.norm(moves, axis=1)))
-    min_change = min_relative_change * max(largest, min_move)
+    max_move = float(np.max(np.linalg.norm(moves, axis=1)))
+    min_change = min_relative_change * max(max_move, min_move)
     changes = np.linalg.norm(np.diff(moves, axis=0), axis=1)
     return (np.flatnonzero(changes > min_change) + 1).tolist()
 
@@ -670,7 +676,7 @@ def solve_in_other_steps(prepared: PreparedLine, n_steps: int) -> tuple[int, Rod
 
     Parameters
     ----------
-    prepared : line and boundaries
+    prepared : line with its boundaries
     n_steps : number of steps of the first solution
 
     Returns
@@ -678,9 +684,9 @@ def solve_in_other_steps(prepared: PreparedLine, n_steps: int) -> tuple[int, Rod
     n_other : number of steps
     path : path of the line
     """
-    max_fraction = 0.75  # fraction of the steps; with more steps, the path is hardly coarser
+    max_step_fraction = 0.75  # with a larger fraction of the steps, the path is hardly coarser
     times = np.asarray(select_coarse_steps(prepared.boundaries, n_steps), dtype=np.float64)
-    if len(times) - 1 > max_fraction * n_steps:
+    if len(times) - 1 > max_step_fraction * n_steps:
         times = np.linspace(0.0, n_steps, 2 * n_steps + 1, dtype=np.float64)
     boundaries = tuple(rod.resample(boundary, times) for boundary in prepared.boundaries)
     n_other = len(times) - 1
@@ -695,14 +701,14 @@ def find_change_doubt(
     changed: Literal["steps", "elements"],
     n_other: int,
 ) -> Doubt | None:
-    """Find the doubt about numbers that depend on the number of steps or elements.
+    """Return the doubt about numbers that depend on the number of steps or elements, if any.
 
     Parameters
     ----------
     path : path of the line
     other_path : path of the same line with another number of steps, or half as many elements
-    intervals : intervals of numbers, keyed by name; a number may have none
-    changed : whether the number of steps or of elements differs
+    intervals : intervals of numbers, keyed by name; a number may have no interval
+    changed : which number differs: that of steps or that of elements
     n_other : number of steps or elements of the other path
     """
     has_other_steps = changed == "steps"
@@ -720,10 +726,10 @@ def find_change_doubt(
             wanted=2 * count,
         )
         return Doubt(reason, all_names)
-    excess = _find_excess_changes(path, other_path, intervals, error_ratio)
-    if not excess:
+    ratios = _find_excess_errors(path, other_path, intervals, error_ratio)
+    if not ratios:
         return None
-    worst = max(excess, key=lambda name: excess[name])
+    worst = max(ratios, key=lambda name: ratios[name])
     reason = Reason.of(
         "mechanics.studies.too_coarse" if has_other_steps else "mechanics.studies.coarse_elements",
         other=n_other,
@@ -731,35 +737,35 @@ def find_change_doubt(
         of_band=100.0 * MAX_CHANGE_OF_BAND / error_ratio,
         worst=worst,
         count=count,
-        wanted=max(2 * count, math.ceil(count * excess[worst] ** (1.0 / order))),
+        wanted=max(2 * count, math.ceil(count * ratios[worst] ** (1.0 / order))),
     )
     # With other elements, a number may be unchanged by chance. Therefore all numbers are doubtful.
-    return Doubt(reason, tuple(excess) if has_other_steps else all_names)
+    return Doubt(reason, tuple(ratios) if has_other_steps else all_names)
 
 
-def _find_excess_changes(
+def _find_excess_errors(
     path: RodPath, other_path: RodPath, intervals: Mapping[str, Interval], error_ratio: float = 1.0
 ) -> dict[str, float]:
-    """Compute the ratios of errors to allowed errors of numbers, and return the ratios above 1.
+    """Return the ratios of errors to allowed errors of numbers that are above 1, keyed by name.
 
     The error is `error_ratio` times the change between both solutions. The allowed error is
-    relative to the size of the number or to the width of its band. The size has a minimum, which
-    depends on the numbers of the same unit.
+    relative to the magnitude of the number or to the width of its band. The magnitude has a
+    minimum, which depends on the numbers of the same unit.
     """
-    min_height_ratio = 0.05  # smallest size of a height, relative to the length of the line
-    min_size_ratio = 1e-3  # smallest size, relative to the largest number of the same unit
+    min_height_ratio = 0.05  # smallest magnitude of a height, relative to the length of the line
+    min_magnitude_ratio = 1e-3  # relative to the largest number of the same unit
     numbers, other_numbers = compute_numbers(path), compute_numbers(other_path)
     finite_numbers = {name: value for name, value in numbers.items() if math.isfinite(value)}
-    unit_sizes = estimate_sizes(path.line)
+    unit_magnitudes = estimate_magnitudes(path.line)
     for name, value in finite_numbers.items():
-        unit_sizes[get_unit(name)] = max(unit_sizes[get_unit(name)], abs(value))
+        unit_magnitudes[get_unit(name)] = max(unit_magnitudes[get_unit(name)], abs(value))
     ratios = {}
     for name, value in finite_numbers.items():
-        size = max(abs(value), min_size_ratio * unit_sizes[get_unit(name)])
+        magnitude = max(abs(value), min_magnitude_ratio * unit_magnitudes[get_unit(name)])
         if name == LOWEST_POINT:  # a coordinate, which may be about zero
-            size = max(size, min_height_ratio * path.line.length)
+            magnitude = max(magnitude, min_height_ratio * path.line.length)
         band = intervals.get(name)
         band_error = 0.0 if band is None else MAX_CHANGE_OF_BAND * (band.upper - band.lower)
-        allowed_error = max(MAX_CHANGE * size, band_error) or math.inf
+        allowed_error = max(MAX_CHANGE * magnitude, band_error) or math.inf
         ratios[name] = error_ratio * abs(other_numbers[name] - value) / allowed_error
     return {name: ratio for name, ratio in ratios.items() if 1.0 < ratio < math.inf}

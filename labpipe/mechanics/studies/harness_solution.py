@@ -1,4 +1,4 @@
-"""Solve a harness file: the path of its line, results with intervals, and the sweep of lengths."""
+"""Solve a harness: the path of its line, results with intervals, and the sweep of lengths."""
 
 from __future__ import annotations
 
@@ -24,24 +24,24 @@ from labpipe.mechanics.rod.statics import follow
 from labpipe.mechanics.studies.harness_line import Inputs, Material, prepare_line
 from labpipe.mechanics.studies.harness_numbers import (
     LOWEST_POINT,
+    PATH_RADIUS,
     RADIUS,
-    RADIUS_ON_PATH,
     Bend,
     BendLimit,
     Doubt,
     build_results,
     choose_bend_limit,
     collect_fields,
-    estimate_sizes,
+    estimate_magnitudes,
     evaluate_numbers,
-    find_convergence_doubts,
     find_jump_doubt,
     find_reasons,
-    find_share_doubts,
     find_sharpest_bend,
     find_unloading_doubt,
     get_unit,
     list_unloading_numbers,
+    make_convergence_doubts,
+    make_share_doubts,
 )
 from labpipe.messages import format_sentence
 from labpipe.protocol.model_files import HarnessFile
@@ -53,7 +53,7 @@ from labpipe.records.result import Result, Status
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HarnessSolution:
-    """A harness file with its solution.
+    """Solution of a harness.
 
     Parameters
     ----------
@@ -61,13 +61,13 @@ class HarnessSolution:
     harness : content of the harness file
     material : material of the line
     path : equilibrium of the line at each step
-    status : ``failed`` if the line cannot be solved to the last step; only the reason is then
-        written
+    status : ``failed`` if the line cannot be solved to the last step; ``doubtful`` if there are
+        reasons why all numbers are doubtful
     reasons : reasons why all numbers are doubtful, or why the solution failed
     results : results of the last step and of the path; empty if the solution failed
     limit : allowed bend radius
     folder : folder of the result files
-    files : files that were written
+    files : paths of the files that were written
     sweep : solutions of `solve_sweep` for the lengths of the sweep
     bands : bands of the shown steps; None if the uncertainty of the line is unknown
     """
@@ -87,35 +87,35 @@ class HarnessSolution:
 
     @property
     def steps(self) -> tuple[int, ...]:
-        """Numbers of the shown steps: those that the file names, and the last step."""
+        """Return the numbers of the shown steps: those that the file names, and the last step."""
         return tuple(sorted({*self.harness.show, self.harness.steps}))
 
     @property
     def intervals(self) -> Mapping[str, Interval]:
-        """Intervals of the numbers, keyed by name; empty if the uncertainty is unknown."""
+        """Return intervals of the numbers, keyed by name; empty if the uncertainty is unknown."""
         return {} if self.bands is None else self.bands.intervals
 
     @property
     def bands_by_step(self) -> Mapping[int, StateBands]:
-        """Bands of the shown steps, keyed by step."""
+        """Return the bands of the shown steps, keyed by step."""
         states = () if self.bands is None else self.bands.line.states
         return {state.step: state for state in states}
 
     @property
     def sharpest_bend(self) -> Bend:
-        """Sharpest bend of all steps; NaN for a failed line."""
+        """Return the sharpest bend of all steps; its radius is NaN for a failed line."""
         return find_sharpest_bend(self.path, range(len(self.path.states)))
 
     @property
     def final_sharpest_bend(self) -> Bend:
-        """Sharpest bend at the last step; NaN for a failed line."""
+        """Return the sharpest bend at the last step; its radius is NaN for a failed line."""
         return find_sharpest_bend(self.path, [len(self.path.states) - 1])
 
     @property
     def is_bend_doubtful(self) -> bool:
-        """Whether the sharpest bend of all steps is doubtful."""
-        numbers = [result for result in self.results if result.name == RADIUS_ON_PATH]
-        return any(result.status is Status.DOUBTFUL for result in numbers)
+        """Return whether the sharpest bend of all steps is doubtful."""
+        results = [result for result in self.results if result.name == PATH_RADIUS]
+        return any(result.status is Status.DOUBTFUL for result in results)
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,7 +124,8 @@ class Progress:
 
     Parameters
     ----------
-    begin : function that is called with the number of lines and the number of steps of each line
+    begin : function that is called first, with the number of lines and the number of steps of each
+        line
     begin_line : function that is called with the name of each line before it is solved
     end_step : function that is called after each step
     """
@@ -152,8 +153,12 @@ def solve_harness(
     material : material of the line
     folder : folder of the result files, which are not written here
     on_step : function that is called after each step of the line
-    is_variant : whether the harness is a variant of a sweep: without bands of the isotropic share,
-        on which shapes hardly depend, and without a check of convergence
+    is_variant : whether the harness is a variant of a sweep. A variant has no check of convergence,
+        and no bands if only the isotropic share is uncertain, on which shapes hardly depend
+
+    Returns
+    -------
+    The solution. Its status is ``failed`` if the line cannot be solved to the last step.
 
     Raises
     ------
@@ -165,11 +170,10 @@ def solve_harness(
 
     def solve(index: int, inputs: Inputs) -> RodPath:
         prepared = prepare_line(harness, material.sections[index](inputs), inputs)
-        with np.errstate(over="ignore", invalid="ignore"):  # such a path has the status failed
+        with np.errstate(over="ignore", invalid="ignore"):  # the status of such a path is failed
             paths.append(follow(*prepared, steps=harness.steps, on_step=on_step))
         return paths[-1]
 
-    limit = choose_bend_limit(harness, material)
     try:
         steps = (*harness.show, harness.steps)
         bands = predict_bands(solve, material, steps) if has_bands else None
@@ -179,23 +183,33 @@ def solve_harness(
             "mechanics.studies.line_does_not_fit", file, "line", error=error
         ) from error
     reasons = _collect_reasons(path, material, bands)
+    is_failed = path.status is Status.FAILED
+    solved_status = Status.DOUBTFUL if reasons else Status.OK
     solution = HarnessSolution(
-        *(file, harness, material, path, Status.FAILED, reasons, (), limit, folder), bands=bands
+        file=file,
+        harness=harness,
+        material=material,
+        path=path,
+        status=Status.FAILED if is_failed else solved_status,
+        reasons=reasons,
+        results=(),
+        limit=choose_bend_limit(harness, material),
+        folder=folder,
+        bands=bands,
     )
-    if path.status is Status.FAILED:
+    if is_failed:
         return solution
-    solution = replace(solution, status=Status.DOUBTFUL if reasons else Status.OK)
     doubts = [] if is_variant else _find_discretisation_doubts(solution)
     return replace(solution, results=_build_results(solution, doubts))
 
 
 def _find_discretisation_doubts(solution: HarnessSolution) -> list[Doubt]:
-    """Find the doubts about numbers that depend on the numbers of steps and elements."""
+    """Return the doubts about numbers that depend on the number of steps or elements."""
     harness, material = solution.harness, solution.material
     line = harness.line.model_copy(update={"elements": harness.line.elements // 2})
     coarse_harness, section = harness.model_copy(update={"line": line}), material.sections[0]
     coarse_line = prepare_line(coarse_harness, section(material.best_inputs), material.best_inputs)
-    return list(find_convergence_doubts(solution.path, coarse_line, solution.intervals))
+    return list(make_convergence_doubts(solution.path, coarse_line, solution.intervals))
 
 
 def _build_results(
@@ -206,9 +220,9 @@ def _build_results(
     doubts = [find_jump_doubt(path), find_unloading_doubt(path), *convergence_doubts]
     names = list_unloading_numbers(path)
     if material.share_range:
-        doubts += find_share_doubts(intervals, names, material.share_range)
+        doubts += make_share_doubts(intervals, names, material.share_range)
     if material.varies_only_share:
-        intervals = {name: ends for name, ends in intervals.items() if name.startswith(names)}
+        intervals = {name: item for name, item in intervals.items() if name.startswith(names)}
     return build_results(path, solution.reasons, intervals, [*filter(None, doubts)])
 
 
@@ -219,9 +233,10 @@ def _collect_reasons(
     reasons = find_reasons(path, material)
     if bands is None:
         return reasons
-    codes = {reason.code for reason in reasons} | {"beyond_tested"}
+    # A path beyond the tested curvature has a reason of its own.
+    omitted_codes = {reason.code for reason in reasons} | {"beyond_tested"}
     doubts = [*(Reason(note.code, note.message) for note in bands.line.notes), bands.doubt]
-    return reasons + tuple(doubt for doubt in doubts if doubt and doubt.code not in codes)
+    return reasons + tuple(doubt for doubt in doubts if doubt and doubt.code not in omitted_codes)
 
 
 def solve_sweep(
@@ -229,7 +244,7 @@ def solve_sweep(
     lengths: Sequence[float],
     progress: Progress = Progress(),
 ) -> tuple[HarnessSolution, ...]:
-    """Solve a harness with other lengths of its line; only their last step is shown.
+    """Solve a harness with other lengths of its line, of which only the last step is shown.
 
     Parameters
     ----------
@@ -239,7 +254,7 @@ def solve_sweep(
 
     Returns
     -------
-    The solution for each length. Their reasons are those of the shown results.
+    The solution for each length. The reasons of a solution are those of the shown results.
 
     Raises
     ------
@@ -248,8 +263,8 @@ def solve_sweep(
 
     Notes
     -----
-    Convergence is checked from the sharpest bend, relative to the length of an element, to the
-    first length that has converged. All lengths with less sharp bends then count as converged.
+    Convergence is checked in the order of the sharpest bend, relative to the length of an element,
+    up to the first length that has converged. All lengths with less sharp bends count as converged.
     """
     file, material, folder = solution.file, solution.material, solution.folder
     solutions = []
@@ -271,17 +286,17 @@ def solve_sweep(
             break
         results = _build_results(variant, doubts)
         solutions[solutions.index(variant)] = replace(variant, results=results)
-    return tuple(map(_keep_shown_reasons, solutions))
+    return tuple(map(_limit_to_shown_reasons, solutions))
 
 
-def _keep_shown_reasons(solution: HarnessSolution) -> HarnessSolution:
-    """Keep the reasons of the results that a sweep shows, and set the status accordingly."""
+def _limit_to_shown_reasons(solution: HarnessSolution) -> HarnessSolution:
+    """Keep only the reasons of the results that a sweep shows, and set the status accordingly."""
     if solution.status is Status.FAILED:
         return solution
     shown_reasons = [
         reason
         for result in solution.results
-        if result.name in (RADIUS, RADIUS_ON_PATH, LOWEST_POINT) and result.value is not None
+        if result.name in (RADIUS, PATH_RADIUS, LOWEST_POINT) and result.value is not None
         for reason in result.reasons
     ]
     status = Status.DOUBTFUL if shown_reasons else Status.OK
@@ -289,11 +304,11 @@ def _keep_shown_reasons(solution: HarnessSolution) -> HarnessSolution:
 
 
 IndexedSolver = Callable[[int, Inputs], RodPath]
-"""Function that solves the line for the index of a distribution and its inputs."""
+"""Function that solves the line for the index of a distribution and values of the inputs."""
 _ROUNDING = 1e-6
-"""Rounding error of the solver, relative to a number plus its size by `estimate_sizes`."""
+"""Rounding error of the solver, relative to a number plus its estimated magnitude."""
 _SHAPE = "shape"
-"""Key of the positions of the nodes among the numbers of `_evaluate`."""
+"""Key of the positions of the nodes in the result of `_evaluate`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -304,8 +319,8 @@ class HarnessBands:
     ----------
     line : pointwise bands of the shape at the shown steps
     intervals : intervals of the numbers, keyed by name
-    doubt : reason why bands and intervals are doubtful; None if the effects of the causes add up
-        in the draws that were solved
+    doubt : reason why bands and intervals are doubtful; None if, in the draws that were solved, the
+        effects of the causes add up
     """
 
     line: LineBands
@@ -320,7 +335,7 @@ def predict_bands(
 
     Parameters
     ----------
-    solve : function that solves the line for the index of a distribution and its inputs
+    solve : function that solves the line for the index of a distribution and values of the inputs
     material : material of the line, with the distributions of its inputs
     steps : steps for which the shape has bands
 
@@ -340,39 +355,40 @@ def predict_bands(
     )
     if line is None:
         return None
-    values = [_evaluate(response.best_fields.__getitem__, line.path) for response in line.responses]
+    # numbers of the best inputs and of all draws, for each distribution
+    best = [_evaluate(response.best_fields.__getitem__, line.path) for response in line.responses]
     draws = [_evaluate(response.compute_draws, line.path) for response in line.responses]
-    pairs = list(zip(values, draws, strict=True))
+    pairs = list(zip(best, draws, strict=True))
     bands = {
-        name: join_bands((value[name], draw_values[name]) for value, draw_values in pairs)
-        for name in values[0]
+        name: join_bands((numbers[name], drawn_numbers[name]) for numbers, drawn_numbers in pairs)
+        for name in best[0]
     }
     intervals = {name: _make_interval(name, band) for name, band in bands.items() if name != _SHAPE}
     return HarnessBands(line, intervals, _find_draw_doubt(solve, line, draws, bands))
 
 
-def _evaluate(field: Callable[[str], Floats], path: RodPath) -> dict[str, Floats]:
+def _evaluate(get_field: Callable[[str], Floats], path: RodPath) -> dict[str, Floats]:
     """Compute all numbers and the shape from fields; a curvature replaces each bend radius.
 
     Parameters
     ----------
-    field : function that returns the field of a name
+    get_field : function that returns the field of a name
     path : path of the line at the best inputs
     """
-    last_positions = field(f"positions {len(path.states) - 1}")
-    return {**evaluate_numbers(field, path), _SHAPE: last_positions}
+    last_positions = get_field(f"positions {len(path.states) - 1}")
+    return {**evaluate_numbers(get_field, path), _SHAPE: last_positions}
 
 
 def _make_interval(name: str, band: Band) -> Interval:
-    """Make the interval of a number; that of a radius is made from the band of its curvature."""
+    """Make the interval of a number; that of a radius is made from the band of the curvature."""
     lower, upper = float(band.lower), float(band.upper)
-    if name in (RADIUS, RADIUS_ON_PATH):
+    if name in (RADIUS, PATH_RADIUS):
         lower, upper = (1.0 / end if end > 0.0 else math.inf for end in (upper, lower))
     return Interval(lower, upper)
 
 
 def choose_draws(distribution: InputDistribution) -> tuple[int, ...]:
-    """Choose draws of different sizes.
+    """Choose draws of different magnitudes, to test whether the effects of causes add up.
 
     Parameters
     ----------
@@ -380,16 +396,15 @@ def choose_draws(distribution: InputDistribution) -> tuple[int, ...]:
 
     Returns
     -------
-    Rows of the draws; none if the distribution has a single cause.
+    Rows of the draws in `distribution.amounts`; none if the distribution has a single cause.
     """
-    # Large draws show best whether the effects of the causes add up. Therefore all ranks by size
-    # are in the larger half.
+    # Large draws show best whether the effects add up. Therefore all ranks are in the upper half.
     relative_ranks = (0.5, 0.6, 0.7, 0.8, 0.85, 0.9)
     amounts = distribution.amounts
     if amounts.shape[1] < 2:
         return ()
-    sizes = np.linalg.norm(amounts / np.std(amounts, axis=0), axis=1)
-    sorted_rows = np.argsort(sizes, kind="stable")
+    magnitudes = np.linalg.norm(amounts / np.std(amounts, axis=0), axis=1)
+    sorted_rows = np.argsort(magnitudes, kind="stable")
     return tuple(int(sorted_rows[int(rank * len(sorted_rows))]) for rank in relative_ranks)
 
 
@@ -399,11 +414,11 @@ def _find_draw_doubt(
     draws: Sequence[Mapping[str, Floats]],
     bands: Mapping[str, Band],
 ) -> Reason | None:
-    """Solve the line for some draws, and find the reason why the bands are doubtful.
+    """Solve the line for some draws, and return the reason why the bands are doubtful.
 
     Parameters
     ----------
-    solve : function that solves the line for the index of a distribution and its inputs
+    solve : function that solves the line for the index of a distribution and values of the inputs
     line : bands of the shape
     draws : numbers of all draws of each distribution, keyed by name
     bands : bands of the numbers, keyed by name
@@ -413,10 +428,10 @@ def _find_draw_doubt(
     The reason; None if the bands are not doubtful.
     """
     max_draw_error = 0.5  # relative to half the width of a band
-    # the numbers of `_evaluate` have a curvature instead of a radius
-    units = {_SHAPE: "m", RADIUS: "1/m", RADIUS_ON_PATH: "1/m"}
+    # `_evaluate` returns a curvature instead of a radius.
+    units = {_SHAPE: "m", RADIUS: "1/m", PATH_RADIUS: "1/m"}
     units = {name: units.get(name) or get_unit(name) for name in bands}
-    sizes = estimate_sizes(line.path.line)
+    magnitudes = estimate_magnitudes(line.path.line)
     squares: dict[str, list[float]] = {name: [] for name in bands}
     n_draws = n_unsolved = 0
     for index, (response, values_by_draw) in enumerate(zip(line.responses, draws, strict=True)):
@@ -428,29 +443,35 @@ def _find_draw_doubt(
                 n_unsolved += 1
                 continue
             for name, value in _evaluate(collect_fields(path).__getitem__, path).items():
-                size = sizes[units[name]]
-                error = _compute_draw_error(value, values_by_draw[name], row, bands[name], size)
+                scale = magnitudes[units[name]]
+                error = _compute_draw_error(value, values_by_draw[name], row, bands[name], scale)
                 squares[name].append(error**2)
-    errors = {name: math.sqrt(np.mean(square)) for name, square in squares.items() if square}
+    errors = {name: math.sqrt(np.mean(items)) for name, items in squares.items() if items}
     worst = max(errors, key=lambda name: errors[name], default=_SHAPE)
-    faults = [f"{n_unsolved} have no equilibrium"] if n_unsolved else []
+    findings = [f"{n_unsolved} have no equilibrium"] if n_unsolved else []
     if errors.get(worst, 0.0) > max_draw_error:
-        error, limit = errors[worst], max_draw_error
-        faults.append(
-            format_sentence("mechanics.studies.cause_error", number=worst, error=error, most=limit)
-        )
-    if not faults:
+        values = {"number": worst, "error": errors[worst], "maximum": max_draw_error}
+        findings.append(format_sentence("mechanics.studies.cause_error", **values))
+    if not findings:
         return None
-    all_faults = " and ".join(faults)
-    return Reason.of("mechanics.studies.causes_do_not_add", count=n_draws, faults=all_faults)
+    text = " and ".join(findings)
+    return Reason.of("mechanics.studies.causes_do_not_add", count=n_draws, findings=text)
 
 
-def _compute_draw_error(number: Floats, draws: Floats, row: int, band: Band, size: float) -> float:
-    """Compute the error of a draw, relative to the distance from the median to the end of its band.
+def _compute_draw_error(value: Floats, draws: Floats, row: int, band: Band, scale: float) -> float:
+    """Compute the error of a draw, relative to the distance from the median to the end of the band.
 
     For positions, the largest error and the largest distance along the line are used.
+
+    Parameters
+    ----------
+    value : number of the solved line
+    draws : numbers of all draws from the linear extrapolation
+    row : row of the draw in `draws`
+    band : band of the number
+    scale : estimated magnitude of the number
     """
     median = np.median(draws, axis=0)
-    distances = np.where(number > median, band.upper - median, median - band.lower)
-    rounding = _ROUNDING * (size + float(np.max(np.abs(number))))
-    return float(np.max(np.abs(number - draws[row])) / max(float(np.max(distances)), rounding))
+    distances = np.where(value > median, band.upper - median, median - band.lower)
+    rounding = _ROUNDING * (scale + float(np.max(np.abs(value))))
+    return float(np.max(np.abs(value - draws[row])) / max(float(np.max(distances)), rounding))

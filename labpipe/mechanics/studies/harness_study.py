@@ -21,8 +21,8 @@ from labpipe.mechanics.rod.path import RodPath, RodState
 from labpipe.mechanics.rod.rotations import to_matrices
 from labpipe.mechanics.studies.harness_line import describe_file, read_material
 from labpipe.mechanics.studies.harness_numbers import (
+    PATH_RADIUS,
     RADIUS,
-    RADIUS_ON_PATH,
     compute_curvature,
     compute_heights,
     compute_radius,
@@ -149,7 +149,7 @@ def _write_solution(solution: HarnessSolution, *, figures: bool, png: bool) -> H
     return replace(solution, files=files)
 
 
-_LENGTH, _RADIUS, _RADIUS_ON_PATH = "length [m]", f"{RADIUS} [m]", f"{RADIUS_ON_PATH} [m]"
+_LENGTH, _RADIUS, _PATH_RADIUS = "length [m]", f"{RADIUS} [m]", f"{PATH_RADIUS} [m]"
 """Names of columns of ``sweep.csv``."""
 
 
@@ -167,7 +167,7 @@ def _build_sweep_row(solution: HarnessSolution) -> dict[str, object]:
         "lower [m]": radius_interval.lower if radius_interval else math.nan,
         "upper [m]": radius_interval.upper if radius_interval else math.nan,
         "place [m]": final_bend.arc_length,
-        _RADIUS_ON_PATH: path_bend.radius,
+        _PATH_RADIUS: path_bend.radius,
         "step": "" if solution.status is Status.FAILED else str(path_bend.step),
         "lowest_point [m]": lowest_point,
         "status": str(solution.status),
@@ -201,7 +201,7 @@ def build_json(solution: HarnessSolution) -> dict[str, object]:
     line, material, bands = solution.path.line, solution.material, solution.bands
     section, bend, limit = line.section, solution.sharpest_bend, solution.limit
     section_fields = ("diameter", "mass_per_length", "torsional_stiffness", "axial_stiffness")
-    sweep_names = (_LENGTH, "status", _RADIUS, "lower [m]", "upper [m]", _RADIUS_ON_PATH)
+    sweep_names = (_LENGTH, "status", _RADIUS, "lower [m]", "upper [m]", _PATH_RADIUS)
     limit_json = select_json(limit, allowed="radius", allowed_from="source", assumed="is_assumed")
     return {
         **_build_header(solution),
@@ -495,7 +495,7 @@ def build_drawn_sweep(solution: HarnessSolution) -> DrawnSweep | None:
         note=_format_caption(solution),
         length=table[_LENGTH].to_numpy(),
         radius=table[_RADIUS].to_numpy(),
-        radius_over_steps=table[_RADIUS_ON_PATH].to_numpy(),
+        radius_over_steps=table[_PATH_RADIUS].to_numpy(),
         radius_band=None if np.isnan(lower).all() else (lower, upper),
         shapes=tuple(
             np.empty((0, 3)) if variant.status is Status.FAILED else variant.path.last.positions

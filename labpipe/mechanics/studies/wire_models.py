@@ -1,4 +1,4 @@
-"""Study of ``labpipe model``: moment-curvature laws, decks and figures of the wires of a sheet."""
+"""Run ``labpipe model``: write laws, decks and figures of the wires of a sheet."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from labpipe.errors import ProcessingError, UsageError
 from labpipe.mechanics.decks import list_deck_paths, make_deck_texts, write_deck_texts
 from labpipe.mechanics.studies.study_files import FIGURES_FOLDER, write_study
 from labpipe.mechanics.studies.wire_sheets import (
-    StatedCurve,
+    StressCurve,
     build_wire_error,
     describe_stress_tables,
     read_wire_sheet,
@@ -30,17 +30,18 @@ SCHEMA = 1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ModelledWires:
-    """The modelled wires of a sheet.
+    """Modelled wires of a sheet.
 
     Parameters
     ----------
-    sheet, folder : path of the wire sheet, and folder of the results
+    sheet : path of the wire sheet
+    folder : folder of the results
     tables : tables of the wires that could be modelled, in the order of the sheet
     refused : reason why a wire could not be modelled, keyed by its name
     files : paths of the files that were written
-    removed : names of wires of an earlier run that are no longer in the sheet; their files were
+    removed : names of wires of an earlier run that are no longer in the sheet, and whose files were
         removed
-    curves : stress tables of each wire, keyed by its name and then by column of the sheet
+    curves : stress tables, keyed by name of the wire and then by column of the sheet
     """
 
     sheet: Path
@@ -49,7 +50,7 @@ class ModelledWires:
     refused: Mapping[str, str]
     files: tuple[Path, ...]
     removed: tuple[str, ...] = ()
-    curves: Mapping[str, Mapping[str, StatedCurve]] = field(default_factory=dict)
+    curves: Mapping[str, Mapping[str, StressCurve]] = field(default_factory=dict)
 
 
 def model_wires(
@@ -64,7 +65,7 @@ def model_wires(
 
     Parameters
     ----------
-    sheet : path of the sheet, a workbook or a CSV file with one row for each wire
+    sheet : path of the wire sheet, a workbook or a CSV file with one row for each wire
     out : folder of the results; None for ``processed/<name of the sheet>`` in the working folder
     figures : whether figures are drawn; otherwise figures of an earlier run are kept
     png : whether figures are also written as PNG; otherwise PNG files of an earlier run are removed
@@ -78,31 +79,29 @@ def model_wires(
     Raises
     ------
     LabpipeError
-        If the sheet has faults (all are reported at once), no wire can be modelled, or the results
-        cannot be written; earlier results are then unchanged.
+        If the sheet has faults (the message lists all of them), no wire can be modelled, or the
+        results cannot be written. Earlier results are then unchanged.
     """
     folder = Path("processed") / sheet.stem if out is None else out
     for file in (folder / WORKBOOK_FILE, folder / MODEL_FILE):
         if file.resolve() == sheet.resolve():
             raise UsageError.about("mechanics.studies.sheet_in_results", sheet, file=file)
     wire_sheet = read_wire_sheet(sheet)
-    wires, refused = make_tables(wire_sheet.specs, sheet, say)
-    if not wires:
+    modelled_wires, refused = tabulate_wires(wire_sheet.specs, sheet, say)
+    if not modelled_wires:
         raise ProcessingError("\n".join(refused.values()))
-    tables = tuple(table for table, _ in wires)
+    tables = tuple(table for table, _ in modelled_wires)
     removed = _find_removed_wires(folder, [spec.name for spec in wire_sheet.specs])
     modelled = ModelledWires(sheet, folder, tables, refused, (), removed, wire_sheet.curves)
     say("tables and decks")
-    descriptions = {
-        name: describe_stress_tables(curves) for name, curves in wire_sheet.curves.items()
-    }
+    descriptions = {name: describe_stress_tables(x) for name, x in wire_sheet.curves.items()}
 
     def write_others(folder: Path) -> list[Path]:
-        """Write the decks and the workbook."""
-        decks = write_deck_texts({table.name: texts for table, texts in wires}, folder)
-        workbook = folder / WORKBOOK_FILE
-        save_wire_workbook(tables, workbook, refusals=refused, stress_tables=descriptions)
-        return [workbook, *decks]
+        """Write the workbook and the decks into a folder, and return their paths."""
+        texts_by_wire = {table.name: texts for table, texts in modelled_wires}
+        deck_paths, workbook_path = write_deck_texts(texts_by_wire, folder), folder / WORKBOOK_FILE
+        save_wire_workbook(tables, workbook_path, refusals=refused, stress_tables=descriptions)
+        return [workbook_path, *deck_paths]
 
     files = write_study(
         folder,
@@ -116,10 +115,10 @@ def model_wires(
     return replace(modelled, files=files)
 
 
-def make_tables(
+def tabulate_wires(
     specs: Sequence[WireSpec], sheet: Path, say: Callable[[str], None] = lambda _: None
 ) -> tuple[list[tuple[WireTable, tuple[str, ...]]], dict[str, str]]:
-    """Model wires and make the texts of their decks.
+    """Tabulate the laws of wires, and make the texts of their decks.
 
     Parameters
     ----------
@@ -129,8 +128,8 @@ def make_tables(
 
     Returns
     -------
-    modelled_wires : law of each wire that could be modelled, in the order of `specs`, and the texts
-        of its decks from `labpipe.mechanics.decks.make_deck_texts`
+    modelled_wires : for each wire that could be modelled, in the order of `specs`, its law, and the
+        texts of its decks from `labpipe.mechanics.decks.make_deck_texts`
     refused : reason why a wire could not be modelled, keyed by its name
     """
     modelled_wires, refused = [], {}
@@ -146,16 +145,16 @@ def make_tables(
 
 
 def _find_removed_wires(folder: Path, names: Sequence[str]) -> tuple[str, ...]:
-    """Find the wires of an earlier run in a folder that are not among given names."""
+    """Find the wires that an earlier run modelled in a folder and that are not among `names`."""
     try:
         earlier_wires = json.loads((folder / MODEL_FILE).read_text(encoding="utf-8"))["wires"]
         return tuple(name for name in earlier_wires if name not in names)
     except (OSError, ValueError, KeyError, TypeError):
-        return ()  # there is no file, or it is not one of labpipe
+        return ()  # there is no file, or labpipe did not write it
 
 
 def _list_wire_files(names: Iterable[str]) -> list[str]:
-    """List the paths of all files of some wires, relative to the folder of the results."""
+    """List the paths of all files of given wires, relative to the folder of the results."""
     files: list[str] = []
     for name in names:
         files += [path.as_posix() for path in list_deck_paths(name, Path())]
@@ -165,7 +164,7 @@ def _list_wire_files(names: Iterable[str]) -> list[str]:
 
 
 def build_json(modelled: ModelledWires) -> dict[str, object]:
-    """Build the content of ``labpipe model --json``: lists and numbers in SI units.
+    """Build the content of ``model.json``, with values in SI units.
 
     Parameters
     ----------
@@ -192,7 +191,7 @@ _TABLE_FIELDS = (
 )
 
 
-def _build_wire_json(table: WireTable, curves: Mapping[str, StatedCurve]) -> dict[str, object]:
+def _build_wire_json(table: WireTable, curves: Mapping[str, StressCurve]) -> dict[str, object]:
     """Build the entry of a wire; `curves` are its stress tables, keyed by column of the sheet."""
     names = "tip_deflection", "doubtful_deflection", "rest"
     cantilever = select_json(table, *names, force="tip_force")

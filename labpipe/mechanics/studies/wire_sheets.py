@@ -1,7 +1,7 @@
 """Read wire sheets and the stress-strain tables that they name.
 
-All cells are checked, and the message of each fault names its cell. A table may state the strain
-rate and the temperature of its measurement.
+All cells are checked, and the message of each fault names the cell. A table may state the strain
+rate and the temperature at which the curve was measured.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import unicodedata
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, TypeAlias, TypeVar
+from typing import Annotated, Any, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -50,9 +50,10 @@ from labpipe.records.wire import WireSpec
 
 PROOF_STRAIN = 0.002
 """Plastic strain at the proof stress Rp0.2."""
-_MEGA = 1e6
-_CONDITION = re.compile(r"(strain_)?rate|(?P<temperature>temp)")
-"""Beginning of the name of a column that is meant to state a condition."""
+_MPA = 1e6
+"""One megapascal in Pa."""
+_CONDITION_PATTERN = re.compile(r"(strain_)?rate|(?P<temperature>temp)")
+"""Pattern of the beginning of the name of a column that is meant to state a condition."""
 PlacedFault: TypeAlias = tuple[str, Fault]
 """Place of a cell in its file, and the fault of the cell."""
 _B = TypeVar("_B", bound=Block)
@@ -80,16 +81,16 @@ _POINT_COLUMNS, _PARAMETER_COLUMNS, _CONDITION_COLUMNS = (
 
 
 @dataclass(frozen=True, slots=True)
-class StatedCurve:
-    """A stress-strain curve as stated in a table.
+class StressCurve:
+    """Stress-strain curve of a table.
 
     Parameters
     ----------
     table : name of the sheet or of the CSV file
-    curve : strains and stresses (Pa) of the points
+    curve : strains and stresses, Pa, of the points
     parameters : parameters of the Ramberg-Osgood curve, in the units of the columns; None for a
         table of points
-    conditions : strain rate (1/s) and temperature (degrees Celsius) of the measurement, if stated
+    conditions : strain rate, 1/s, and temperature, degrees Celsius, of the measurement, if stated
     """
 
     table: str
@@ -99,7 +100,7 @@ class StatedCurve:
 
     @property
     def description(self) -> str:
-        """Origin of the curve in one line."""
+        """Return the table, the form and the conditions of the curve in one line."""
         strains, _ = self.curve
         parameters, conditions = self.parameters, self.conditions
         form_text = f"{len(strains)} point{'s' * (len(strains) > 1)}"
@@ -114,21 +115,21 @@ class StatedCurve:
         return f"'{self.table}': {form_text}, to a strain of {strains[-1]:.4g}{suffix}"
 
     def build_json(self) -> dict[str, object]:
-        """Build the content of the table in SI units; a number that is not stated is None."""
-        parameters, celsius = self.parameters, self.conditions.temperature_c
+        """Build the JSON entry of the table in SI units; a value that is not stated is None."""
+        parameters, temperature_c = self.parameters, self.conditions.temperature_c
         return {
             "table": self.table,
             "strain": list(self.curve[0]),
             "stress": list(self.curve[1]),
-            "modulus": None if parameters is None else parameters.modulus_mpa * _MEGA,
-            "proof_stress": None if parameters is None else parameters.proof_stress_mpa * _MEGA,
+            "modulus": None if parameters is None else parameters.modulus_mpa * _MPA,
+            "proof_stress": None if parameters is None else parameters.proof_stress_mpa * _MPA,
             "exponent": None if parameters is None else parameters.exponent,
             "strain_rate": self.conditions.strain_rate_per_s,
-            "temperature": None if celsius is None else celsius + 273.15,
+            "temperature": None if temperature_c is None else temperature_c + 273.15,
         }
 
 
-def describe_stress_tables(curves: Mapping[str, StatedCurve]) -> str:
+def describe_stress_tables(curves: Mapping[str, StressCurve]) -> str:
     """Describe the stress tables of a wire in one line.
 
     Parameters
@@ -148,13 +149,13 @@ def compute_ramberg_osgood(parameters: FormulaRow) -> Curve:
     Returns
     -------
     Strains up to `largest_strain`, and stresses, Pa; at most 60 points without zero. Straight lines
-    between the points are below the curve by less than 0.1 % of the stress. The first slope is the
-    modulus of the table; it is less than 0.1 % below the modulus of the curve.
+    between the points are below the curve by less than 0.1 % of the stress. The first slope, which
+    is the modulus of the table, is less than 0.1 % below the modulus of the curve.
 
     Notes
     -----
     Data sheets and codes use the form strain = s / E + 0.002 (s / Rp0.2)^n of [1]_ with the offset
-    of [2]_ (EN 1999-1-1, annex E). It is the curve of `wire.materials.RambergOsgood` with the
+    of [2]_ (EN 1999-1-1, annex E). This is the curve of `wire.materials.RambergOsgood` with the
     exponent 1 / n and K = Rp0.2 / 0.002^(1 / n).
 
     References
@@ -164,21 +165,22 @@ def compute_ramberg_osgood(parameters: FormulaRow) -> Curve:
     """
     max_points, n_dense_points = 60, 4000
     plastic_fraction = 1e-4  # fraction of the strain that is plastic at the first point after zero
-    modulus, proof = parameters.modulus_mpa * _MEGA, parameters.proof_stress_mpa * _MEGA
-    power, largest_strain = parameters.exponent, parameters.largest_strain
-    law = RambergOsgood(modulus, proof * PROOF_STRAIN ** (-1.0 / power), 1.0 / power)
-    end_stress = float(law.stress(np.array([largest_strain]))[0])
-    ratio = plastic_fraction * proof / (PROOF_STRAIN * modulus)
-    first_stress = min(proof * ratio ** (1.0 / (power - 1.0)), end_stress / 2.0)
-    stress = np.concatenate([[0.0], np.geomspace(first_stress, end_stress, n_dense_points)])
+    modulus = parameters.modulus_mpa * _MPA
+    proof_stress = parameters.proof_stress_mpa * _MPA
+    n, max_strain = parameters.exponent, parameters.largest_strain
+    law = RambergOsgood(modulus, proof_stress * PROOF_STRAIN ** (-1.0 / n), 1.0 / n)
+    max_stress = float(law.stress(np.array([max_strain]))[0])
+    ratio = plastic_fraction * proof_stress / (PROOF_STRAIN * modulus)
+    first_stress = min(proof_stress * ratio ** (1.0 / (n - 1.0)), max_stress / 2.0)
+    stress = np.concatenate([[0.0], np.geomspace(first_stress, max_stress, n_dense_points)])
     strain = law.strain(stress)
-    strain[-1] = largest_strain
+    strain[-1] = max_strain
     points = thin_law(strain, stress, max_points=max_points + 1)
     return tuple(points.curvature[1:].tolist()), tuple(points.moment[1:].tolist())
 
 
-def read_stress_table(column: str, name: Cell, path: Path) -> StatedCurve:
-    """Read the curve that a cell of a wire sheet names.
+def read_stress_table(column: str, name: Cell, path: Path) -> StressCurve:
+    """Read the stress-strain curve that a cell of a wire sheet names.
 
     Parameters
     ----------
@@ -189,7 +191,7 @@ def read_stress_table(column: str, name: Cell, path: Path) -> StatedCurve:
     Raises
     ------
     ReadError
-        If the table does not exist or has faults; the message names the cell of each fault.
+        If the table does not exist or has faults. The message names the cell of each fault.
     """
     table, file = _find_table(column, name, path)
     names = [normalise_heading(cell.text) for cell in table.heading]
@@ -204,40 +206,40 @@ def read_stress_table(column: str, name: Cell, path: Path) -> StatedCurve:
         first_cell = rows[0]["stress_mpa"]
     place = f"{first_cell.place} ({column})"
     raise_faults(file, ((place, fault) for fault in _find_curve_faults(curve, column)))
-    return StatedCurve(name.text, curve, parameters, conditions)
+    return StressCurve(name.text, curve, parameters, conditions)
 
 
 def _find_curve_faults(curve: Curve, column: str) -> Iterator[Fault]:
     """Yield the fault of a curve that is invalid, or whose first slope suggests a wrong unit."""
-    lower, upper = INITIAL_SLOPE_RANGES[column]
+    min_slope, max_slope = INITIAL_SLOPE_RANGES[column]
     try:
         slope = StressTable(*curve).modulus
     except ValueError as error:
         yield Fault.of("mechanics.studies.no_stress_table", error=error)
         return
-    if not lower <= slope <= upper:
-        lower, upper, slope = lower / 1e9, upper / 1e9, slope / 1e9
-        yield Fault.of("mechanics.studies.first_slope", low=lower, high=upper, found=slope)
+    if not min_slope <= slope <= max_slope:
+        low, high, found = min_slope / 1e9, max_slope / 1e9, slope / 1e9
+        yield Fault.of("mechanics.studies.first_slope", min_gpa=low, max_gpa=high, slope_gpa=found)
 
 
 def _find_heading_faults(heading: Sequence[Cell], names: Sequence[str]) -> Iterator[PlacedFault]:
     """Yield the faults of columns that are missing, repeated, contradictory or misspelt."""
-    parameters = [name for name in names if name in _PARAMETER_COLUMNS]
-    points = [name for name in names if name in _POINT_COLUMNS]
-    required_columns = _PARAMETER_COLUMNS if parameters else _POINT_COLUMNS
+    parameter_names = [name for name in names if name in _PARAMETER_COLUMNS]
+    point_names = [name for name in names if name in _POINT_COLUMNS]
+    required_columns = _PARAMETER_COLUMNS if parameter_names else _POINT_COLUMNS
     for column in required_columns:
         if column not in names:
-            actual = ", ".join(repr(cell.text) for cell in heading)
-            fault = Fault.of("mechanics.studies.missing_column", column=column, columns=actual)
+            headings = ", ".join(repr(cell.text) for cell in heading)
+            fault = Fault.of("mechanics.studies.missing_column", column=column, columns=headings)
             yield heading[0].place, fault
-    if parameters and points:
-        point, parameter = points[0], parameters[0]
+    if parameter_names and point_names:
+        point, parameter = point_names[0], parameter_names[0]
         fault = Fault.of("mechanics.studies.points_and_numbers", point=point, number=parameter)
         yield heading[names.index(point)].place, fault
     for index, (name, cell) in enumerate(zip(names, heading, strict=True)):
         if name in (*required_columns, *_CONDITION_COLUMNS) and name in names[:index]:
             yield cell.place, Fault.of("mechanics.studies.repeated_column", column=name)
-        if name not in _CONDITION_COLUMNS and (condition := _CONDITION.match(name)):
+        if name not in _CONDITION_COLUMNS and (condition := _CONDITION_PATTERN.match(name)):
             column = _CONDITION_COLUMNS[1] if condition["temperature"] else _CONDITION_COLUMNS[0]
             fault = Fault.of("mechanics.studies.other_column", column=column, name=cell.text)
             yield cell.place, fault
@@ -251,12 +253,9 @@ def _read_conditions(rows: Sequence[Mapping[str, Cell]], file: Path) -> Conditio
         for cell in cells:
             first_cell = first_cells.setdefault(column, cell)
             if cell.text != first_cell.text:
-                fault = Fault.of(
-                    "mechanics.studies.two_conditions",
-                    first=first_cell.text,
-                    place=first_cell.place,
-                    value=cell.text,
-                )
+                first, place = first_cell.text, first_cell.place
+                values: dict[str, Any] = {"first": first, "place": place, "value": cell.text}
+                fault = Fault.of("mechanics.studies.two_conditions", **values)
                 raise_faults(file, [(f"{cell.place} ({column})", fault)])
     [conditions] = _parse_rows(Conditions, [first_cells], file)
     return conditions
@@ -269,20 +268,17 @@ def _read_parameters(rows: Sequence[Mapping[str, Cell]], file: Path) -> FormulaR
         raise_faults(file, [(next(iter(rows[1].values())).place, fault)])
     cells = [{key: row[key] for key in _PARAMETER_COLUMNS} for row in rows]
     [parameters] = _parse_rows(FormulaRow, cells, file)
-    yield_strain = parameters.proof_stress_mpa / parameters.modulus_mpa + PROOF_STRAIN
-    if yield_strain > parameters.largest_strain:
-        fault = Fault.of(
-            "mechanics.studies.proof_beyond_range",
-            ("largest_strain",),
-            least=yield_strain,
-            strain=parameters.largest_strain,
-        )
+    min_strain = parameters.proof_stress_mpa / parameters.modulus_mpa + PROOF_STRAIN
+    max_strain = parameters.largest_strain
+    if min_strain > max_strain:
+        values: dict[str, Any] = {"minimum": min_strain, "strain": max_strain}
+        fault = Fault.of("mechanics.studies.proof_beyond_range", ("largest_strain",), **values)
         raise_faults(file, place_faults([fault], rows[0]))
     return parameters
 
 
 def _parse_rows(block_type: type[_B], rows: Sequence[Mapping[str, Cell]], file: Path) -> list[_B]:
-    """Parse rows as blocks of a type; columns that are no field of the type are ignored."""
+    """Parse rows as blocks of a type, without the columns that are not fields of the type."""
     blocks: list[_B] = []
     faults: list[PlacedFault] = []
     for row in rows:
@@ -297,31 +293,31 @@ def _parse_rows(block_type: type[_B], rows: Sequence[Mapping[str, Cell]], file: 
 
 def _find_table(column: str, name: Cell, path: Path) -> tuple[Table, Path]:
     """Find a table and its file: a sheet of the workbook, or a CSV file in the same folder."""
-    rows_of, place = "one row per point of the curve", f"{name.place} ({column})"
+    row_meaning, place = "one row per point of the curve", f"{name.place} ({column})"
     if not is_workbook(path):
         if Path(name.text).name != name.text:
             fault = Fault.of("mechanics.studies.csv_elsewhere", name=name.text)
             raise_faults(path, [(place, fault)])
         file = path.with_name(name.text)
-        return split_table(read_csv_cells(file), file, rows_of=rows_of), file
+        return split_table(read_csv_cells(file), file, rows_of=row_meaning), file
     sheets = list(list_sheets(path))
-    matches = [sheet for sheet in sheets if sheet.casefold() == name.text.casefold()]
-    if not matches:
+    matching_sheets = [sheet for sheet in sheets if sheet.casefold() == name.text.casefold()]
+    if not matching_sheets:
         similar_names = ", ".join(map(repr, sort_by_likeness(name.text, sheets)))
         fault = Fault.of("mechanics.studies.no_such_sheet", sheets=similar_names, name=name.text)
         raise_faults(path, [(place, fault)])
-    sheet_name = name.text if name.text in matches else matches[0]
+    sheet_name = name.text if name.text in matching_sheets else matching_sheets[0]
     sheet_place = f"sheet '{sheet_name}'"
     cells = read_workbook_cells(path, sheet_name, sheet_place)
-    return split_table(cells, path, rows_of=rows_of, place=sheet_place), path
+    return split_table(cells, path, rows_of=row_meaning, place=sheet_place), path
 
 
 def place_faults(faults: Iterable[Fault], row: Mapping[str, Cell]) -> Iterator[PlacedFault]:
-    """Add to each fault the place of its cell, or of the first cell if its column is missing.
+    """Yield each fault with the place of its cell, or of the first cell if its column is missing.
 
     Parameters
     ----------
-    faults : faults, whose paths begin with a column
+    faults : faults of the row; the path of a fault begins with the name of a column
     row : cells of the row, keyed by column
     """
     for fault in faults:
@@ -331,7 +327,7 @@ def place_faults(faults: Iterable[Fault], row: Mapping[str, Cell]) -> Iterator[P
 
 
 def format_faults(path: Path, faults: Iterable[PlacedFault]) -> list[str]:
-    """Format the messages of faults of a file."""
+    """Return the messages of the faults of a file."""
     return [
         format_error(path, place, expected=fault.expected, found=fault.found, remedy=fault.remedy)
         for place, fault in faults
@@ -344,7 +340,7 @@ def raise_faults(path: Path, faults: Iterable[PlacedFault]) -> None:
     Raises
     ------
     ReadError
-        With a line for each fault.
+        If there is a fault. The message has a line for each fault.
     """
     if messages := format_faults(path, faults):
         raise ReadError("\n".join(messages))
@@ -357,34 +353,33 @@ class WireSheet:
     Parameters
     ----------
     path : path of the sheet
-    specs : wires in the order of the rows
+    specs : specifications of the wires, in the order of the rows
     curves : stress tables of each wire, keyed by name of the wire and by column of the sheet
     """
 
     path: Path
     specs: tuple[WireSpec, ...]
-    curves: Mapping[str, Mapping[str, StatedCurve]]
+    curves: Mapping[str, Mapping[str, StressCurve]]
 
-    def find_wire(self, name: str, where: str) -> WireSpec:
-        """Find a wire by its name.
+    def find_wire(self, name: str, place: str) -> WireSpec:
+        """Find the specification of a wire by its name.
 
         Parameters
         ----------
         name : name of the wire
-        where : file and key that name the wire, for the message
+        place : file and key that name the wire, for the message
 
         Raises
         ------
         UsageError
-            If the sheet does not have the wire.
+            If the wire is not in the sheet.
         """
         specs = {spec.name: spec for spec in self.specs}
         if name in specs:
             return specs[name]
-        similar = ", ".join(sort_by_likeness(name, list(specs)))
-        raise UsageError.about(
-            "mechanics.studies.no_such_wire", where, sheet=self.path, near=similar, name=name
-        )
+        names = ", ".join(sort_by_likeness(name, list(specs)))
+        values = {"sheet": self.path, "names": names, "name": name}
+        raise UsageError.about("mechanics.studies.no_such_wire", place, **values)
 
 
 def build_wire_error(sheet: Path, spec: WireSpec, expected: str, reason: object) -> ProcessingError:
@@ -392,39 +387,38 @@ def build_wire_error(sheet: Path, spec: WireSpec, expected: str, reason: object)
 
     Parameters
     ----------
-    sheet : wire sheet
+    sheet : path of the wire sheet
     spec : specification of the wire
     expected : description of a wire that can be modelled
     reason : reason why this wire cannot be modelled
     """
     place = f"{spec.place}, wire {spec.name!r}"
-    return ProcessingError.about(
-        "mechanics.studies.no_model_of_wire", sheet, place, expected=expected, reason=reason
-    )
+    values = {"expected": expected, "reason": reason}
+    return ProcessingError.about("mechanics.studies.no_model_of_wire", sheet, place, **values)
 
 
 def read_wire_sheet(path: Path) -> WireSheet:
-    """Read the wires of a sheet: one row per wire, its dimensions and materials.
+    """Read the wires of a sheet, which has one row per wire with its dimensions and materials.
 
     Parameters
     ----------
-    path : path of a CSV file or of a workbook, of which the sheet ``wires`` is read or, if there is
-        none, the first visible sheet
+    path : path of a CSV file, or of a workbook. The sheet ``wires`` of a workbook is read; without
+        it, the first visible sheet
 
     Raises
     ------
     ReadError
-        If the file is damaged, has no wires or has faults; the message names the cell of each
+        If the file is damaged, has no wires or has faults. The message names the cell of each
         fault.
     """
-    cells, where = _read_cells(path)
-    table = split_table(cells, path, rows_of="one row per wire", place=where)
+    cells, sheet_place = _read_sheet_cells(path)
+    table = split_table(cells, path, rows_of="one row per wire", place=sheet_place)
     heading_faults = find_heading_faults([cell.text for cell in table.heading])
     raise_faults(path, ((table.heading[index].place, fault) for index, fault in heading_faults))
     names = [normalise_heading(cell.text) for cell in table.heading]
     rows = [dict(zip(names, row, strict=True)) for row in table.rows]
     messages = format_faults(path, _find_repeated_names([row["wire"] for row in rows]))
-    tables: dict[tuple[str, str], StatedCurve] = {}
+    tables: dict[tuple[str, str], StressCurve] = {}
     wire_rows: list[WireRow] = []
     for row in rows:
         wire_row, faults = WireRow.read({name: cell.text for name, cell in row.items()})
@@ -442,9 +436,10 @@ def read_wire_sheet(path: Path) -> WireSheet:
     specs, curves = [], {}
     for row, wire_row in zip(rows, wire_rows, strict=True):
         row_tables = {column: tables[column, cell.text] for column, cell in _list_table_names(row)}
-        stated_curves = map(row_tables.get, INITIAL_SLOPE_RANGES)
-        stress_tables = (stated.curve if stated else None for stated in stated_curves)
+        column_tables = map(row_tables.get, INITIAL_SLOPE_RANGES)
+        stress_tables = (table.curve if table else None for table in column_tables)
         blank_columns = [name for name, cell in row.items() if not cell.text]
+        # the place of the row instead of the place of its cell
         place = re.sub(r", column \d+$", "", row["wire"].place)
         place = re.sub(r"cell [A-Z]+(\d+)$", r"row \1", place)
         specs.append(build_wire_spec(wire_row, blank_columns, place, *stress_tables))
@@ -457,8 +452,8 @@ def _list_table_names(row: Mapping[str, Cell]) -> list[tuple[str, Cell]]:
     return [(name, row[name]) for name in INITIAL_SLOPE_RANGES if name in row and row[name].text]
 
 
-def _read_cells(path: Path) -> tuple[list[list[Cell]], str]:
-    """Read the cells of the sheet, and its place in the file, which is empty for a CSV file."""
+def _read_sheet_cells(path: Path) -> tuple[list[list[Cell]], str]:
+    """Read the cells of the wire sheet, and its place in the file: empty for a CSV file."""
     if not is_workbook(path):
         return read_csv_cells(path), ""
     sheets = list_sheets(path)
@@ -467,8 +462,8 @@ def _read_cells(path: Path) -> tuple[list[list[Cell]], str]:
     visible_sheets = [name for name, is_visible in sheets.items() if is_visible]
     wire_sheets = [name for name in sheets if name.casefold() == "wires"]
     name = [*wire_sheets, *visible_sheets, *sheets][0]
-    where = f"sheet '{name}'" if sheets[name] else f"hidden sheet '{name}'"
-    return read_workbook_cells(path, name, where), where
+    place = f"sheet '{name}'" if sheets[name] else f"hidden sheet '{name}'"
+    return read_workbook_cells(path, name, place), place
 
 
 def _find_repeated_names(names: Sequence[Cell]) -> Iterator[PlacedFault]:
@@ -477,13 +472,9 @@ def _find_repeated_names(names: Sequence[Cell]) -> Iterator[PlacedFault]:
     for cell in names:
         # Some file systems ignore case and the encoding of accents, and Abaqus ignores case.
         folded_text = unicodedata.normalize("NFC", cell.text).casefold()
-        normalised = unicodedata.normalize("NFC", folded_text)
-        first_cell = first_cells.setdefault(normalised, cell)
+        normalised_text = unicodedata.normalize("NFC", folded_text)
+        first_cell = first_cells.setdefault(normalised_text, cell)
         if first_cell is not cell and cell.text:
-            fault = Fault.of(
-                "mechanics.studies.similar_names",
-                name=cell.text,
-                first=first_cell.text,
-                place=first_cell.place,
-            )
-            yield f"{cell.place} (wire)", fault
+            first, place = first_cell.text, first_cell.place
+            values: dict[str, Any] = {"name": cell.text, "first": first, "place": place}
+            yield f"{cell.place} (wire)", Fault.of("mechanics.studies.similar_names", **values)
