@@ -308,7 +308,7 @@ class BentAxis:
 
     @property
     def mean_support_gradient(self) -> Floats:
-        """Mean gradient of y at both supports, towards mid-span, shape (frames,)."""
+        """Mean gradient of y towards mid-span at both supports, shape (frames,)."""
         support_x = np.broadcast_to([-0.5 * self.span, 0.5 * self.span], (len(self.tilt), 2))
         sine = self.compute_slope_sine(support_x)
         gradient = sine / np.sqrt(1.0 - sine**2)

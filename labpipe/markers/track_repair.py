@@ -12,15 +12,15 @@ from numpy.typing import NDArray
 
 from labpipe.markers.tracklets import (
     Chain,
+    ChainAssignment,
     Links,
-    Naming,
     Tracklets,
+    assign_chains,
     cut_tracklets,
     find_frozen_samples,
     is_in_sight,
     is_unlabelled,
     link_tracklets,
-    name_chains,
 )
 from labpipe.messages import format_sentence
 from labpipe.records.arrays import ArrayRecord, Flags, Floats, Ints, find_runs
@@ -85,13 +85,12 @@ def repair_tracks(
 
     Notes
     -----
-    Tracks are cut into tracklets (`cut_tracklets`), which are joined across gaps and jumps by
-    expected positions (`link_tracklets`), and named (`name_chains`). Gaps inside a joined chain are
-    filled by Hermite cubics in the positions relative to the clamp. The velocity at each end of a
-    gap is the mean over up to five measured steps outside the gap.
+    Tracks are cut into tracklets (`cut_tracklets`). These are joined to chains across gaps and
+    jumps by expected positions (`link_tracklets`), and the chains are assigned to markers
+    (`assign_chains`). Gaps inside a chain are filled by Hermite cubics in the positions relative to
+    the clamp. The velocity at each end of a gap is the mean over up to five measured steps outside
+    the gap.
     """
-    # A track that begins within this fraction of `max_jump` of another track duplicates it.
-    duplicate_fraction = 0.25
     for name, limit in {"max_gap": max_gap, "max_jump": max_jump, "frozen": frozen_time}.items():
         if not limit > 0:
             raise ValueError(format_sentence("markers.not_positive", name=name, value=limit))
@@ -102,23 +101,24 @@ def repair_tracks(
     relative = measured - origin[:, None]
     tracklets = cut_tracklets(measured, relative, time, max_jump=max_jump)
     links = link_tracklets(tracklets, relative, time, max_gap=max_gap, max_jump=max_jump)
-    naming = name_chains(
-        names,
-        tracklets,
-        links,
-        relative=relative,
-        time=time,
-        min_label_time=max_gap,
-        min_distance=duplicate_fraction * max_jump,
-    )
-    marker_names = tuple(names[label] for label in naming.markers)
+    # A track that begins within a quarter of `max_jump` of another track duplicates it.
+    limits = {"min_label_time": max_gap, "min_distance": 0.25 * max_jump}
+    assignment = assign_chains(names, tracklets, links, relative=relative, time=time, **limits)
+    marker_names = tuple(names[label] for label in assignment.markers)
     if (count := len(marker_names)) < MIN_MARKERS:
         facts = {"count": count, "needed": MIN_MARKERS, "names": ", ".join(marker_names) or "none"}
         raise ValueError(format_sentence("markers.few_markers", **facts))
-    positions, flags = _assemble_markers(measured, tracklets, links, naming)
+    positions, flags = _assemble_markers(measured, tracklets, links, assignment)
     _fill_gaps(positions, flags, origin, time)
     repair = Repair(
-        measured, is_frozen, flags, tracklets, names=names, take=tracks, links=links, naming=naming
+        measured=measured,
+        is_frozen=is_frozen,
+        tracklets=tracklets,
+        assignment=assignment,
+        flags=flags,
+        names=names,
+        take=tracks,
+        links=links,
     )
     return RepairedTracks(marker_names, positions, flags, tuple(repair.make_notes()))
 
@@ -146,16 +146,16 @@ def _fill_linearly(path: Floats, time: Floats) -> Floats:
 
 
 def _assemble_markers(
-    measured: Floats, tracklets: Tracklets, links: Links, naming: Naming
+    measured: Floats, tracklets: Tracklets, links: Links, assignment: ChainAssignment
 ) -> tuple[Floats, NDArray[np.uint8]]:
     """Assemble the measured positions, m, and the flags of each marker from its tracklets.
 
     Frames between joined tracklets are flagged as filled; their positions are still NaN.
     """
-    shape = (len(measured), len(naming.markers))
+    shape = (len(measured), len(assignment.markers))
     positions = np.full((*shape, 3), np.nan)
     flags = np.full(shape, PointFlag.MISSING, dtype=np.uint8)
-    for marker, (label, chains) in enumerate(naming.markers.items()):
+    for marker, (label, chains) in enumerate(assignment.markers.items()):
         for tracklet in _list_tracklets(chains):
             column, successor = tracklets.column[tracklet], links.successor[tracklet]
             frames = slice(tracklets.start[tracklet], tracklets.stop[tracklet])
@@ -222,30 +222,30 @@ class Repair:
     ----------
     measured : shape (frames, tracks, 3), m, positions; NaN where missing or frozen
     is_frozen : shape (frames, tracks), flags of samples that were removed as frozen
-    flags : shape (frames, markers), values of `PointFlag` after filling
     tracklets : tracklets of the tracks of the specimen
+    assignment : assignment of the chains of tracklets to markers
+    flags : shape (frames, markers), values of `PointFlag` after filling
     names : names of the tracks of the specimen
     take : all tracks of the take, with numbers and times of the frames
     links : links between the tracklets
-    naming : assignment of the chains of tracklets to markers
     """
 
     measured: Floats
     is_frozen: Flags
-    flags: NDArray[np.uint8]
     tracklets: Tracklets
+    assignment: ChainAssignment
+    flags: NDArray[np.uint8]
     names: tuple[str, ...]
     take: MarkerTracks
     links: Links
-    naming: Naming
 
     def make_notes(self) -> Iterator[QualityNote]:
         """Make notes on repairs and on remaining faults, one kind after the other."""
-        markers = [self.names[label] for label in self.naming.markers]
+        markers = [self.names[label] for label in self.assignment.markers]
         yield from self._make_missing_notes()
         yield from self._make_stretch_notes("markers.pose_frozen", self.is_frozen, self.names)
         yield from self._make_relabel_notes()
-        for label, chain in self.naming.eliminations:
+        for label, chain in self.assignment.eliminations:
             span = chain.start, chain.stop
             yield self._make_span_note("markers.label_by_elimination", label, *span)
         yield from self._make_jump_notes()
@@ -272,7 +272,7 @@ class Repair:
         """Make a note on each labelled track that is not the track of a marker."""
         is_visible = np.asarray(is_in_sight(self.measured).any(axis=0))
         for column, name in enumerate(self.names):
-            if column not in self.naming.markers and not is_unlabelled(name):
+            if column not in self.assignment.markers and not is_unlabelled(name):
                 yield QualityNote.of(
                     "markers.marker_under_another_label"
                     if is_visible[column]
@@ -302,7 +302,7 @@ class Repair:
         """Make a note on each exchange of labels, and on each stretch without a label."""
         exchanges: dict[tuple[int, int], list[tuple[str, str]]] = {}
         columns, tracklets = self.tracklets.column, self.tracklets
-        for label, chains in self.naming.markers.items():
+        for label, chains in self.assignment.markers.items():
             indices = _list_tracklets(chains)
             for column, group in groupby(indices, key=lambda index: int(columns[index])):
                 if column == label:
@@ -326,7 +326,7 @@ class Repair:
 
     def _make_jump_notes(self) -> Iterator[QualityNote]:
         """Make a note on each jump between successive chains of a marker."""
-        for label, chains in self.naming.markers.items():
+        for label, chains in self.assignment.markers.items():
             for previous, following in pairwise(chains):
                 is_linked = self.links.successor[previous.tracklets[-1]] >= 0
                 if (frame := following.start) == previous.stop and not is_linked:
@@ -342,7 +342,7 @@ class Repair:
             where = f"{names}, {span}"
             period = float(self.take.time[last_frame]), float(self.take.time[-1])
             yield QualityNote.of("markers.label_ambiguous", where, period, names=names, span=span)
-        for chain in self.naming.doubtful_chains:
+        for chain in self.assignment.doubtful_chains:
             start, stop = chain.start, chain.stop
             period = float(self.take.time[start]), float(self.take.time[stop - 1])
             yield self._make_span_note("markers.second_track", chain.label, start, stop, period)
@@ -350,7 +350,7 @@ class Repair:
     def _make_dropped_notes(self) -> Iterator[QualityNote]:
         """Make a note on each of the first chains of no marker, and a common one on the others."""
         tracklets = self.tracklets
-        chains = sorted(self.naming.unassigned_chains, key=lambda chain: (chain.start, chain.stop))
+        chains = sorted(self.assignment.unassigned_chains, key=lambda x: (x.start, x.stop))
         for chain in chains[:_MAX_NOTES]:
             columns = tracklets.column[list(chain.tracklets)]
             names = ", ".join(dict.fromkeys(self.names[column] for column in columns))

@@ -1,4 +1,4 @@
-"""Cut marker tracks into tracklets (unbroken stretches), link them to chains, and name chains."""
+"""Cut marker tracks into tracklets (unbroken stretches), and assign chains of them to markers."""
 
 from __future__ import annotations
 
@@ -353,7 +353,7 @@ class Chain:
 
 
 @dataclass(frozen=True, slots=True)
-class Naming:
+class ChainAssignment:
     """Assignment of chains to markers.
 
     Parameters
@@ -376,7 +376,7 @@ def is_unlabelled(name: str) -> bool:
     return _UNLABELLED.fullmatch(name) is not None
 
 
-def name_chains(
+def assign_chains(
     names: Sequence[str],
     tracklets: Tracklets,
     links: Links,
@@ -385,8 +385,8 @@ def name_chains(
     time: Floats,
     min_label_time: float,
     min_distance: float,
-) -> Naming:
-    """Assign each chain to a marker.
+) -> ChainAssignment:
+    """Assign chains to markers.
 
     Parameters
     ----------
@@ -428,7 +428,7 @@ def name_chains(
         unassigned += _remove_short_markers(markers)
     get_start = attrgetter("start")
     by_label = {label: tuple(sorted(markers[label], key=get_start)) for label in sorted(markers)}
-    return Naming(by_label, tuple(eliminations), tuple(doubtful), tuple(unassigned))
+    return ChainAssignment(by_label, tuple(eliminations), tuple(doubtful), tuple(unassigned))
 
 
 def _collect_chains(

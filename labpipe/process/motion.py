@@ -174,7 +174,7 @@ def split_at_turns(motion: Motion) -> tuple[Branch, ...]:
     for turn in motion.turns:
         times[turn.stroke_index, 1] = turn.arrival.time
         times[turn.stroke_index + 1, 0] = turn.departure.time
-    return turning_points.split_branches(motion.signal.time, motion.strokes, turning_times=times)
+    return turning_points.make_branches(motion.signal.time, motion.strokes, turning_times=times)
 
 
 def orient_force(force: Signal) -> Signal:
@@ -404,7 +404,7 @@ def _fit_corners(force: Signal, turn: Turn, rough_time: float, window: float) ->
     search_reach = 1.0  # s, on each side of the rough turn of the force
     arrival, departure, dwell = turn.arrival, turn.departure, turn.dwell
     reach = dwell + search_reach  # because the rough turn may be at either corner
-    first_corner = turning_points.find_turn_near(
+    first_corner = turning_points.find_dwell_turn(
         force.time, force.values, middle=rough_time, reach=reach, width=window, dwell=dwell
     )
     if first_corner is None:
@@ -581,8 +581,8 @@ def _select_repeat(repeat: CycleLag | None, fit: ClockFit) -> tuple[CycleLag | N
     max_lag_difference = 4.0  # standard errors
     if repeat is None:
         return None, []
-    lag, expected = repeat.force, (1.0 + fit.drift) * repeat.motion
-    error = float(np.hypot(repeat.error, fit.drift_interval.standard_error * repeat.motion))
+    lag, expected = repeat.force_lag, (1.0 + fit.drift) * repeat.motion_lag
+    error = float(np.hypot(repeat.error, fit.drift_interval.standard_error * repeat.motion_lag))
     if abs(lag - expected) <= max_lag_difference * error:
         return repeat, []
     return None, [Finding.of("process.cycles_not_alike", "align", lag=lag, expected=expected)]

@@ -146,7 +146,7 @@ def find_channel(choice: ChannelChoice, pairs: Sequence[tuple[str, str]], file: 
 
 
 def find_alternatives(
-    choice: ChannelChoice, pairs: Sequence[tuple[str, str]], chosen: int
+    choice: ChannelChoice, pairs: Sequence[tuple[str, str]], chosen_index: int
 ) -> list[int]:
     """Find the channels, other than the chosen one, that a choice matches.
 
@@ -154,7 +154,7 @@ def find_alternatives(
     ----------
     choice : names or path, see `select_channel`
     pairs : name and path of each channel of the export
-    chosen : index of the channel that `find_channel` finds
+    chosen_index : index of the channel that `find_channel` finds
 
     Returns
     -------
@@ -163,10 +163,10 @@ def find_alternatives(
     names = (choice,) if isinstance(choice, str) else choice
     finders = product((_find_exact, _find_similar), names)
     indices = {index for find_matches, name in finders for index in find_matches(name, pairs)}
-    return sorted(indices - {chosen})
+    return sorted(indices - {chosen_index})
 
 
-def compare_alternatives(
+def make_alternative_notes(
     choices: Sequence[ChannelChoice], channels: Sequence[Channel]
 ) -> Iterator[QualityNote]:
     """Make notes on channels that match one choice, but whose samples differ.
@@ -184,21 +184,21 @@ def compare_alternatives(
     """
     max_range_fraction = 0.01
     pairs = [(channel.name, channel.path) for channel in channels]
-    selected = [find_channel(choice, pairs, "") for choice in choices]
-    for choice, index in zip(choices, selected, strict=True):
+    chosen_indices = [find_channel(choice, pairs, "") for choice in choices]
+    for choice, index in zip(choices, chosen_indices, strict=True):
         chosen = channels[index]
         for other in (channels[i] for i in find_alternatives(choice, pairs, index)):
-            if other.path in {channels[i].path for i in selected}:
+            if other.path in {channels[i].path for i in chosen_indices}:
                 continue
             units = other.unit_in_file, chosen.unit_in_file
             try:
                 factor = 1.0 if units[0] == units[1] else get_conversion_factor(*units)
             except ValueError:
                 continue
-            difference = drop_missing(factor * other.values - chosen.values)
-            if not len(difference):
+            differences = drop_missing(factor * other.values - chosen.values)
+            if not len(differences):
                 continue
-            spread = float(np.subtract(*np.quantile(difference, (0.975, 0.025))))
+            spread = float(np.subtract(*np.quantile(differences, (0.975, 0.025))))
             full_range = np.nanmax(chosen.values) - np.nanmin(chosen.values)
             if spread > max_range_fraction * full_range > 0.0:
                 paths = {"chosen": chosen.path, "other": other.path}

@@ -98,8 +98,9 @@ def load_export(
         indices = sorted({find_channel(choice, pairs, path) for choice in channels})
         traces = [traces[i] for i in indices]
     clock_names = make_names_unique([raster or "time" for raster, _ in export.axes])
-    axes = range(len(clock_names)) if channels is None else {t.axis_index for t in traces}
-    clocks = {i: Clock(clock_names[i], _convert_samples(export.axes[i][1]())) for i in sorted(axes)}
+    used_axes = range(len(clock_names)) if channels is None else {x.axis_index for x in traces}
+    times = {i: _convert_samples(export.axes[i][1]()) for i in sorted(used_axes)}
+    clocks = {i: Clock(clock_names[i], axis_times) for i, axis_times in times.items()}
     notes = [note for clock in clocks.values() for note in make_clock_notes(clock)]
     loaded_channels = []
     for trace in traces:
@@ -186,13 +187,13 @@ def resolve_date(text: str, save_date: date | None) -> str:
     >>> resolve_date("4-5-2023 17:30:33", date(2023, 5, 4))
     '2023-05-04'
     """
-    max_time_to_saving = timedelta(days=7)
+    max_days = timedelta(days=7)  # between the date and that of saving
     if save_date is None:
         return ""
     orders = permutations(re.findall(r"\d+", text)[:3])
     dates = [day for order in orders if (day := _make_date(*order)) is not None]
-    nearest = min(dates, key=lambda day: abs(day - save_date), default=date.max)
-    return nearest.isoformat() if abs(nearest - save_date) <= max_time_to_saving else ""
+    nearest_date = min(dates, key=lambda day: abs(day - save_date), default=date.max)
+    return nearest_date.isoformat() if abs(nearest_date - save_date) <= max_days else ""
 
 
 def _make_date(*numbers: str | int) -> date | None:

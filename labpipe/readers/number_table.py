@@ -336,27 +336,24 @@ def make_row_count_notes(stated_rows: int | None, n_rows: int) -> list[QualityNo
 
 def _drop_summary(body: Body) -> tuple[Body, list[QualityNote]]:
     """Omit rows of text (statistics, remarks) at the end, unless all rows are text."""
-    data, position, data_end = body.data, len(body.data), len(body.data)
+    data, row_end, data_end = body.data, len(body.data), len(body.data)
     sample_columns = range(len(body.names)) if body.others_numeric else body.columns
     first_words: list[str] = []
-    while position:
-        row_start = data.rfind(b"\n", 0, position - 1) + 1
-        row = body.split_row(data[row_start:position])
+    while row_end:
+        row_start = data.rfind(b"\n", 0, row_end - 1) + 1
+        row = body.split_row(data[row_start:row_end])
         if any(cell.strip() for cell in row):
             cells = _pick_cells(row, sample_columns)
             if not is_summary_row(cells):
                 break
             first_words.insert(0, quote_cells([next(filter(None, cells))]))
             data_end = row_start
-        position = row_start
-    if not first_words or not position:
+        row_end = row_start
+    if not first_words or not row_end:
         return body, []
-    place = body.describe_place(data.count(b"\n", 0, data_end))
-    facts = {
-        "rows": f"{len(first_words)} rows from {place} on",
-        "names": ", ".join(first_words[:3]),
-    }
-    note = QualityNote.of("readers.summary_rows_left_out", "file", **facts)
+    place, names = body.describe_place(data.count(b"\n", 0, data_end)), ", ".join(first_words[:3])
+    rows = f"{len(first_words)} rows from {place} on"
+    note = QualityNote.of("readers.summary_rows_left_out", "file", rows=rows, names=names)
     return replace(body, data=data[:data_end]), [note]
 
 
@@ -375,19 +372,19 @@ def drop_incomplete_line(body: Body) -> tuple[Body, list[QualityNote]]:
     number in any line above. A line is incomplete if the header states more rows.
     """
     max_lines = 200  # lines above the last line that are compared with it
-    end = body.data.rfind(b"\n") + 1
-    last_line = body.data[end:]
+    start = body.data.rfind(b"\n") + 1  # of the last line
+    complete_lines, last_line = body.data[:start], body.data[start:]
     if not last_line.strip(b"\r\0\x1a "):
-        return replace(body, data=body.data[:end]), []
+        return replace(body, data=complete_lines), []
     n_lines = body.data.count(b"\n")
-    preceding_lines = body.data[:end].rsplit(b"\n", max_lines + 1)[-max_lines - 1 : -1]
+    preceding_lines = complete_lines.rsplit(b"\n", max_lines + 1)[-max_lines - 1 : -1]
     rows_above = map(body.split_row, reversed(preceding_lines))
     cells_above = [row[-1].strip() for row in rows_above if row]
     has_stated_rows = n_lines + 1 >= (body.stated_rows or 0)
     if has_stated_rows and _is_complete(body.split_row(last_line), cells_above, body):
         return body, []
     note = QualityNote.of("readers.truncated", "file", line=body.first_line + n_lines)
-    return replace(body, data=body.data[:end]), [note]
+    return replace(body, data=complete_lines), [note]
 
 
 def _is_complete(row: Sequence[str], cells_above: Sequence[str], body: Body) -> bool:

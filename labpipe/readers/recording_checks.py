@@ -101,7 +101,7 @@ def make_clock_notes(clock: Clock, *, is_variable: bool = False) -> Iterator[Qua
 
 
 def _are_even(steps: Floats) -> bool:
-    """Return whether no step deviates enough to be jitter, which needs no slow median."""
+    """Return whether the steps differ too little for jitter or holes, without a slow median."""
     shortest, longest = float(steps.min()), float(steps.max())
     return shortest > 0.0 and longest - shortest <= _MIN_JITTER * shortest
 

@@ -198,7 +198,7 @@ class Roller:
     """Settings of the rollers of two supports."""
 
     diameter: Length | None = None
-    friction: Annotated[Ratio | None, "Coefficient, of rollers that do not turn"] = None
+    friction: Annotated[Ratio | None, "Coefficient of friction of fixed rollers"] = None
 
 
 _CORRECTION_ORDER = ("large-deflection", "roller-radius", "roller-friction")
@@ -216,12 +216,12 @@ class BendingStiffness(DerivedKind):
         "cantilever: K L^3 / 3, L specimen.length; three-point: K L^3 / 48, L the span",
     ]
     length_uncertainty: Annotated[
-        Distance | None, "Standard uncertainty of L, where specimen.uncertainty does not say it"
+        Distance | None, "Standard uncertainty of L, if specimen.uncertainty does not state it"
     ] = None
     name: Annotated[SnakeName, "Such as bending_stiffness_at_start"] = "bending_stiffness"
     corrections: Annotated[
         tuple[Literal["large-deflection", "roller-radius", "roller-friction"], ...],
-        "Of three-point: what an exactly bent elastic beam does otherwise",
+        "For three-point: effects that the formula for small deflections omits",
     ] = ()
     roller: Roller | None = None
 
@@ -434,7 +434,7 @@ class MomentCurvature(Kind):
 
 
 class MidSpan(RangeKind):
-    """``mid_span_bending_stiffness`` (N m^2) and ``mid_span_curvature`` (1/m) of a bent beam."""
+    """``mid_span_bending_stiffness`` (N m^2) and ``mid_span_curvature`` (1/m): beam at mid-span."""
 
     result: ClassVar = "mid-span"
     outputs: ClassVar = (

@@ -431,34 +431,34 @@ def replicate_curves(test: ReducedTest) -> Replicates | None:
     curve, unfiltered = test.curve, test.unfiltered
     if curve is None or unfiltered is None or not curve.branches:
         return None
-    measured = make_trace(test)
+    measured_trace = make_trace(test)
     corners = [end for branch in curve.branches for end in (branch.start, branch.stop)]
     corners += [end for slip in test.slips for end in (slip.start + 1, slip.stop)]
-    corners += [] if measured.failed_at is None else [measured.failed_at + 1]
+    corners += [] if measured_trace.failed_at is None else [measured_trace.failed_at + 1]
     corners = sorted({corner for corner in corners if 0 < corner < len(curve.time)})
     starts = _find_block_starts(corners, curve)
-    averaged = _move_to_grid(measured, starts)
+    averaged_trace = _move_to_grid(measured_trace, starts)
     cuts: list[int] = np.searchsorted(starts, corners).tolist()
     records, filters = [], []
     for name, (filtered, raw) in (
         (test.signals.displacement, _read_displacements(test, curve)),
         (test.signals.force, _read_forces(test, unfiltered, curve)),
     ):
-        grid_filters = _make_grid_filters(test, name, averaged.time)
+        grid_filters = _make_grid_filters(test, name, averaged_trace.time)
         record = filtered if have_no_effect(grid_filters) else raw
         records.append(average_between(record, starts))
         filters.append(partial(_filter_records, filters=grid_filters, cuts=cuts))
-    grid = replace(averaged, displacement=records[0], force=records[1])
+    grid = replace(averaged_trace, displacement=records[0], force=records[1])
     inputs = tuple(_list_inputs(test, starts, partial(fit_smooth_trace, grid, cuts=cuts)))
     return draw_replicates(
-        measured,
+        measured_trace,
         grid,
         cuts,
         (filters[0], filters[1]),
         inputs,
         seed=test.seed,
         compliance=test.compliance,
-        averaged_trace=averaged,
+        averaged_trace=averaged_trace,
     )
 
 
@@ -718,13 +718,13 @@ def _estimate_converter_step(values: Floats) -> float:
     change.
     """
     min_constant_fraction, min_levels = 0.5, 10
-    finite = drop_missing(values)
-    is_constant = finite[1:] == finite[:-1]
+    finite_values = drop_missing(values)
+    is_constant = finite_values[1:] == finite_values[:-1]
     if not min_constant_fraction * len(is_constant) < is_constant.sum() < len(is_constant):
         return 0.0
     if np.sum(is_constant[1:] & ~is_constant[:-1]) < min_levels:
         return 0.0
-    return float(np.median(np.abs(np.diff(finite))[~is_constant]))
+    return float(np.median(np.abs(np.diff(finite_values))[~is_constant]))
 
 
 def _find_zero_time(test: ReducedTest) -> float:

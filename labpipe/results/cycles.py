@@ -116,8 +116,8 @@ def find_unloading_end(
     """
     max_zero_fraction = 0.02  # of the largest force: largest force that may count as zero
     noise_factor = 4.0  # a force above this many standard deviations of the noise is not zero
-    finite = curves.find_finite_samples(displacement, force)
-    t, d, f = (values[finite] for values in (time, displacement, force))
+    finite_samples = curves.find_finite_samples(displacement, force)
+    t, d, f = (values[finite_samples] for values in (time, displacement, force))
     curves.require_samples(len(f), 2 * _MIN_CROSSING_SAMPLES, "")
     lowest_limit = min(force_below, max_zero_fraction * float(f.max()))
     limit = max(noise_factor * float(estimate_fast_noise(f)), lowest_limit)
@@ -131,7 +131,7 @@ def find_unloading_end(
     if kind is None and np.median(f[-_MIN_CROSSING_SAMPLES:]) < -limit:
         kind = "through zero"
     if kind == "through zero":
-        return _choose_zero_crossing(finite, t, f, limit)
+        return _choose_zero_crossing(finite_samples, t, f, limit)
     last_time = float(t[samples_above[-1]])
     zero_times, slopes, _ = _extrapolate_foot(t - last_time, f[np.newaxis], np.array([[limit]]))
     zero_time = last_time + float(zero_times[0])
@@ -140,12 +140,12 @@ def find_unloading_end(
     if kind is None and has_reached_zero and _is_resting(t, d, f, is_after_zero, limit):
         kind = "at rest"
     if kind == "at rest" and is_after_zero.any():
-        rest, count = convert_to_slice(finite[is_after_zero]), int(is_after_zero.sum())
+        rest, count = convert_to_slice(finite_samples[is_after_zero]), int(is_after_zero.sum())
         return UnloadingEnd(kind, limit, count, lambda d, _: np.mean(d[..., rest], axis=-1))
     count = int(((t >= zero_time - _TIME_BEFORE_ZERO) & (t <= zero_time)).sum())
     if count < _MIN_CROSSING_SAMPLES:
         raise UnavailableError.of("results.few_before_zero", count=count, zero=zero_time)
-    compute = partial(_extrapolate_to_zero, finite, t - last_time, (limit, lowest_limit))
+    compute = partial(_extrapolate_to_zero, finite_samples, t - last_time, (limit, lowest_limit))
     return UnloadingEnd("extrapolated", limit, count, compute)
 
 

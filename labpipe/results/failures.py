@@ -77,8 +77,8 @@ def find_loss_start(
     `within`. A smooth decrease before the loss, such as the necking of a wire, is not part of the
     loss. In a slow recording, a loss may lie within one sampling step.
     """
-    finite = np.flatnonzero(~np.isnan(force))
-    t, f = time[finite], force[finite]
+    finite_samples = np.flatnonzero(~np.isnan(force))
+    t, f = time[finite_samples], force[finite_samples]
     if not len(f) or not f.max() > 0.0:
         return Failure.of("results.no_tension", largest=float(f.max()) + 0.0 if len(f) else 0.0)
     peak = float(f.max())
@@ -86,7 +86,7 @@ def find_loss_start(
     if last_above == len(f) - 1:
         facts = {"end": f[-1], "share": f[-1] / peak, "force_below": criteria.force_below}
         return Failure.of("results.no_break", peak=peak, **facts)
-    if is_unloading is not None and is_unloading[finite[last_above]]:
+    if is_unloading is not None and is_unloading[finite_samples[last_above]]:
         return Failure.of("results.goes_back")
     loss_stop = int(np.searchsorted(t, t[last_above] + criteria.within, side="right"))
     drop = f[last_above] - float(f[last_above + 1 : max(loss_stop, last_above + 2)].min())
@@ -94,7 +94,7 @@ def find_loss_start(
     if first == last_above and drop < criteria.loss * peak:
         facts = {"force_below": criteria.force_below, "peak": peak, "loss": criteria.loss}
         return Failure.of("results.lost_slowly", **facts, within=1e3 * criteria.within)
-    return int(finite[first])
+    return int(finite_samples[first])
 
 
 def find_slow_loss(displacement: Floats, force: Floats, criteria: LossOfForce) -> int | None:
@@ -110,15 +110,15 @@ def find_slow_loss(displacement: Floats, force: Floats, criteria: LossOfForce) -
     Index of the sample. None if the force is not below this fraction at the end, or if the motion
     stops or reverses during the loss, as for a specimen that relaxes.
     """
-    finite = find_finite_samples(displacement, force)
-    d, f = displacement[finite], force[finite]
+    finite_samples = find_finite_samples(displacement, force)
+    d, f = displacement[finite_samples], force[finite_samples]
     last_above = int(find_last_above(f, criteria.force_below))
     if last_above >= len(f) - 1:
         return None
     # The travel increases by at least 1 %, and fewer than half of its steps are backwards.
     is_longer = d[-1] - d[last_above] >= 0.01 * (d[last_above] - d[0])
     is_forward = (np.diff(d[last_above:]) >= 0.0).mean() > 0.5
-    return int(finite[last_above]) if is_longer and is_forward else None
+    return int(finite_samples[last_above]) if is_longer and is_forward else None
 
 
 def find_last_above(force: Floats, fraction: float) -> Ints:
@@ -166,7 +166,7 @@ def measure_earlier_loss(time: Floats, force: Floats, criteria: LossOfForce) -> 
 
 
 class FailureResult(Kind):
-    """``failure_displacement`` (m) and ``failure_force`` (N): point at which the specimen fails."""
+    """``failure_displacement`` (m) and ``failure_force`` (N), at which the specimen fails."""
 
     result: ClassVar = "failure"
     outputs: ClassVar = (
@@ -330,7 +330,7 @@ def find_loading_before(curve: Curve | Trace, sample: int) -> Branch:
 
 
 class PeakForceDisplacement(CycleKind):
-    """``displacement_at_peak_force.<cycle>`` (m): displacement at the largest force of a cycle."""
+    """``displacement_at_peak_force.<cycle>`` (m), at the largest force of a cycle."""
 
     result: ClassVar = "displacement-at-peak-force"
     outputs: ClassVar = (

@@ -360,14 +360,14 @@ def compute_loading_sign(values: Floats) -> float:
     sign of the value with the largest magnitude. Rise and fall are measured from the median of the
     first 1 % of the values. The sign is 1.0 if there are no values.
     """
-    finite = drop_missing(values)
-    if not len(finite):
+    finite_values = drop_missing(values)
+    if not len(finite_values):
         return 1.0
-    first_level = median(finite[: max(1, len(finite) // 100)])
-    rise, fall = float(finite.max()) - first_level, first_level - float(finite.min())
+    first_level = median(finite_values[: max(1, len(finite_values) // 100)])
+    rise, fall = float(finite_values.max()) - first_level, first_level - float(finite_values.min())
     if max(rise, fall) > 2.0 * min(rise, fall):
         return 1.0 if rise > fall else -1.0
-    return 1.0 if finite.max() >= -finite.min() else -1.0
+    return 1.0 if finite_values.max() >= -finite_values.min() else -1.0
 
 
 Outcome: TypeAlias = MeasuredNumber | Estimate | Failure

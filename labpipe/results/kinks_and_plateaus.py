@@ -231,12 +231,12 @@ def require_bend(segments: tuple[MeasuredNumber, ...], hinges: Hinges) -> None:
     are no evidence against a bend.
     """
     min_bend_errors = 4.0
-    break_point, first, second, _ = segments
-    bend, deviations = second.value - first.value, second.deviations - first.deviations
+    break_point, slope, next_slope, _ = segments
+    bend, deviations = next_slope.value - slope.value, next_slope.deviations - slope.deviations
     median, limit = np.nanquantile(deviations, [0.5, 0.975 if bend < 0.0 else 0.025]).tolist()
     error = abs(limit - median) / NORMAL_95
     if not abs(bend) > min_bend_errors * error:
-        slopes = {"first": first.value, "second": second.value, "bend": abs(bend)}
+        slopes = {"first": slope.value, "second": next_slope.value, "bend": abs(bend)}
         raise UnavailableError.of("results.no_bend", **slopes, needed=min_bend_errors, error=error)
     low, high = hinges.convert_to_displacement(hinges.candidates[[2, -3]])
     errors = break_point.deviations[~np.isnan(break_point.deviations)]
@@ -389,7 +389,7 @@ def _make_lines(
 
 
 class TwoSegments(_TwoLineKind):
-    """``segment_stiffness_first``, ``segment_stiffness_second`` (N/m), ``break_point`` (m)."""
+    """``segment_stiffness_first``, ``segment_stiffness_second``, ``break_point``: two lines."""
 
     result: ClassVar = "two-segments"
     outputs: ClassVar = (
@@ -422,7 +422,7 @@ class TwoSegments(_TwoLineKind):
 
 
 class Kink(_TwoLineKind):
-    """``kink_displacement`` (m), ``kink_force`` (N): point from which the loading is less steep."""
+    """``kink_displacement`` (m) and ``kink_force`` (N): point at which the slope decreases."""
 
     result: ClassVar = "kink"
     outputs: ClassVar = (
@@ -759,7 +759,7 @@ class _CornerError:
 
 
 class Plateau(Kind):
-    """``end_slope`` (1), ``plateau_displacement`` (m), ``plateau_force`` (N) of a loading."""
+    """``end_slope`` (1), ``plateau_displacement`` (m), ``plateau_force`` (N): end of a loading."""
 
     result: ClassVar = "plateau"
     outputs: ClassVar = (
@@ -768,11 +768,11 @@ class Plateau(Kind):
         Output("plateau_force", "N", "Plateau force"),
     )
     method: ClassVar = "slope over the last {over_mm:g} mm of first loading / {of}"
-    slope_below: Annotated[Fraction, "Share of the initial slope, such as 10 %"]
+    slope_below: Annotated[Fraction, "Fraction of the initial slope, such as 10 %"]
     of: Annotated[StiffnessName, "Name of the stiffness above that is the initial slope"] = (
         "initial_stiffness"
     )
-    over: Annotated[Length, "Stretch that a tangent is read from"] = 0.005
+    over: Annotated[Length, "Length of a tangent"] = 0.005
 
     def compute(self, test: ReducedTest) -> list[Part]:
         """Measure the plateau, without its onset if the slope at the end is not available."""
@@ -943,9 +943,9 @@ def _find_gap_doubts(test: ReducedTest, branch: Branch) -> tuple[Reason, ...]:
     """Find a doubt if the force or the displacement at the end of a loading branch is missing."""
     curve = test.required_curve
     d, f = (values[branch.start : branch.stop] for values in (curve.displacement, curve.force))
-    finite = np.flatnonzero(np.isfinite(f) & np.isfinite(d))
+    finite_samples = np.flatnonzero(np.isfinite(f) & np.isfinite(d))
     # Up to two samples are lost when two clocks are joined.
-    if not len(finite) or finite[-1] >= len(d) - 3:
+    if not len(finite_samples) or finite_samples[-1] >= len(d) - 3:
         return ()
-    end, missing = 1e3 * float(d[finite[-1]]), len(d) - 1 - finite[-1]
+    end, missing = 1e3 * float(d[finite_samples[-1]]), len(d) - 1 - finite_samples[-1]
     return (Reason.of("results.gap_at_end", end=end, missing=missing),)

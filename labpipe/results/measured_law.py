@@ -890,8 +890,8 @@ def fit_law(data: LawData, basis: LawBasis) -> LawFit:
         """Subtract the offset of each coordinate: (n, 2 markers, k) to (n + 1, 2 markers, k)."""
         values = np.where(is_measured[..., None], values, 0.0)
         offset = values.sum(axis=0) / weight[:, None]
-        centred = np.where(is_measured[..., None], values - offset, 0.0)
-        return np.concatenate([centred, -np.sqrt(data.rest_weight) * offset[None]])
+        centred_values = np.where(is_measured[..., None], values - offset, 0.0)
+        return np.concatenate([centred_values, -np.sqrt(data.rest_weight) * offset[None]])
 
     rotations, ones = data.compute_rotations(basis), np.ones(len(basis.knots))
     unit_displacement = data.compute_derivatives(rotations, 0.0 * ones) @ ones

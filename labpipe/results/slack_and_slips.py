@@ -315,14 +315,15 @@ def find_slips(
     consistent with the data, extended to the position if that is outside. It covers more than 95 %
     if the drop takes time, since it is at least as wide as the samples around the drop.
     """
-    finite = curves.find_finite_samples(displacement, force)
-    curves.require_samples(len(finite), _MIN_SEARCHED_SAMPLES, " in the branch")
+    finite_samples = curves.find_finite_samples(displacement, force)
+    curves.require_samples(len(finite_samples), _MIN_SEARCHED_SAMPLES, " in the branch")
     # A larger drop is a failure. Grips slide in small steps, but a torn strand loses its part of
     # the section. Adding this loss back would overestimate the strength.
     max_drop_fraction, min_recovered_fraction = 0.2, 0.5  # of the force before the drop
-    size, longest_blocks = _choose_block_size(displacement[finite])
-    starts = np.arange(0, len(finite) - size + 1, size)  # the last block includes the remainder
-    d, f = (average_between(values[finite], starts) for values in (displacement, force))
+    size, longest_blocks = _choose_block_size(displacement[finite_samples])
+    # The last block includes the remainder.
+    starts = np.arange(0, len(finite_samples) - size + 1, size)
+    d, f = (average_between(values[finite_samples], starts) for values in (displacement, force))
     curve = LoadingCurve(d, f, longest_blocks, int(size > 1))
     slips = list[Slip]()
     for drop in _find_drops(curve, min_drop):
@@ -335,7 +336,7 @@ def find_slips(
         middle, half_range = 0.5 * sum(ends), 0.475 * (ends[1] - ends[0])
         position = float(np.interp(drop.middle, np.arange(len(d)), d))
         interval = Interval(min(middle - half_range, position), max(middle + half_range, position))
-        start, stop = finite[[drop.start * size + size - 1, drop.stop * size]].tolist()
+        start, stop = finite_samples[[drop.start * size + size - 1, drop.stop * size]].tolist()
         slips.append(Slip(position, drop.drop, interval, drop.drop_interval, decision, start, stop))
     return tuple(slips)
 
@@ -479,8 +480,8 @@ def find_linear_region(
     2.0
     """
     min_region_samples = 8
-    finite = curves.find_finite_samples(displacement, force)
-    d, f = displacement[finite], force[finite]
+    finite_samples = curves.find_finite_samples(displacement, force)
+    d, f = displacement[finite_samples], force[finite_samples]
     curves.require_samples(len(d), min_region_samples, "")
     peak = int(np.argmax(f))
     levels = start_fraction * float(f[peak]), stop_fraction * float(f[peak])
@@ -494,7 +495,7 @@ def find_linear_region(
     region = slice(first, last)
     if np.isnan(curves.compute_zero_crossing(d[region], f[region])):
         raise UnavailableError.of("results.not_rising")
-    return convert_to_slice(finite[region])
+    return convert_to_slice(finite_samples[region])
 
 
 def _find_crossing(force: Floats, level: float) -> int:

@@ -482,14 +482,14 @@ def find_compliance_window(
         ``too_few_samples``, ``no_travel`` if the force is constant, ``not_reached`` if it does not
         reach `stop`.
     """
-    finite = curves.find_finite_samples(displacement, force)
-    f = force[finite]
+    finite_samples = curves.find_finite_samples(displacement, force)
+    f = force[finite_samples]
     if len(f) == 0 or float(f.max()) < stop:
         largest = float(f.max()) if len(f) else 0.0
         raise UnavailableError.of("results.force_not_reached", largest=largest, stop=stop)
     last = int(np.argmax(f >= stop))
     low_samples = np.flatnonzero(f[:last] < start)
-    window_samples = finite[int(low_samples[-1]) + 1 if len(low_samples) else 0 : last + 1]
+    window_samples = finite_samples[int(low_samples[-1]) + 1 if len(low_samples) else 0 : last + 1]
     curves.require_samples(len(window_samples), MIN_LINE_SAMPLES)
     curves.require_travel(force[window_samples], "force")
     return convert_to_slice(window_samples)
@@ -558,7 +558,7 @@ class LoadingStiffness(CycleKind):
 
 
 class Hardening(Kind):
-    """``hardening.<cycle>`` (1): loading stiffness of a later cycle over that of the first one."""
+    """``hardening.<cycle>`` (1): ``loading_stiffness`` of a later cycle over that of the first."""
 
     result: ClassVar = "hardening"
     outputs: ClassVar = (Output("hardening", "1", "Hardening", first=2),)
@@ -621,15 +621,15 @@ class RangeKind(Kind):
         """
         loading, start, stop = curves.select_first_loading(trace), self.start, self.stop
         displacement = trace.displacement[loading]
-        finite = displacement[~np.isnan(displacement)]
-        if not len(finite) or finite.max() < stop:
-            reached = 1e3 * float(finite.max()) if len(finite) else float("nan")
+        path = displacement[~np.isnan(displacement)]
+        if not len(path) or path.max() < stop:
+            reached = 1e3 * float(path.max()) if len(path) else float("nan")
             raise UnavailableError.of("results.not_reached", reached=reached, needed=1e3 * stop)
-        if finite[0] > start + 0.02 * (stop - start):
-            begin = 1e3 * finite[0]
+        if path[0] > start + 0.02 * (stop - start):
+            begin = 1e3 * path[0]
             raise UnavailableError.of("results.begins_later", begin=begin, needed=1e3 * start)
-        first, beyond = int(np.argmax(displacement >= start)), int(np.argmax(displacement > stop))
-        return slice(loading.start + first, loading.start + (beyond or len(displacement)))
+        first, end = int(np.argmax(displacement >= start)), int(np.argmax(displacement > stop))
+        return slice(loading.start + first, loading.start + (end or len(displacement)))
 
 
 def _choose_secant_window(trace: Trace, start: float, stop: float) -> Extractor:
@@ -710,8 +710,8 @@ class LineStiffness(InitialStiffness):
         trace : one curve
         """
         window = self.select_samples(trace)
-        finite = curves.find_finite_samples(trace.displacement[window], trace.force[window])
-        return np.asarray(window.start + finite)
+        finite_samples = curves.find_finite_samples(trace.displacement[window], trace.force[window])
+        return np.asarray(window.start + finite_samples)
 
     def choose_samples(self, trace: Trace) -> Extractor:
         """Choose the samples for the slope of the line over the window.

@@ -446,9 +446,9 @@ def _list_line_doubts(test: ReducedTest, pull: Pull, compute: PullFunction) -> I
 
 def _find_jump_doubts(pull: Pull, stop: int) -> tuple[Reason, ...]:
     """Find a doubt if the strain jumps before a sample, as if a knife edge slipped."""
-    finite = np.flatnonzero(~np.isnan(pull.strain[: stop + 7]))
-    counts = np.diff(finite)
-    steps = np.diff(pull.strain[finite]) / counts  # per sample, so that a gap is no jump
+    finite_samples = np.flatnonzero(~np.isnan(pull.strain[: stop + 7]))
+    counts = np.diff(finite_samples)
+    steps = np.diff(pull.strain[finite_samples]) / counts  # per sample, so that a gap is no jump
     if len(steps) < MIN_ELASTIC_SAMPLES:
         return ()
     # The speed may change at a step, so it is compared with five steps before and five after it.
@@ -457,12 +457,12 @@ def _find_jump_doubts(pull: Pull, stop: int) -> tuple[Reason, ...]:
     jumps = np.abs(steps - usual_steps).min(axis=0) * counts
     min_jump = max(MIN_STRAIN_JUMP, _CLEAR_DEVIATIONS * pull.strain_noise)
     is_jump = jumps > np.maximum(min_jump, 3.0 * np.abs(usual_steps).max(axis=0))
-    is_jump &= finite[1:] <= stop
+    is_jump &= finite_samples[1:] <= stop
     if not is_jump.any():
         return ()
     index = int(np.argmax(np.where(is_jump, jumps, 0.0)))
     jump = float(steps[index] * counts[index])
-    stress = 1e-6 * float(pull.stress[finite[index]])
+    stress = 1e-6 * float(pull.stress[finite_samples[index]])
     return (Reason.of("results.strain_jumps", jump=jump, stress=stress),)
 
 

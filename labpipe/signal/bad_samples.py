@@ -76,10 +76,12 @@ def find_stuck_runs(time: Floats, values: Floats, pair: Floats | None = None) ->
     lengths = stops - starts + 1
     if not (lengths >= min_run).any():
         return []
-    low, high = float(np.nanmin(values)), float(np.nanmax(values))
-    channel = _Channel(time, values, pair, starts, lengths=lengths, low=low, high=high)
+    extremes = low, high = float(np.nanmin(values)), float(np.nanmax(values))
     if not high > low:
         return []
+    channel = _Channel(
+        time, values, pair, starts, lengths=lengths, extremes=extremes, full_range=high - low
+    )
     long_runs = np.flatnonzero(lengths >= max(min_run, _UNUSUAL_RUN_FACTOR * channel.usual_run))
     candidates = np.flatnonzero(lengths >= min_run)
     extreme_runs = candidates[channel.is_extreme(starts[candidates])]
@@ -100,7 +102,8 @@ class _Channel:
     ----------
     time, values, pair : arguments of `find_stuck_runs`
     starts, lengths : shape (runs,), first samples and lengths of the runs of two or more samples
-    low, high : minimum and maximum of the values
+    extremes : minimum and maximum of the values
+    full_range : difference of the extremes
     """
 
     time: Floats
@@ -108,8 +111,8 @@ class _Channel:
     pair: Floats | None
     starts: Ints
     lengths: Ints
-    low: float
-    high: float
+    extremes: tuple[float, float]
+    full_range: float
 
     @cached_property
     def usual_run(self) -> float:
@@ -123,7 +126,7 @@ class _Channel:
     def rounding(self) -> float:
         """Size up to which a step is a rounding error, in the unit of the channel."""
         max_rounding_fraction = 1e-7
-        return min(max_rounding_fraction, 0.1 / len(self.values)) * (self.high - self.low)
+        return min(max_rounding_fraction, 0.1 / len(self.values)) * self.full_range
 
     @cached_property
     def steps(self) -> tuple[Floats, Floats]:
@@ -132,13 +135,24 @@ class _Channel:
         is_moving = steps > self.rounding  # False for NaN
         sizes = steps[is_moving]
         if not len(sizes):  # all changes are across gaps
-            sizes, is_moving = np.array([self.high - self.low]), np.r_[True, is_moving[1:]]
+            sizes, is_moving = np.array([self.full_range]), np.r_[True, is_moving[1:]]
         return sizes, np.maximum(np.diff(self.time)[is_moving], 1e-12)
 
     @cached_property
     def resolution(self) -> float:
-        """Quantisation step of the channel, in the unit of the channel."""
-        return _estimate_resolution(self.values, self.steps[0], self.rounding)
+        """Quantisation step of the channel, in the unit of the channel.
+
+        If all values of a short record are on a grid, this is the step of the grid, and otherwise
+        the rounding error. For a long record, it is the smallest step between neighbours.
+        """
+        max_grid_check_samples = 5000
+        if len(self.values) > max_grid_check_samples:
+            return float(self.steps[0].min())
+        steps = np.diff(np.sort(self.values[~np.isnan(self.values)]))
+        steps = steps[steps > self.rounding]
+        multiples = steps / steps.min()
+        is_on_grid = (np.abs(multiples - np.round(multiples)) < 0.1).all()
+        return float(steps.min()) if is_on_grid else self.rounding
 
     @cached_property
     def speed(self) -> float:
@@ -157,7 +171,7 @@ class _Channel:
 
     def is_extreme(self, samples: Ints) -> Flags:
         """Return whether samples have the minimum or the maximum value."""
-        return np.asarray((self.values[samples] == self.low) | (self.values[samples] == self.high))
+        return np.isin(self.values[samples], self.extremes)
 
     def is_stuck(self, start: int, stop: int, *, is_clipped: bool) -> bool:
         """Return whether a run repeats a value although its quantity changes."""
@@ -173,7 +187,7 @@ class _Channel:
 
     def _is_at_rest(self, sample: int) -> bool:
         """Return whether a sample is near zero or near the first value."""
-        level, tolerance = float(self.values[sample]), _MIN_JUMP_FRACTION * (self.high - self.low)
+        level, tolerance = float(self.values[sample]), _MIN_JUMP_FRACTION * self.full_range
         first_value = float(self.values[np.argmin(np.isnan(self.values))])
         return abs(level) <= tolerance or abs(level - first_value) <= tolerance
 
@@ -198,17 +212,16 @@ class _Channel:
         """Return whether the step to a sample is much faster than the usual steps."""
         jump = abs(float(self.values[sample] - self.values[sample - 1]))
         duration = max(float(self.time[sample] - self.time[sample - 1]), 1e-12)
-        min_jump = _MIN_JUMP_FRACTION * (self.high - self.low)
+        min_jump = _MIN_JUMP_FRACTION * self.full_range
         return jump > min_jump and jump > _JUMP_SPEED_FACTOR * self.speed * duration
 
     def _compute_pair_travel(self, start: int, stop: int) -> float:
         """Compute the range of the other quantity in the run, as a fraction of the full range."""
         if self.pair is None or np.isnan(self.pair[start:stop]).all():
             return 0.0
-        travel, full_range = (
-            float(np.nanmax(x) - np.nanmin(x)) for x in (self.pair[start:stop], self.pair)
-        )
-        return travel / full_range if full_range > 0.0 else 0.0
+        travel = float(np.nanmax(self.pair[start:stop]) - np.nanmin(self.pair[start:stop]))
+        pair_range = float(np.nanmax(self.pair) - np.nanmin(self.pair))
+        return travel / pair_range if pair_range > 0.0 else 0.0
 
     def _interrupts_motion(self, start: int, stop: int) -> bool:
         """Return whether the run has steep sides while the other quantity continues."""
@@ -263,7 +276,7 @@ class _Channel:
         far_slope = float(rise[-1] - rise[half_reach]) / (reach - half_reach)
         # The first step may be smaller, because a part of the change may be within the run.
         near_slope = max(float(rise[half_reach]) / half_reach, float(rise[2] - rise[1]))
-        min_rise = min_rise_fraction * (self.high - self.low)
+        min_rise = min_rise_fraction * self.full_range
         is_far = rise[-1] > max(min_rise_in_steps * self.resolution, min_rise)
         return bool(is_far) and near_slope >= min_slope_ratio * far_slope
 
@@ -282,22 +295,6 @@ class _Channel:
             return False
         speed_before, speed_after = travel / np.maximum(duration, 1e-12)
         return bool(min_speed_ratio <= speed_after / speed_before <= max_speed_ratio)
-
-
-def _estimate_resolution(values: Floats, steps: Floats, rounding: float) -> float:
-    """Estimate the quantisation step of a channel.
-
-    If all values of a short record are on a grid, the result is the step of the grid, and otherwise
-    the rounding error. For a long record, the result is the smallest step between neighbours.
-    """
-    max_grid_check_samples = 5000
-    if len(values) > max_grid_check_samples:
-        return float(steps.min())
-    steps = np.diff(np.sort(values[~np.isnan(values)]))
-    steps = steps[steps > rounding]
-    multiples = steps / steps.min()
-    is_on_grid = (np.abs(multiples - np.round(multiples)) < 0.1).all()
-    return float(steps.min()) if is_on_grid else rounding
 
 
 def _compute_longest_noise_run(values: Floats, count: int, resolution: float) -> float:

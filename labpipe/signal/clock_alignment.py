@@ -112,14 +112,14 @@ class CycleLag:
 
     Parameters
     ----------
-    motion, force : lag on the clock of the motion and on the clock of the force, s
+    motion_lag, force_lag : lag on the clock of the motion and on the clock of the force, s
     error : standard error of the difference of the two lags, s
     zero_drift_error : error of the difference from a drift of the zero of the force, s, which
         widens the intervals but has no effect on the weights
     """
 
-    motion: float
-    force: float
+    motion_lag: float
+    force_lag: float
     error: float
     zero_drift_error: float = 0.0
 
@@ -160,8 +160,8 @@ def fit_clocks(
     design = np.column_stack([np.ones_like(motion), motion - centre])
     differences, difference_errors = force - motion, errors
     if cycle_lag is not None:
-        design = np.vstack([design, [0.0, cycle_lag.motion]])
-        differences = np.append(differences, cycle_lag.force - cycle_lag.motion)
+        design = np.vstack([design, [0.0, cycle_lag.motion_lag]])
+        differences = np.append(differences, cycle_lag.force_lag - cycle_lag.motion_lag)
         difference_errors = np.append(difference_errors, cycle_lag.error)
     is_single = len(differences) == 1
     design = design[:, : 1 if is_single else 2]

@@ -146,7 +146,7 @@ def find_strokes(time: Floats, motion: Floats, *, min_stroke: float) -> tuple[St
         sides = [_measure_extreme(time, motion, (turn, other), tolerance) for other in neighbours]
         dwells.append(_compute_dwell_times(*sides))
     return tuple(
-        _trim_dwells(time, motion, pair, (first[1], second[0]))
+        _make_stroke(time, motion, pair, (first[1], second[0]))
         for pair, (first, second) in zip(pairwise(extremes), pairwise(dwells), strict=True)
     )
 
@@ -191,7 +191,7 @@ def _find_next_turn(values: Floats, start: int, min_stroke: float) -> tuple[int,
         length *= 2
 
 
-def _trim_dwells(
+def _make_stroke(
     time: Floats, motion: Floats, extremes: tuple[int, int], dwells: tuple[float, float]
 ) -> Stroke:
     """Make the stroke between two extremes, without the dwells, s, at its start and its end."""
@@ -267,10 +267,10 @@ def _compute_dwell_times(
     return dwell_before, 0.0 if side_after is None else side_after.dwell
 
 
-def split_branches(
+def make_branches(
     time: Floats, strokes: tuple[Stroke, ...], *, turning_times: Floats | None = None
 ) -> tuple[Branch, ...]:
-    """Convert strokes to the loading and unloading branches of cycles.
+    """Make the loading and unloading branches of cycles from strokes.
 
     Parameters
     ----------
@@ -334,7 +334,7 @@ def find_sharpest_turn(time: Floats, values: Floats, *, width: float) -> float |
     return float(middles[sharpest + _BLOCKS_PER_WIDTH]) if slope_drops[sharpest] > 0.0 else None
 
 
-def find_turn_near(
+def find_dwell_turn(
     time: Floats, values: Floats, *, middle: float, reach: float, width: float, dwell: float
 ) -> float | None:
     """Find the approximate time at which a signal stops rising before a known dwell.

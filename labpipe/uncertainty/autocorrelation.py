@@ -322,11 +322,11 @@ def cut_smooth_stretches(values: Floats, *, width: int = 100) -> tuple[Floats, .
     Consecutive stretches up to the end of the signal. A stretch is omitted as a corner or a step if
     the variance of its residuals about a cubic exceeds four times the median.
     """
-    finite = values[~np.isnan(values)]
-    count = len(finite) // width
+    finite_values = values[~np.isnan(values)]
+    count = len(finite_values) // width
     if count == 0:
         return ()
-    pieces = finite[len(finite) - count * width :].reshape(count, width)
+    pieces = finite_values[len(finite_values) - count * width :].reshape(count, width)
     cubics = build_polynomial_basis(width, 4)
     variances = np.var(pieces - (pieces @ cubics) @ cubics.T, axis=1)
     return tuple(pieces[variances <= 4.0 * np.median(variances)])

@@ -78,8 +78,8 @@ class MeasuredNumber:
         A value that is the largest of many noisy samples, or the last sample before a break, may
         otherwise be outside.
         """
-        low, high = np.nanquantile(self.deviations, _QUANTILES_95).tolist()
-        return Interval(self.value - max(high, 0.0), self.value - min(low, 0.0))
+        lower, upper = np.nanquantile(self.deviations, _QUANTILES_95).tolist()
+        return Interval(self.value - max(upper, 0.0), self.value - min(lower, 0.0))
 
 
 def measure_numbers(replicates: Replicates, choose: Choice) -> tuple[MeasuredNumber, ...]:
@@ -215,8 +215,8 @@ def _list_interval_doubts(value: float, deviations: Floats) -> Iterator[tuple[st
     if not np.nanmax(deviations) - np.nanmin(deviations) > rounding_fraction * abs(value):
         yield "", Reason.of("uncertainty.no_width")
         return
-    low, high = np.nanquantile(deviations, _QUANTILES_95).tolist()
-    if max(low, -high) > max_widening_fraction * abs(value):
+    lower, upper = np.nanquantile(deviations, _QUANTILES_95).tolist()
+    if max(lower, -upper) > max_widening_fraction * abs(value):
         yield "", Reason.of("uncertainty.value_outside")
 
 

@@ -358,8 +358,8 @@ def _cut_rest_middles(
 
 def _compute_range(values: Floats) -> float:
     """Return the range of the values that are not NaN, or 0 if there are none."""
-    finite = values[~np.isnan(values)]
-    return float(np.ptp(finite)) if len(finite) else 0.0
+    finite_values = values[~np.isnan(values)]
+    return float(np.ptp(finite_values)) if len(finite_values) else 0.0
 
 
 def _remove_gaps(values: Floats, curve: Floats) -> tuple[Floats, Floats]:

@@ -181,7 +181,7 @@ def short(names: tuple[str, ...] = NAMES, clamp: Floats | None = None) -> WireTa
         (short(), {"frozen_time": float("nan")}, "frozen=nan: expected a value above 0"),
         (short(("M1", "M2")), {}, "markers=2: .* at least 3 markers along the specimen.*M1, M2"),
         (short(("M1", "M1", "M2")), {}, "along=.*: expected different names out of"),
-        (short(clamp=np.full((50, 3), np.nan)), {}, "reference: expected positions of the clamp"),
+        (short(clamp=np.full((50, 3), np.nan)), {}, "clamp: expected positions of the clamp"),
     ],
 )
 def test_what_cannot_be_repaired(take: WireTake, changes: dict[str, float], message: str) -> None:

@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 
 from labpipe.markers.tracklets import (
+    ChainAssignment,
     Links,
-    Naming,
     Tracklets,
     _compute_distances,
+    assign_chains,
     cut_tracklets,
     find_frozen_samples,
     is_in_sight,
     is_unlabelled,
     link_tracklets,
-    name_chains,
 )
 from labpipe.records.arrays import Floats
 from tests.builders.plain_records import wire_take
@@ -169,7 +169,7 @@ def test_names_the_program_gave_for_want_of_better() -> None:
     assert not any(map(is_unlabelled, ("SA-low:Marker1", "A-Marker 1", "tip (Unlabeled 3)")))
 
 
-def name(pieces: list[tuple[int, int, int, int]], names: tuple[str, ...]) -> Naming:
+def name(pieces: list[tuple[int, int, int, int]], names: tuple[str, ...]) -> ChainAssignment:
     """Pieces as chain, column, start, stop; 100 frames at 50 per second, columns 0.1 m apart."""
     chain, column, start, stop = np.array(pieces).T
     relative = np.zeros((100, len(names), 3))
@@ -177,7 +177,7 @@ def name(pieces: list[tuple[int, int, int, int]], names: tuple[str, ...]) -> Nam
     later = [np.flatnonzero(chain[i + 1 :] == number) for i, number in enumerate(chain)]
     successor = np.array([i + 1 + x[0] if len(x) else -1 for i, x in enumerate(later)])
     tracks, links, time = Tracklets(column, start, stop), Links(successor, ()), np.arange(100) / 50
-    return name_chains(
+    return assign_chains(
         names, tracks, links, relative=relative, time=time, min_label_time=0.2, min_distance=0.004
     )
 

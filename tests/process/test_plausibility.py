@@ -31,7 +31,7 @@ from labpipe.records.quality import Finding, Findings, QualityNote, Severity
 from labpipe.records.recording import Recording
 from labpipe.records.result import Instrument
 from labpipe.records.signals import Clocks, Signal, Signals
-from labpipe.signal.turning_points import find_strokes, split_branches
+from labpipe.signal.turning_points import find_strokes, make_branches
 from tests.approved import Approve
 from tests.builders.plain_records import PlainRecord, up_and_down
 from tests.builders.pulls import pull, pulled
@@ -75,7 +75,7 @@ def signals_of(motion: Floats, force: Floats | None = None) -> Signals:
 
 
 def branches_of(motion: Floats, shortest: float = 5e-3) -> tuple[Branch, ...]:
-    return split_branches(TIME, find_strokes(TIME, motion, min_stroke=shortest))
+    return make_branches(TIME, find_strokes(TIME, motion, min_stroke=shortest))
 
 
 def of_rig(motion: Floats, force: Floats | None = None, length: float | None = None) -> Findings:
@@ -157,7 +157,7 @@ def of_signs(record: PlainRecord, reverse: str = "", fit: ClockFit | None = None
     time, displacement, force = record.arrays()
     signals = Signals().add_signal("force", Signal(time, force, "N", "frame"))
     signals = signals.add_signal("displacement", Signal(time, displacement, "m", "frame"))
-    branches = split_branches(time, find_strokes(time, displacement, min_stroke=1e-3))
+    branches = make_branches(time, find_strokes(time, displacement, min_stroke=1e-3))
     motion = Motion(signals.raw["displacement"], branches, Clocks("frame", fit))
     protocol = parse_protocol(PROTOCOL % reverse, "p.yaml")
     return Findings() + check_signs(PreparedTest(signals), motion, protocol)
@@ -273,7 +273,7 @@ def test_a_file_with_fewer_rows_than_it_promised(
     motion = Signal(time, displacement, "m", "frame")
     signals = Signals(raw={"displacement": motion, "force": Signal(time, force, "N", "frame")})
     notes = [QualityNote(code, Severity.WARNING, "frame: file", "") for code in codes]
-    branches = split_branches(time, find_strokes(time, displacement, min_stroke=1e-3))
+    branches = make_branches(time, find_strokes(time, displacement, min_stroke=1e-3))
     rig = f"rig: {{stroke: {np.ptp(displacement)} m}}\n" if is_full else ""
     ends = find_cut_ends(
         signals,

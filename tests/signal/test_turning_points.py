@@ -14,13 +14,13 @@ from labpipe.signal.turning_points import (
     _compute_dwell_times,
     _ExtremeSide,
     count_rest_samples,
+    find_dwell_turn,
     find_level_jumps,
     find_sharpest_turn,
     find_strokes,
-    find_turn_near,
     goes_down,
+    make_branches,
     moves_at_end,
-    split_branches,
 )
 
 STEP = 0.02
@@ -68,7 +68,7 @@ def test_branches_count_cycles_and_cover_every_stroke() -> None:
     strokes = find_strokes(time, motion, min_stroke=5e-3)
     turns = np.full((4, 2), np.nan)
     turns[0, 1] = turns[1, 0] = 58.0004
-    branches = split_branches(time, strokes, turning_times=turns)
+    branches = make_branches(time, strokes, turning_times=turns)
     assert [branch.cycle for branch in branches] == [1, 1, 2, 2]
     assert [branch.direction for branch in branches[:2]] == [
         Direction.LOADING,
@@ -133,21 +133,21 @@ def test_a_turn_with_a_wait_is_found_by_both_corners(dwell: float, seen_at: floa
     force[1000:1050] = np.nan
     near = 30.0 + seen_at * dwell
 
-    turn = find_turn_near(time, force, middle=near, reach=dwell + 1.0, width=1.0, dwell=dwell)
+    turn = find_dwell_turn(time, force, middle=near, reach=dwell + 1.0, width=1.0, dwell=dwell)
     assert turn == pytest.approx(30.0, abs=0.1)
 
 
 def test_a_record_too_short_for_a_turn_with_a_wait() -> None:
     time = np.arange(0.0, 3.0, 0.01)
     assert (
-        find_turn_near(time, -np.abs(time - 1.5), middle=1.5, reach=1.0, width=2.0, dwell=0.0)
+        find_dwell_turn(time, -np.abs(time - 1.5), middle=1.5, reach=1.0, width=2.0, dwell=0.0)
         is None
     )
     assert (
-        find_turn_near(time, np.full(300, np.nan), middle=1.5, reach=1.0, width=0.2, dwell=0.1)
+        find_dwell_turn(time, np.full(300, np.nan), middle=1.5, reach=1.0, width=0.2, dwell=0.1)
         is None
     )
-    assert find_turn_near(time, time, middle=1.5, reach=1.0, width=0.5, dwell=9.0) is None
+    assert find_dwell_turn(time, time, middle=1.5, reach=1.0, width=0.5, dwell=9.0) is None
 
 
 TIME = np.arange(0.0, 5.0, 0.02)

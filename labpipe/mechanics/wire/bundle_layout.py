@@ -326,79 +326,79 @@ _RADIUS_TOLERANCE = 1e-9
 """Difference below which radii of heaps count as equal, wire diameters."""
 
 
-def find_sites(number: int) -> Floats:
+def find_sites(n_wires: int) -> Floats:
     """Find positions of equal touching wires.
 
     Parameters
     ----------
-    number : number of wires, at least 1
+    n_wires : number of wires, at least 1
 
     Returns
     -------
-    Shape (number, 2), wire diameters. The centroid of the positions is the origin. The positions
+    Shape (n_wires, 2), wire diameters. The centroid of the positions is the origin. The positions
     are sorted by their distance from the origin, then by their angle from the x axis. Rows of a
     hexagon are along x.
 
     Raises
     ------
     ValueError
-        If `number` is less than 1.
+        If `n_wires` is less than 1.
     """
     max_hexagon_wires = 37  # a larger hexagon is wider than a round piece of the lattice
-    require("number", number, "a whole number >= 1", holds=number >= 1)
-    core = _find_hexagon_centre(number) if number <= max_hexagon_wires else None
-    if core is None:
-        sites = _search_densest_heap(number)
+    require("number", n_wires, "a whole number >= 1", holds=n_wires >= 1)
+    centre = _find_hexagon_centre(n_wires) if n_wires <= max_hexagon_wires else None
+    if centre is None:
+        sites = _search_densest_heap(n_wires)
     else:
-        sites = _make_lattice_heap(number, core, is_hexagonal=True)
+        sites = _make_lattice_heap(n_wires, centre, is_hexagonal=True)
     sites = sites - sites.mean(axis=0)
     angle = np.round(np.arctan2(sites[:, 1], sites[:, 0]), 9) % np.round(2.0 * np.pi, 9)
     return np.asarray(sites[np.lexsort([angle, np.round(np.hypot(*sites.T), 9)])])
 
 
-def _find_hexagon_centre(number: int) -> Floats | None:
+def _find_hexagon_centre(n_wires: int) -> Floats | None:
     """Return the centre of the hexagon of this number of wires; None if there is no hexagon."""
-    rings = (math.isqrt(12 * number - 3) - 3) // 6
-    if number == 1 + 3 * rings * (rings + 1):
+    n_rings = (math.isqrt(12 * n_wires - 3) - 3) // 6
+    if n_wires == 1 + 3 * n_rings * (n_rings + 1):
         return np.asarray(_HEAP_CENTRES[0])
-    return np.asarray(_HEAP_CENTRES[1]) if number == 3 * math.isqrt(number // 3) ** 2 else None
+    return np.asarray(_HEAP_CENTRES[1]) if n_wires == 3 * math.isqrt(n_wires // 3) ** 2 else None
 
 
-def _make_lattice_heap(number: int, core: Floats, *, is_hexagonal: bool = False) -> Floats:
-    """Make a heap of the points of a triangular lattice that are nearest to `core`.
+def _make_lattice_heap(n_wires: int, centre: Floats, *, is_hexagonal: bool = False) -> Floats:
+    """Make a heap of the points of a triangular lattice that are nearest to `centre`.
 
-    The points are relative to `core`. For a hexagon, the distance is the largest of the three
+    The points are relative to `centre`. For a hexagon, the distance is the largest of the three
     distances along the normals of the sides; the rings of the hexagon are then complete.
     """
-    half_size = 2 + math.isqrt(2 * number)  # the lattice has more points than are selected
+    half_size = 2 + math.isqrt(2 * n_wires)  # the lattice has more points than are selected
     column, row = np.mgrid[-half_size : half_size + 1, -half_size : half_size + 1].reshape(2, -1)
-    points = np.column_stack([column + 0.5 * row, np.sqrt(0.75) * row]) - core
+    points = np.column_stack([column + 0.5 * row, np.sqrt(0.75) * row]) - centre
     distance = np.hypot(*points.T)
     if is_hexagonal:
         normals = np.deg2rad([30.0, 90.0, 150.0])
         distance = np.abs(points @ np.array([np.cos(normals), np.sin(normals)])).max(axis=1)
-    return np.asarray(points[np.argsort(np.round(distance, 9), kind="stable")[:number]])
+    return np.asarray(points[np.argsort(np.round(distance, 9), kind="stable")[:n_wires]])
 
 
-def _search_densest_heap(number: int) -> Floats:
+def _search_densest_heap(n_wires: int) -> Floats:
     """Return the narrowest of several pieces of a lattice and, for up to 100 wires, of a heap."""
     n_random_starts = 8  # starts of the heap in addition to pieces of a triangular lattice
     n_edge_steps = 8  # steps along an edge of the triangle of `_HEAP_CENTRES`
     start_radius = 0.55  # radius of random starts, per square root of the number of wires
     rng = np.random.default_rng(_SEED)
-    diameters = np.ones(number)
+    diameters = np.ones(n_wires)
     # By symmetry, centres outside the triangle of `_HEAP_CENTRES` give the same heaps.
     steps = np.linspace(0.0, 1.0, n_edge_steps + 1)
     coordinates = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
     is_inside = coordinates.sum(axis=1) <= 1.0 + _RADIUS_TOLERANCE
     edges = _HEAP_CENTRES[1:] - _HEAP_CENTRES[0]
     centres = coordinates[is_inside] @ edges
-    heaps = [_make_lattice_heap(number, centre) for centre in (*_HEAP_CENTRES, *centres)]
-    if number <= _MAX_SEARCHED_WIRES:
-        radius = np.sqrt(rng.uniform(size=(n_random_starts, number)))
-        radius = start_radius * math.sqrt(number) * radius
-        angle = rng.uniform(0.0, 2.0 * np.pi, size=(n_random_starts, number))
-        starts = [_make_lattice_heap(number, core) for core in _HEAP_CENTRES]
+    heaps = [_make_lattice_heap(n_wires, centre) for centre in (*_HEAP_CENTRES, *centres)]
+    if n_wires <= _MAX_SEARCHED_WIRES:
+        radius = np.sqrt(rng.uniform(size=(n_random_starts, n_wires)))
+        radius = start_radius * math.sqrt(n_wires) * radius
+        angle = rng.uniform(0.0, 2.0 * np.pi, size=(n_random_starts, n_wires))
+        starts = [_make_lattice_heap(n_wires, centre) for centre in _HEAP_CENTRES]
         starts += list(np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=-1))
         heaps = [*heaps, find_densest_heap(starts, diameters)]
     radii = np.array([find_holding_circle(heap, diameters)[1] for heap in heaps])

@@ -31,8 +31,8 @@ import numpy as np
 from labpipe.errors import ReadError, sort_by_likeness
 from labpipe.readers.channels import (
     ChannelChoice,
-    compare_alternatives,
     find_channels,
+    make_alternative_notes,
     make_channel_notes,
     make_names_unique,
 )
@@ -152,14 +152,14 @@ def assemble_recording(
     if card.fallback:
         notes.append(QualityNote.of("readers.dialect_generic", "file"))
     recordings = [_convert_table(table, card, is_only_table=len(tables) == 1) for table in tables]
-    selected = all_channels = [channel for x in recordings for channel in x.channels]
+    selection = all_channels = [channel for x in recordings for channel in x.channels]
     if channels is not None:
-        indices = sorted(set(find_channels(channels, selected, path))) if selected else []
-        selected = [selected[i] for i in indices]
-        clock_names = {channel.clock for channel in selected}
+        indices = sorted(set(find_channels(channels, selection, path))) if selection else []
+        selection = [selection[i] for i in indices]
+        clock_names = {channel.clock for channel in selection}
         if len(clock_names) == 1:
             candidates = [channel for channel in all_channels if channel.clock in clock_names]
-            notes += compare_alternatives(channels, candidates)
+            notes += make_alternative_notes(channels, candidates)
         recordings = [x for x in recordings if x.clocks[0].name in clock_names]
     model, version = (
         match[1].strip() if pattern is not None and (match := pattern.search(export.head)) else ""
@@ -172,9 +172,9 @@ def assemble_recording(
         program=f"{card.program} {model}".strip(),
         program_version=version,
         clocks=tuple(recording.clocks[0] for recording in recordings),
-        channels=tuple(selected),
+        channels=tuple(selection),
         metadata={"dialect": card.name, **export.properties, "clocks": clocks},
-        notes=(*notes, *_make_missing_notes(selected, card), *make_channel_notes(selected)),
+        notes=(*notes, *_make_missing_notes(selection, card), *make_channel_notes(selection)),
     )
 
 

@@ -221,7 +221,7 @@ def _are_units(cells: _Cells, card: Card) -> bool:
 
 
 def _are_names(names: _Cells, units: _Cells) -> bool:
-    """Return whether each unit has a name, the names differ, and the first one is no number."""
+    """Return whether each unit has a name, not all names are equal, and the first is no number."""
     has_unnamed_unit = any(unit and not name for name, unit in zip(names, units, strict=True))
     filled_names = [name for name in names if name]
     are_equal = len(set(filled_names)) == 1 < len(filled_names)
@@ -361,10 +361,10 @@ def read_text(content: Content, card: Card, path: Path, channels: ChannelChoices
         return _read_blocks(text, decimal, card)
     header = find_header(split_lines(head), card)
     specimens = _find_specimens(header, card)
-    wanted = None
+    subset = None  # indices of the columns to read
     if channels is not None and len(specimens) == 1:
-        wanted = _select_columns(header, card, channels, path)
-    body, columns, notes = _read_rows(content.data, header, card, columns=wanted, decimal=decimal)
+        subset = _select_columns(header, card, channels, path)
+    body, columns, notes = _read_rows(content.data, header, card, columns=subset, decimal=decimal)
     tables = []
     for part, indices in specimens:
         names, units = (row[indices.start : indices.stop] for row in (header.names, header.units))

@@ -1,14 +1,14 @@
-"""Calibrate the isotropic share of a wire's hardening by the cycles of its tests.
+"""Calibrate the isotropic share of the hardening of a wire by the cycles of cantilever tests.
 
-First loading does not depend on the isotropic share m. The share follows from the first unloading
-and the second loading of each test: the residual deflection at zero force, the energy lost in the
-first cycle, and the ratio of the largest forces of second and first cycle. These numbers are
-computed for a few shares with the calibrated law, and compared with the tests by least squares. The
-errors of the tests, the scatter of the samples and the uncertainty of the calibrated parameters are
-in one covariance.
+First loading does not depend on the isotropic share m. The share is determined from the first
+unloading and the second loading of each test. Three numbers are used: the residual deflection at
+zero force, the energy dissipated in the first cycle, and the ratio of the largest force of the
+second cycle to that of the first. They are computed for a few shares with the calibrated law, and
+compared with the tests by least squares. One covariance contains the errors of the tests, the
+scatter of the samples and the uncertainty of the calibrated parameters.
 
 Creep of the insulation increases residual deflection and energy and decreases the second peak. If
-the shares by residual deflection and by peaks differ, the result is marked as creep.
+the shares from the residual deflection and from the peaks differ, the result is marked as creep.
 """
 
 from __future__ import annotations
@@ -35,28 +35,32 @@ from labpipe.records.wire import IsotropicShare
 
 RESIDUAL, ENERGY, RATIO = "residual", "energy", "ratio"
 HARDENING_NUMBERS = (RESIDUAL, ENERGY, RATIO)
-"""Residual deflection, m; energy lost in the first cycle, J; ratio of second and first peak."""
+"""Residual deflection, m; energy dissipated in the first cycle, J; second peak over first peak."""
 SHARES = (0.0, 0.35, 0.7, 1.0)
 """Isotropic shares for which a test is computed; a cubic interpolates between them."""
 MAX_DISAGREEMENT = 2.5
-"""Difference of the shares by residual deflection and by peaks, in standard errors, above which the
-result is marked as creep."""
+"""Largest difference of the shares from residual deflection and from peaks, in standard errors.
+
+If the difference is larger, the result is marked as creep.
+"""
 LawMaker = Callable[[Mapping[str, float], float], PlayLaw]
-"""Function that returns the law for changes of the logarithms of parameters, keyed by their names,
-and for an isotropic share."""
+"""Function of changes of the logarithms of parameters, keyed by parameter name, and of a share.
+
+It returns the law of the wire for these parameters and this isotropic share.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class CycledTest:
-    """Numbers of the first two cycles of a test.
+    """Measured numbers of the first two cycles of a test.
 
     Parameters
     ----------
     test : name of the test
-    length : free length, m
-    peak : largest deflection from rest, m
-    numbers : value and standard error, keyed by the names of `HARDENING_NUMBERS`; missing numbers
-        are left out
+    length : free length of the wire, m
+    peak : largest deflection of the tip from rest, m
+    numbers : value and standard error of each number, keyed by the names of `HARDENING_NUMBERS`; a
+        number that was not measured has no key
     rig : string and counterweight; None for a load normal to the undeformed axis
     self_weight : N/m, weight per length of the wire
     """
@@ -70,7 +74,7 @@ class CycledTest:
 
     @property
     def setup(self) -> tuple[object, ...]:
-        """Inputs of the computed numbers, the peak to 1 %."""
+        """Inputs of the computed numbers, with the peak rounded to 1 %."""
         return self.length, round(100.0 * math.log(self.peak)), self.rig, self.self_weight
 
 
@@ -82,7 +86,7 @@ def compute_cycles(
     rig: StringRig | None = None,
     self_weight: float = 0.0,
 ) -> dict[str, float]:
-    """Compute the numbers of two cycles to a deflection and back.
+    """Compute the numbers of `HARDENING_NUMBERS` for two cycles to a deflection and back.
 
     Parameters
     ----------
@@ -97,11 +101,11 @@ def compute_cycles(
     Raises
     ------
     ValueError
-        If no equilibrium is found on the way.
+        If no equilibrium is found on the path.
 
     Notes
     -----
-    On a string the clamp moves by the same travel in every cycle and returns to its initial
+    With a string, the clamp moves by the same travel in each cycle and returns to its initial
     position, where the counterweight bends the wire back. Without a string, a cycle ends at the
     force at rest, which a load cell reads as zero.
     """
@@ -132,9 +136,9 @@ def compute_cycles(
 
 
 def _compute_work(path: Sequence[tuple[float, float]]) -> float:
-    """Integrate the force over increasing deflections; leave out points that do not increase."""
+    """Integrate the force over deflection, J; points without increase in deflection are dropped."""
     deflections, forces = np.array(path).T
-    is_rising = np.diff(deflections, prepend=-np.inf) > 1e-9
+    is_rising = np.diff(deflections, prepend=-np.inf) > 1e-9  # m
     curve = PchipInterpolator(deflections[is_rising], forces[is_rising])
     return float(curve.integrate(curve.x[0], curve.x[-1]))
 
@@ -142,20 +146,23 @@ def _compute_work(path: Sequence[tuple[float, float]]) -> float:
 def _unload_to_zero(
     law: PlayLaw, state: WireState, length: float, rest_load: float
 ) -> tuple[list[tuple[float, float]], WireState]:
-    """Unload to the force at rest; return deflections and forces above it, and the state."""
+    """Unload to the force at rest.
+
+    Return deflections, m, and forces above the force at rest, N, of the path, and the last state.
+    """
     tolerance = 1e-5  # relative to the largest force
     n_steps = 8
-    start, largest = state.travel, state.load - rest_load
-    path, step = [(start, largest)], -start / n_steps
-    while abs(path[-1][1]) > tolerance * largest and len(path) < 4 * n_steps:
+    start, largest_force = state.travel, state.load - rest_load
+    path, step = [(start, largest_force)], -start / n_steps
+    while abs(path[-1][1]) > tolerance * largest_force and len(path) < 4 * n_steps:
         next_state = deflect(law, state, length, path[-1][0] + step)
         force = next_state.load - rest_load
-        if force >= -tolerance * largest:
+        if force >= -tolerance * largest_force:
             state = next_state
             path.append((next_state.travel, force))
             slope = (path[-2][1] - path[-1][1]) / (path[-2][0] - path[-1][0])
             step = max(-start / n_steps, -path[-1][1] / slope)
-        else:  # the step was too long: go to the zero of the line through both points
+        else:  # after too long a step, the next ends at the zero of the line through both points
             step *= path[-1][1] / (path[-1][1] - force)
     return path, state
 
@@ -163,7 +170,11 @@ def _unload_to_zero(
 def _return_clamp(
     law: PlayLaw, state: WireState, length: float, rig: StringRig, rest_load: float
 ) -> tuple[list[tuple[float, float]], WireState, float]:
-    """Move the clamp back; return deflections and forces on the way, the state, and the travel."""
+    """Move the clamp back to zero travel.
+
+    Return deflections, m, and forces above the force at rest, N, of the path, the last state, and
+    the first travel, m.
+    """
     n_steps = 12
     shape = compute_shape(state, length)
     start = rig.compute_taut_travel(float(shape.x[-1]), float(shape.y[-1]))
@@ -187,7 +198,7 @@ def calibrate_share(
     Parameters
     ----------
     tests : tests of the calibrated wire
-    make_law : function that returns the calibrated law
+    make_law : function that returns the calibrated law for changed parameters and a share
     names : names of the calibrated parameters
     covariance : shape (names, names), covariance of the logarithms of the parameters
     scatter : relative scatter of residual deflection and energy between samples
@@ -195,7 +206,7 @@ def calibrate_share(
     Returns
     -------
     The isotropic share, from 0 to 1; None if the tests have no numbers, or if no equilibrium is
-    found on the way.
+    found.
     """
     tests = [test for test in tests if test.numbers]
     setups = {test.setup: test for test in tests}
@@ -243,7 +254,7 @@ def _compute_test(
 ) -> tuple[Floats, Floats]:
     """Compute the numbers of a test for each share, and derivatives with respect to log parameters.
 
-    The shapes are (shares, numbers) and (parameters, numbers). The derivatives are for an
+    The shapes are (shares, numbers) and (parameters, numbers). The derivatives are computed for one
     intermediate share.
     """
     log_step, derivative_share = 0.1, 0.5
@@ -260,11 +271,12 @@ def _compute_test(
 
 
 def _estimate_share(grid: Floats, residuals: Floats, noise: Floats) -> tuple[float, float]:
-    """Estimate the least-squares share, and its standard error from the curvature of the squares.
+    """Estimate the share by least squares, and its standard error.
 
-    If the residuals scatter more than `noise`, the error increases with their root mean square.
+    The error is computed from the second derivative of the sum of squares with respect to the
+    share. It is larger if the residuals scatter more than `noise`, the covariance of the residuals.
     """
-    half_width = 20  # grid points on each side over which a parabola is fitted
+    half_width = 20  # number of grid points on each side to which a parabola is fitted
     squares = np.einsum("ng,nm,mg->g", residuals, np.linalg.inv(noise), residuals)
     best_row = int(np.argmin(squares))
     centre = min(max(best_row, half_width), len(grid) - half_width - 1)

@@ -1,4 +1,4 @@
-"""Judge which parameters a calibration identifies, and describe the verdicts."""
+"""Decide which parameters a calibration identifies, and describe the verdicts."""
 
 from __future__ import annotations
 
@@ -30,9 +30,10 @@ NAMES: Mapping[str, str] = {
     INSULATION_MODULUS: "the modulus of the insulation",
     COPPER_SCALE: "the strength of the copper",
 }
+"""Name of each parameter in sentences, keyed by the names of `PARAMETERS`."""
 
 Alternatives: TypeAlias = Sequence[tuple[float, float]]
-"""Value of a parameter, and relative likelihood, of each solution outside of the 95 % set."""
+"""Value of a parameter and relative likelihood of each solution outside the 95 % set."""
 
 MAX_WELL_SPAN = 2.0
 """Ratio of the ends of an interval below which a parameter is well identified."""
@@ -50,7 +51,7 @@ def find_verdict(
     parameter, alternatives, ends : fitted parameter, its values in other solutions, and ends of
         its interval at 99 %, as for `describe_parameter`
     """
-    max_span = 100.0  # ratio of the ends of an interval above which nothing is identified
+    max_span = 100.0  # ratio of the ends of an interval above which a parameter is not identified
     min_error_ratio = 0.9  # error relative to that of the prior, above which the prior decides
     low, high = parameter.intervals[0].lower, parameter.intervals[-1].upper
     possible_values = [low, high, *(ends or ()), *(value for value, _ in alternatives)]
@@ -91,7 +92,7 @@ def format_value(name: str, *values: float) -> str:
 
 
 def _has_other_value(parameter: CalibratedParameter, alternatives: Alternatives) -> bool:
-    """Return whether another solution lies outside of all intervals."""
+    """Return whether the value of another solution is outside all intervals."""
     return any(
         not any(interval.lower <= value <= interval.upper for interval in parameter.intervals)
         for value, _ in alternatives
@@ -180,7 +181,7 @@ def describe_solutions(solutions: Sequence[Solution]) -> str:
 
 
 def find_separability(names: tuple[str, ...], jacobian: Floats, subject: str) -> Separability:
-    """Find which parameters the data determine, by singular values of the derivatives.
+    """Find the parameters that the data determine, by singular values of the derivatives.
 
     Parameters
     ----------
@@ -189,8 +190,8 @@ def find_separability(names: tuple[str, ...], jacobian: Floats, subject: str) ->
         relative to the noise
     subject : name of the group of parameters in the text
     """
-    min_singular_value = 1.0  # with a smaller value, a combination is unknown by a factor of e
-    max_unknown_weight = 0.05  # squared weight of a parameter in the unknown directions
+    min_singular_value = 1.0  # with a smaller value, a combination has an error of a factor of e
+    max_unknown_weight = 0.05  # largest squared weight of a known parameter in unknown directions
     _, values, rows = np.linalg.svd(jacobian, full_matrices=False)
     is_unknown = values < min_singular_value
     weights = np.sum(rows[is_unknown] ** 2, axis=0)
@@ -218,17 +219,21 @@ def find_separability(names: tuple[str, ...], jacobian: Floats, subject: str) ->
 
 def compute_quantile(freedom: float) -> float:
     """Compute the two-sided 95 % quantile of Student's t, for at least one degree of freedom."""
-    min_freedom = 1.0  # Satterthwaite's formula can give fewer for a few samples
+    min_freedom = 1.0  # Satterthwaite's formula can give less for few samples
     return float(stdtrit(min(max(freedom, min_freedom), 1e9), 0.975))
 
 
 def weigh_prior(name: str, conflict: PriorConflict) -> PriorConflict:
-    """Compare a prior with the value that the tests determine without it.
+    """Compare a prior with the value that the tests determine without the prior.
 
     Parameters
     ----------
     name : name of the parameter
-    conflict : numbers of prior and tests, without verdict and message
+    conflict : values of prior and tests, without verdict and message
+
+    Returns
+    -------
+    The same values, with verdict and message.
     """
     limit = compute_quantile(conflict.freedom)
     contradicts = conflict.size > limit
