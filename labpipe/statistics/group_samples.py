@@ -16,13 +16,13 @@ from labpipe.records.result import Specimen, Status
 TYPE, SPOOL, BORE = "type", "spool", "conduit_bore"
 """Names of fields of a specimen."""
 SECTION_SIZES = ("outer_diameter", "inner_diameter", "wall", "width", "thickness")
-"""Sizes of the cross-section, which follow from the type of a specimen, or from its conduit."""
+"""Names of the sizes of the cross-section, which follow from the type or from the conduit."""
 NOT_STATED = "not stated"
 """Value of a field that the test sheets do not state."""
 
 
 def list_fields(specimen: Specimen) -> dict[str, str]:
-    """List the fields of a specimen by which samples can be grouped, as text.
+    """List the fields of a specimen, by which samples can be grouped, with their values as text.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ def format_size(size: float) -> str:
 
 
 def list_field_names(specimens: Iterable[Specimen]) -> list[str]:
-    """List the fields of all specimens, each field once."""
+    """List the names of the fields of all specimens, each name once."""
     return list(dict.fromkeys(name for specimen in specimens for name in list_fields(specimen)))
 
 
@@ -62,8 +62,8 @@ def find_shared_fields(samples: Sequence[Sample]) -> dict[str, str]:
 
     Returns
     -------
-    Text of each field, keyed by field. A dimension that varies by at most 1 % counts as equal, with
-    the text of its mean.
+    Text of each field, keyed by field. A dimension that varies by at most 1 % counts as equal. Its
+    text is that of the mean.
     """
     shared_fields: dict[str, str] = {}
     all_fields = [list_fields(sample.specimen) for sample in samples]
@@ -85,7 +85,8 @@ def _list_sizes(samples: Iterable[Sample], name: str) -> list[float]:
 
 def _are_similar(sizes: Sequence[float]) -> bool:
     """Return whether sizes differ by at most 1 %, as specimens of one nominal size do."""
-    return max(sizes) - min(sizes) <= 0.01 * max(map(abs, sizes))
+    max_difference = 0.01  # relative to the largest size
+    return max(sizes) - min(sizes) <= max_difference * max(map(abs, sizes))
 
 
 def find_varying_fields(group: Group) -> tuple[str, ...]:
@@ -146,7 +147,7 @@ def find_differing_fields(
 def _have_similar_sizes(first: Group, second: Group, name: str) -> bool:
     """Return whether both groups have a dimension, and its means differ by at most 1 %."""
     sizes = [_list_sizes(group.samples, name) for group in (first, second)]
-    return all(sizes) and _are_similar([sum(x) / len(x) for x in sizes])
+    return all(sizes) and _are_similar([sum(group) / len(group) for group in sizes])
 
 
 def _find_dependent_fields(
@@ -190,8 +191,8 @@ def make_field_sort_key(name: str, text: str) -> tuple[object, ...]:
 
     Returns
     -------
-    The key. It puts ``none`` and ``not stated`` first, tapings in order of coverage, and 7 before
-    12.
+    The key. It puts ``none`` and ``not stated`` first, tapings in the order of coverage, and 7
+    before 12.
 
     Examples
     --------
@@ -269,7 +270,7 @@ def divide_samples(samples: Sequence[Sample]) -> list[Subset]:
 
 
 def _list_candidates(samples: Sequence[Sample]) -> dict[str, list[str]]:
-    """List the fields that may divide samples, with the text of each sample, keyed by field."""
+    """Return the texts of all samples for each field that may divide them, keyed by field."""
     all_fields = [list_fields(sample.specimen) for sample in samples]
     specimens = [sample.specimen for sample in samples]
     sizes = dict.fromkeys(name for specimen in specimens for name in specimen.dimensions)
@@ -417,7 +418,7 @@ def _is_outlier_tested(number: GroupNumber) -> bool:
 
 
 def find_other_methods(samples: Sequence[Sample]) -> dict[str, dict[str, Reason]]:
-    """Find the samples whose result was computed by another method, and is thus not averaged.
+    """Find the results that were computed by another method, and are therefore not averaged.
 
     Parameters
     ----------
@@ -525,7 +526,7 @@ def describe_values(tests_by_value: Mapping[str, Sequence[str]]) -> str:
 
 
 def make_method_caveats(first_number: GroupNumber, second_number: GroupNumber) -> tuple[str, ...]:
-    """Make a caveat if a result of two groups was computed by more than one method."""
+    """Return a caveat if a result of two groups was computed by more than one method."""
     first, second = (
         dict.fromkeys(result.method for result in number.values.values())
         for number in (first_number, second_number)

@@ -38,7 +38,7 @@ from labpipe.statistics.significance import compare_means
 _MIN_BLOCK_MEANS = 500
 """Smallest number of block means to which a curve is reduced.
 
-The noise within a block has no information on the sample, and would widen the simultaneous band.
+The noise within a block gives no information on the sample, and would widen the simultaneous band.
 """
 N_DISPLACEMENTS = 201
 """Number of displacements of a mean curve; the step is 0.25 mm over 50 mm."""
@@ -54,7 +54,7 @@ def average_loading(
 
     Parameters
     ----------
-    samples : samples; those without a loading branch are excluded, with a note
+    samples : samples of one group; those without a loading branch are excluded, with a note
     limits : conditions under which spools are pooled
     divisors : divisors of the force, N, keyed by name of the sample; samples without a divisor are
         excluded
@@ -119,7 +119,7 @@ def reduce_band(band: Band) -> Band:
     if band.n > 2:
         rows = [round(fraction * (len(nans) - 1)) for fraction in (0.25, 0.5, 1.0)]
         lower[rows], upper[rows] = band.lower[rows], band.upper[rows]
-        facts = {"count": band.n, "members": band.members, "least": min_band_curves}
+        facts = {"count": band.n, "members": band.members, "minimum": min_band_curves}
         reason = Reason.of("statistics.few_curves", **facts)
     return replace(band, lower=lower, upper=upper, lower_all=nans, upper_all=nans, reason=reason)
 
@@ -156,14 +156,14 @@ def average_scaled_loading(
 def _get_peak_force(sample: Sample) -> float:
     """Return the peak force of the first cycle or, without this result, the largest force, N.
 
-    Without a finite force it is NaN.
+    Return NaN without a finite force.
     """
     peak = find_result(sample.results, "peak_force.1")
     if peak is not None:
         return float("nan") if peak.value is None else peak.value
     forces: Floats = sample.loading[0].force if sample.loading else np.zeros(0)
-    finite = forces[~np.isnan(forces)]
-    return float(finite.max()) if len(finite) else float("nan")
+    finite_forces = forces[~np.isnan(forces)]
+    return float(finite_forces.max()) if len(finite_forces) else float("nan")
 
 
 def _make_curve_notes(samples: Sequence[Sample], curves: CommonCurves) -> Iterator[QualityNote]:
@@ -192,8 +192,8 @@ class CommonCurves:
     ----------
     displacement : shape (n,), m, increasing; empty without a common range
     force : shape (curves, n), N, without NaN
-    reason : reason without a common range, ``empty_group``, ``no_data`` or ``no_overlap``;
-        otherwise None
+    reason : reason why there is no common range: ``empty_group``, ``no_data`` or ``no_overlap``;
+        None with a common range
     """
 
     displacement: Floats
@@ -217,15 +217,15 @@ def interpolate_curves(
 
     Returns
     -------
-    The curves, interpolated linearly and without extrapolation. They are sorted by displacement
-    before. A NaN is a gap between its neighbours. Displacements in a gap of any curve are excluded.
+    The curves, sorted by displacement, then interpolated linearly and without extrapolation. A NaN
+    is a gap between its neighbours. Displacements in a gap of any curve are excluded.
     """
     empty = np.zeros(0), np.zeros((len(curves), 0))
     if not curves:
         return CommonCurves(*empty, Reason.of("statistics.no_curves"))
     labels = list(names) or [f"curve {index}" for index in range(1, len(curves) + 1)]
     sorted_curves = [_sort_by_displacement(*curve) for curve in curves]
-    # Displacements between the first and the last force of each curve.
+    # displacements of each curve at which there is a force
     ranges = [displacement[~np.isnan(force)] for displacement, force in sorted_curves]
     if names_without_data := [
         name for name, values in zip(labels, ranges, strict=True) if not len(values)
@@ -233,11 +233,12 @@ def interpolate_curves(
         reason = Reason.of("statistics.no_data", names=", ".join(names_without_data))
         return CommonCurves(*empty, reason)
     starts, stops = (np.array([values[end] for values in ranges]) for end in (0, -1))
-    late, early = int(np.argmax(starts)), int(np.argmin(stops))
-    start, stop = starts[late], stops[early]
+    last_index, first_index = int(np.argmax(starts)), int(np.argmin(stops))
+    start, stop = starts[last_index], stops[first_index]
     if stop <= start:
-        facts = {"start": 1e3 * start, "stop": 1e3 * stop}
-        reason = Reason.of("statistics.no_overlap", late=labels[late], early=labels[early], **facts)
+        late, early = labels[last_index], labels[first_index]
+        facts = {"late": late, "early": early, "start": 1e3 * start, "stop": 1e3 * stop}
+        reason = Reason.of("statistics.no_overlap", **facts)
         return CommonCurves(*empty, reason)
     grid = np.linspace(start, stop, n_displacements)
     force = np.array([np.interp(grid, *curve) for curve in sorted_curves])
@@ -268,14 +269,14 @@ def compute_band(curves: CommonCurves, members: str = "samples") -> Band:
     -------
     The mean and its bands. The pointwise band contains the true mean at any given displacement in
     95 % of groups. The simultaneous band contains the whole true mean curve in at least 95 % of
-    groups. The mean of one curve has no band (``one_curve``), that of two curves has no
-    simultaneous band (``two_curves``).
+    groups. The mean of one curve has no band (``one_curve``). The mean of two curves has
+    no simultaneous band (``two_curves``).
 
     Notes
     -----
     The band is mean -+ c s / sqrt(n) at each displacement, with the standard deviation s of n - 1
-    degrees of freedom. For the pointwise band c is the quantile of t, for the simultaneous band
-    that of `compute_simultaneous_quantile`.
+    degrees of freedom. For the pointwise band, c is the quantile of t. For the simultaneous band, c
+    is that of `compute_simultaneous_quantile`.
     """
     n, displacement, reason = len(curves.force), curves.displacement, curves.reason
     if reason is None and not len(displacement):
@@ -439,11 +440,11 @@ def average_result(
         results[key], spools[key] = find_result(sample.results, name), sample.specimen.spool
     units = [result.unit for result in results.values() if result is not None]
     unit = units[0] if units else ""
-    left_out = {key: _find_exclusion_reasons(result, name, unit) for key, result in results.items()}
+    reasons = {key: _list_exclusion_reasons(result, name, unit) for key, result in results.items()}
     for key, reason in (excluded or {}).items():
-        left_out[key] = left_out[key] or (reason,)
+        reasons[key] = reasons[key] or (reason,)
     values = {
-        key: result for key, result in results.items() if result is not None and not left_out[key]
+        key: result for key, result in results.items() if result is not None and not reasons[key]
     }
     results_by_spool: dict[str, list[Result]] = {}
     for key, result in values.items():
@@ -455,12 +456,12 @@ def average_result(
     mean = add_common_causes(compute_nested_mean(arrays, limits), results_by_spool)
     if not is_signed and are_positive(values.values()):
         mean = convert_to_log_scale(mean)
-    exclusions = {key: reasons for key, reasons in left_out.items() if reasons}
+    exclusions = {key: items for key, items in reasons.items() if items}
     return GroupNumber(name, unit, mean, values, exclusions)
 
 
-def _find_exclusion_reasons(result: Result | None, name: str, unit: str) -> tuple[Reason, ...]:
-    """Find the reasons why a result is excluded from a mean; empty if it is included."""
+def _list_exclusion_reasons(result: Result | None, name: str, unit: str) -> tuple[Reason, ...]:
+    """List the reasons why a result is excluded from a mean; empty if it is included."""
     if result is None:
         return (Reason.of("statistics.no_result", name=name),)
     if result.value is None:

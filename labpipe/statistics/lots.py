@@ -1,6 +1,6 @@
 """Judge samples, and the lot from which they were taken, by the smallest allowed peak force.
 
-The smallest allowed force is the limit. Peak forces are stated as fractions of the limit.
+The limit is the smallest allowed peak force. Peak forces are stated as fractions of the limit.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def judge_sample(peak_over_limit: Result) -> SampleVerdict:
 
     Parameters
     ----------
-    peak_over_limit : peak force divided by its limit
+    peak_over_limit : result of a test: peak force divided by the limit
 
     Returns
     -------
@@ -48,7 +48,7 @@ def judge_sample(peak_over_limit: Result) -> SampleVerdict:
 
 
 def judge_results(results: Iterable[Result]) -> SampleVerdict | None:
-    """Judge a sample by the results of its test; None if its protocol states no limit."""
+    """Judge a sample by the results of its test; return None if the protocol states no limit."""
     peak_over_limit = find_result(results, PEAK_OVER_LIMIT)
     return None if peak_over_limit is None else judge_sample(peak_over_limit)
 
@@ -60,7 +60,7 @@ def compute_tolerance_factor(n: int, coverage: float, confidence: float) -> floa
     ----------
     n : number of samples, at least 2
     coverage : smallest fraction of the lot that is above the bound
-    confidence : probability that this fraction is above the bound
+    confidence : probability that at least this fraction is above the bound
 
     Notes
     -----
@@ -80,7 +80,7 @@ def compute_tolerance_factor(n: int, coverage: float, confidence: float) -> floa
 def count_samples_to_pass(
     mean: float, deviation: float, coverage: float, confidence: float
 ) -> int | None:
-    """Count the samples with which a lot of this mean and standard deviation passes.
+    """Count the samples that a lot of given mean and standard deviation needs to pass.
 
     Parameters
     ----------
@@ -172,12 +172,12 @@ def _add_answer(lot: Lot, fractions: Mapping[str, Result], limits: Collection[fl
     is_certain = {test: fraction.status is Status.OK for test, fraction in fractions.items()}
     verdicts = lot.verdicts.items()
     failing_tests = [test for test, verdict in verdicts if verdict.value_answer is Answer.FAIL]
-    surely_failing = [test for test in failing_tests if is_certain[test]]
+    certain_failures = [test for test in failing_tests if is_certain[test]]
     unknown_tests = [test for test, fraction in fractions.items() if fraction.value is None]
     unknown_tests += [test for test in failing_tests if not is_certain[test]]
     answer = Answer.CANNOT_TELL
-    if surely_failing:
-        answer, tests = Answer.FAIL, ", ".join(surely_failing)
+    if certain_failures:
+        answer, tests = Answer.FAIL, ", ".join(certain_failures)
         reason = Reason.of("statistics.lot_sample_fails", tests=tests)
     elif len(limits) > 1:
         reason = Reason.of("statistics.lot_limits_differ")
@@ -193,14 +193,14 @@ def _add_answer(lot: Lot, fractions: Mapping[str, Result], limits: Collection[fl
 
 
 def _judge_scatter(lot: Lot) -> tuple[Answer, Reason]:
-    """Judge a lot by its tolerance bound; all its samples pass."""
+    """Judge a lot of which all samples pass, by its tolerance bounds."""
     bound, coverage = lot.format_fraction(lot.tolerance_bound), format_percent(lot.coverage)
-    demanded = {"coverage": coverage, "confidence": format_percent(lot.confidence)}
+    required = {"coverage": coverage, "confidence": format_percent(lot.confidence)}
     if lot.tolerance_bound >= 1.0:
-        return Answer.PASS, Reason.of("statistics.lot_passes", bound=bound, **demanded)
+        return Answer.PASS, Reason.of("statistics.lot_passes", bound=bound, **required)
     upper_factor = compute_tolerance_factor(lot.n, lot.coverage, 1.0 - lot.confidence)
     if lot.mean - upper_factor * lot.deviation < 1.0:
-        return Answer.FAIL, Reason.of("statistics.lot_fails", **demanded)
+        return Answer.FAIL, Reason.of("statistics.lot_fails", **required)
     reached = {"bound": bound, "coverage": coverage}
     if lot.n_needed is None:
         return Answer.CANNOT_TELL, Reason.of("statistics.lot_never_passes", **reached)
@@ -209,5 +209,5 @@ def _judge_scatter(lot: Lot) -> tuple[Answer, Reason]:
 
 
 def format_percent(fraction: float) -> str:
-    """Write a fraction as a percentage, such as ``99.9 %``."""
+    """Format a fraction as a percentage, such as ``99.9 %``."""
     return f"{100.0 * fraction:.6g} %"

@@ -43,10 +43,10 @@ class PoolingLimits:
     Parameters
     ----------
     min_p : smallest p-value of the k-sample Anderson-Darling test for pooling; usually 0.05
-    max_spool_share : largest fraction of the variance that may be between spools; with 0.1 and
+    max_spool_share : largest fraction of the variance that may be between spools. With 0.1 and
         three samples per spool, the pooled interval is at most 9 % too short
-    confidence : confidence of the upper limit of that fraction; with 0.999, wrong pooling is so
-        rare that the interval still covers 95 %
+    confidence : confidence level of the upper limit of this fraction. With 0.999, wrong pooling is
+        so rare that the interval still covers 95 %
     """
 
     min_p: float = 0.05
@@ -64,16 +64,16 @@ def compute_nested_mean(
 
     Parameters
     ----------
-    spools : values of the samples, keyed by spool; NaN and empty spools are ignored
+    spools : values of the samples, keyed by spool; NaNs and empty spools are ignored
     limits : conditions under which spools are pooled
 
     Returns
     -------
     The mean, in the unit of the values. `chosen` is the mean of the samples if the Anderson-Darling
     test finds no difference between the spools *and* the upper confidence limit of the fraction of
-    the variance between spools is below its limit. Otherwise it is the mean of the spool means with
-    equal weights. For one spool it is the mean of the samples, and `decision` states the
-    limitation.
+    the variance between spools is below its limit. Otherwise `chosen` is the mean of the spool
+    means with equal weights. For one spool, `chosen` is the mean of the samples, and `decision`
+    states the limitation.
 
     Notes
     -----
@@ -81,12 +81,12 @@ def compute_nested_mean(
     docs/explanations/statistics.md has the measured coverage of the chosen interval.
     """
     arrays = {name: np.asarray(values, dtype=np.float64) for name, values in spools.items()}
-    finite = {name: array[~np.isnan(array)] for name, array in arrays.items()}
-    finite = {name: array for name, array in finite.items() if len(array)}
-    values = list(finite.values())
+    finite_arrays = {name: array[~np.isnan(array)] for name, array in arrays.items()}
+    values_by_spool = {name: array for name, array in finite_arrays.items() if len(array)}
+    values = list(values_by_spool.values())
     sample_mean = compute_mean(np.concatenate([np.zeros(0), *values]), "sample")
-    means = {name: compute_mean(spool_values, "sample") for name, spool_values in finite.items()}
-    if len(finite) < 2:
+    means = {name: compute_mean(array, "sample") for name, array in values_by_spool.items()}
+    if len(values_by_spool) < 2:
         decision = _describe_one_spool(sample_mean.n)
         return NestedMean(sample_mean, True, decision, means, sample_mean.deviation)
     scatter = estimate_spool_scatter(values, limits.confidence)
@@ -105,7 +105,7 @@ def compute_nested_mean(
 
 
 def _describe_one_spool(n_samples: int) -> Decision:
-    """Describe a mean over one spool, or a mean without values."""
+    """Return the decision for values of one spool, or for no values."""
     if not n_samples:
         return Decision(format_sentence("statistics.no_values"))
     samples_text = "1 sample" if n_samples == 1 else f"{n_samples} samples"
@@ -121,20 +121,20 @@ def _describe_decision(
     *,
     is_pooled: bool,
 ) -> Decision:
-    """Describe what was averaged, and the numbers on which the decision is based."""
+    """Describe what was averaged, and on which results the decision is based."""
     counts = tuple(len(values) for values in spools)
     totals = {"samples": sum(counts), "spools": len(counts)}
     summary = format_sentence(
         "statistics.pooled" if is_pooled else "statistics.not_pooled", **totals
     )
-    grounds = (*_describe_shares(scatter, limits), _describe_test(p, counts, limits))
+    grounds = (*_describe_spool_variance(scatter, limits), _describe_test(p, counts, limits))
     if max(counts) > 1 and np.ptp(np.concatenate(spools)) == 0.0:
         grounds = (format_sentence("statistics.values_equal"),)
     return Decision(summary, grounds)
 
 
-def _describe_shares(scatter: SpoolScatter, limits: PoolingLimits) -> tuple[str, ...]:
-    """Describe the fraction of the variance between spools, and its limit for pooling."""
+def _describe_spool_variance(scatter: SpoolScatter, limits: PoolingLimits) -> tuple[str, ...]:
+    """Describe the fraction of the variance that is between spools, and its limit for pooling."""
     if np.isnan(scatter.within):
         return (format_sentence("statistics.scatter_unknown"),)
     max_percent, ratio_text = 100.0 * scatter.max_spool_share, ""
@@ -142,12 +142,12 @@ def _describe_shares(scatter: SpoolScatter, limits: PoolingLimits) -> tuple[str,
         ratio = scatter.between_spools / scatter.within
         ratio_text = format_sentence("statistics.scatter_ratio", ratio=ratio)
     facts = {"percent": 100.0 * scatter.spool_share, "ratio": ratio_text}
-    text = format_sentence("statistics.share", **facts, max_percent=max_percent)
+    sentence = format_sentence("statistics.share", **facts, max_percent=max_percent)
     if scatter.between_spools == 0.0:
-        text = format_sentence("statistics.spools_alike", max_percent=max_percent)
+        sentence = format_sentence("statistics.spools_alike", max_percent=max_percent)
     limit, confidence = 100.0 * limits.max_spool_share, 100.0 * limits.confidence
     needed = {"limit_percent": limit, "confidence_percent": confidence}
-    return text, format_sentence("statistics.share_needed", **needed)
+    return sentence, format_sentence("statistics.share_needed", **needed)
 
 
 def _describe_test(p: float, counts: tuple[int, ...], limits: PoolingLimits) -> str:
@@ -192,33 +192,34 @@ def compute_mean(values: Iterable[float], value_name: str = "value") -> MeanInte
 
     Parameters
     ----------
-    values : values in any unit; NaN are ignored
-    value_name : name of one value, for the reason of a missing interval
+    values : values in any unit; NaNs are ignored
+    value_name : noun for one value, such as ``sample``, for the reason of a missing interval
 
     Returns
     -------
-    The mean with the interval mean -+ t s / sqrt(n), with n - 1 degrees of freedom. Without values
-    the mean is NaN, with the reason ``no_samples``. With one value there is no interval, with the
-    reason ``one_sample``.
+    The mean with the interval mean -+ t s / sqrt(n), with n - 1 degrees of freedom. Without values,
+    the mean is NaN, and the reason is ``no_samples``. With one value, there is no interval, and the
+    reason is ``one_sample``.
     """
     array = np.array(list(values), dtype=np.float64)
-    finite = array[~np.isnan(array)]
-    n = len(finite)
+    finite_values = array[~np.isnan(array)]
+    n = len(finite_values)
     if n == 0:
         reason = Reason.of("statistics.no_samples", what=value_name)
         return MeanInterval(np.nan, None, np.nan, 0, reason)
-    mean = float(finite.mean())
+    mean = float(finite_values.mean())
     if n == 1:
         reason = Reason.of("statistics.one_value", what=value_name)
         return MeanInterval(mean, None, np.nan, 1, reason)
-    deviation = float(finite.std(ddof=1))
-    margin = compute_t_quantile(n - 1) * deviation / np.sqrt(n)
-    return MeanInterval(mean, Interval(float(mean - margin), float(mean + margin)), deviation, n)
+    deviation = float(finite_values.std(ddof=1))
+    half_width = compute_t_quantile(n - 1) * deviation / np.sqrt(n)
+    interval = Interval(float(mean - half_width), float(mean + half_width))
+    return MeanInterval(mean, interval, deviation, n)
 
 
 @dataclass(frozen=True, slots=True)
 class SpoolScatter:
-    """Scatter of samples within spools, and of the means of spools.
+    """Scatter of samples within spools, and scatter between spools.
 
     Parameters
     ----------
@@ -289,13 +290,14 @@ def compute_spools_p(spools: Sequence[Floats]) -> float:
 
     Returns
     -------
-    The p-value; NaN for fewer than two spools, a spool of one sample, or if all values are equal.
+    The p-value; NaN for fewer than two spools, for a spool of one sample, or if all values are
+    equal.
 
     Notes
     -----
-    The test is that of [1]_ with midranks. For few assignments of samples to spools (20 for two
-    spools of three), the statistic is computed for all of them, and p is exact. Otherwise p is
-    interpolated in the table of [1]_, which ends at 0.001 and 0.25.
+    The test is that of [1]_ with midranks. If there are few assignments of samples to spools (20
+    for two spools of three), the statistic is computed for all of them, and p is exact. Otherwise p
+    is interpolated in the table of [1]_, which ends at 0.001 and 0.25.
 
     References
     ----------
@@ -325,7 +327,7 @@ def _count_partitions(counts: Sequence[int]) -> int:
 
 @lru_cache(maxsize=64)
 def compute_smallest_p(counts: tuple[int, ...]) -> float:
-    """Compute the smallest p-value of `compute_spools_p`, that of spools without overlap.
+    """Compute the smallest possible p-value of `compute_spools_p`, for spools without overlap.
 
     Parameters
     ----------
@@ -333,8 +335,8 @@ def compute_smallest_p(counts: tuple[int, ...]) -> float:
 
     Returns
     -------
-    The p-value, such as 0.1 for 3 and 3 samples, since 2 of the 20 assignments have no overlap. It
-    is 0.001, the end of the table, if the test is not exact; NaN without a test.
+    The p-value, such as 0.1 for 3 and 3 samples, since 2 of the 20 assignments have no overlap. If
+    the test is not exact, the p-value is 0.001, the end of the table. Without a test, it is NaN.
     """
     if len(counts) < 2 or min(counts) < 2:
         return float("nan")
@@ -346,7 +348,7 @@ def compute_smallest_p(counts: tuple[int, ...]) -> float:
 
 
 SCATTER = "scatter of the tests"
-"""Contribution of the scatter of the tests to the uncertainty of their mean."""
+"""Name of the contribution of the scatter of the tests to the uncertainty of their mean."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -355,8 +357,8 @@ class GroupBudget:
 
     Parameters
     ----------
-    test_shares : fraction of the variance of a test that each cause contributes, the median of the
-        tests, keyed by cause; the fractions sum to one; empty without budgets
+    test_shares : fraction of the variance of a test that each cause contributes, as the median over
+        the tests, keyed by cause; the fractions sum to one; empty without budgets
     mean_shares : fraction of the squared half width of the mean that `SCATTER` and each common
         cause contribute, keyed by cause; the fractions sum to one; empty without an interval
     """
@@ -406,11 +408,11 @@ def sort_causes(causes: Iterable[str]) -> list[str]:
 
 
 _BIAS = ""
-"""Key of the difference of value and estimate in `_Errors`."""
+"""Key of the value minus the estimate in `_Errors`."""
 _Errors = Mapping[str, float]
 """Errors of a result or a mean that do not contribute to the scatter, in the unit of the result.
 
-They are the change by each common cause, keyed by cause, and value minus estimate.
+The errors are the change by each common cause, keyed by cause, and the value minus the estimate.
 """
 
 
@@ -435,7 +437,7 @@ def add_common_causes(mean: NestedMean, spools: Mapping[str, Sequence[Result]]) 
     """
     errors = {name: [_list_errors(result) for result in spools[name]] for name in mean.spool_means}
     spool_errors = {name: _average_errors(rows) for name, rows in errors.items()}
-    # The mean is that of the samples or of the spools, and so is its error.
+    # The error of the mean is averaged as the mean: over samples or over spools.
     terms = [*chain(*errors.values())] if mean.is_pooled else [*spool_errors.values()]
     chosen = _shift_interval(mean.chosen, _average_errors(terms))
     decision = mean.decision
@@ -450,7 +452,7 @@ def add_common_causes(mean: NestedMean, spools: Mapping[str, Sequence[Result]]) 
 
 
 def _list_errors(result: Result) -> _Errors:
-    """List the errors of a result that do not contribute to the scatter."""
+    """Return the errors of a result that do not contribute to the scatter, keyed by cause."""
     value = 0.0 if result.value is None else result.value
     estimate = value if result.estimate is None else result.estimate
     common = {row.cause: row.change for row in result.budget if row.is_common}
@@ -498,9 +500,10 @@ def widen_interval(interval: Interval, common: Sequence[Contribution]) -> Interv
 
     Notes
     -----
-    With effective degrees of freedom (GUM, G.4.1) a common cause would make the interval of two
+    With effective degrees of freedom (GUM, G.4.1), a common cause would make the interval of two
     values *shorter*, since t decreases from 12.7 faster than the uncertainty increases. The root of
-    the sum of squares is never shorter; docs/explanations/statistics.md states its coverage.
+    the sum of squares never shortens the interval. docs/explanations/statistics.md states the
+    coverage.
     """
     middle = 0.5 * (interval.lower + interval.upper)
     common_half_width = Interval.make_normal(0.0, combine_changes(common)).upper
@@ -517,7 +520,7 @@ def subtract_changes(
 
     Parameters
     ----------
-    first, second : changes of two means of tests on one rig, in which a cause acts on both means
+    first, second : changes of two means of tests on one rig, by causes that act on both means
     """
     changes = {row.cause: 0.0 - row.change for row in first}
     for row in second:
@@ -560,7 +563,7 @@ def convert_to_log_scale(mean: NestedMean) -> NestedMean:
     ``AVERAGE(x)*EXP(T.INV.2T(0.05;n-1)*STDEV.S(x)/SQRT(n)/AVERAGE(x))``. The explanation
     docs/explanations/statistics.md states the coverage.
     """
-    spool_means = {name: _convert_interval(x) for name, x in mean.spool_means.items()}
+    spool_means = {name: _convert_interval(item) for name, item in mean.spool_means.items()}
     return replace(mean, chosen=_convert_interval(mean.chosen), spool_means=spool_means)
 
 

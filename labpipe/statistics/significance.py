@@ -136,7 +136,7 @@ def compute_difference_p(contrast: Contrast) -> float:
     -------
     The tail probability for which the interval of the difference ends at zero.
     """
-    return min(1.0, 2.0 * _compute_tail(abs(contrast.difference), contrast))
+    return min(1.0, 2.0 * _compute_tail_probability(abs(contrast.difference), contrast))
 
 
 def compute_equivalence_p(contrast: Contrast) -> float:
@@ -158,15 +158,15 @@ def compute_equivalence_p(contrast: Contrast) -> float:
     p, the root of the sum of squares of both half widths equals the distance to the margin.
     """
     if contrast.margin is None:
-        return float("nan")
+        return nan
     distance = contrast.margin - abs(contrast.difference)
-    p = _compute_tail(abs(distance), contrast)
+    p = _compute_tail_probability(abs(distance), contrast)
     return p if distance > 0 else 1.0 - p
 
 
-def _compute_tail(distance: float, contrast: Contrast) -> float:
-    """Compute the probability that scatter and common causes together exceed a distance."""
-    max_deviations = 8.0  # a probability below 1e-15 is returned as zero
+def _compute_tail_probability(distance: float, contrast: Contrast) -> float:
+    """Compute the one-sided probability that scatter and common causes exceed a distance."""
+    max_deviations = 8.0  # standard deviations; a probability below 1e-15 is returned as zero
     degrees, error, common_error = contrast.freedom, contrast.error, contrast.common_error
     if common_error == 0.0 and error == 0.0:
         return 0.0 if distance else 0.5
@@ -196,7 +196,7 @@ def compare_means(
     Parameters
     ----------
     name, unit : name and unit of the result
-    first, second : name and mean of each group; the chosen means are compared, which are means of
+    first, second : name and mean of each group. The chosen means are compared; they are means of
         spool means if the spools were not pooled
     margin : largest difference without practical importance, as a fraction of the first mean
 
@@ -204,7 +204,8 @@ def compare_means(
     -------
     The difference with its own p-values, but without a verdict, which `judge_family` adds.
     """
-    first_mean, second_mean = first[1].chosen, second[1].chosen
+    (first_name, first_nested), (second_name, second_nested) = first, second
+    first_mean, second_mean = first_nested.chosen, second_nested.chosen
     difference = subtract_means(first_mean, second_mean)
     contrast = compute_contrast(first_mean, second_mean, margin)
     caveats = []
@@ -216,8 +217,8 @@ def compare_means(
     return Difference(
         name=name,
         unit=unit,
-        first=first[0],
-        second=second[0],
+        first=first_name,
+        second=second_name,
         difference=difference,
         margin=None if margin is None or first_mean.mean == 0.0 else margin * abs(first_mean.mean),
         contrast=contrast,
@@ -248,31 +249,27 @@ def judge_family(family: str, differences: Sequence[Difference]) -> list[Differe
     """
     difference_tests = correct_p_values([difference.p for difference in differences])
     equivalence_tests = correct_p_values([difference.p_equivalent for difference in differences])
-    return [
-        _judge_difference(family, difference, *corrected)
-        for difference, *corrected in zip(
-            differences, difference_tests, equivalence_tests, strict=True
-        )
-    ]
+    tests = zip(differences, difference_tests, equivalence_tests, strict=True)
+    return [_judge_difference(family, *test) for test in tests]
 
 
 def _judge_difference(
-    family: str, difference: Difference, difference_test: CorrectedP, equivalence: CorrectedP
+    family: str, difference: Difference, difference_test: CorrectedP, equivalence_test: CorrectedP
 ) -> Difference:
     """Add the verdict to a difference, given its corrected p-values."""
     max_log_ratio = 20.0  # keeps the ends of an interval finite
     contrast = difference.contrast
     if contrast is None:
         reason = difference.difference.reason
-        why = reason.message if reason else format_sentence("statistics.no_interval")
-        return replace(difference, family=family, verdict=Verdict.CANNOT_TELL, verdict_reason=why)
+        text = reason.message if reason else format_sentence("statistics.no_interval")
+        return replace(difference, family=family, verdict=Verdict.CANNOT_TELL, verdict_reason=text)
     tail_probability = ALPHA / difference_test.divisor
     middle, half_width = contrast.difference, compute_half_width(contrast, tail_probability)
     interval = Interval(middle - half_width, middle + half_width, 1.0 - tail_probability)
     if contrast.is_log:
         upper = expm1(min(interval.upper, max_log_ratio))
         interval = Interval(expm1(interval.lower), upper, interval.level)
-    is_different, is_equivalent = difference_test.p < ALPHA, equivalence.p < ALPHA
+    is_different, is_equivalent = difference_test.p < ALPHA, equivalence_test.p < ALPHA
     verdict = Verdict.DIFFERENT if is_different else Verdict.CANNOT_TELL
     verdict_reason = format_sentence(
         "statistics.p_value",
@@ -285,8 +282,8 @@ def _judge_difference(
             "statistics.within_margin",
             real=format_sentence("statistics.real_but") if is_different else "",
             margin=_describe_margin(contrast),
-            p=_format_p(equivalence.p),
-            corrected=_describe_correction(equivalence.n_tests),
+            p=_format_p(equivalence_test.p),
+            corrected=_describe_correction(equivalence_test.n_tests),
         )
     elif not is_different and contrast.margin is None:
         verdict_reason = format_sentence("statistics.zero_no_margin")
@@ -308,7 +305,7 @@ def _judge_difference(
 
 
 def _describe_correction(n_tests: int) -> str:
-    """Describe the correction for the number of tests; empty for a single test."""
+    """Return a clause on the correction for the number of tests; empty for a single test."""
     return format_sentence("statistics.corrected", tests=n_tests) if n_tests > 1 else ""
 
 
@@ -318,7 +315,7 @@ def _format_p(p: float) -> str:
 
 
 def _describe_margin(contrast: Contrast) -> str:
-    """Describe the margin, on a log scale as a percentage of the first mean."""
+    """Describe the margin: on a log scale, as a percentage of the first mean."""
     is_percentage = contrast.is_log and contrast.margin is not None
     return f"{100 * expm1(contrast.margin or 0.0):.3g} %" if is_percentage else "the margin"
 
@@ -372,7 +369,7 @@ def correct_p_values(p_values: Sequence[float], level: float = 0.05) -> list[Cor
     Parameters
     ----------
     p_values : p-values of the tests; NaN without a test
-    level : probability that at least one test of the family is a false positive
+    level : largest probability that at least one test of the family is a false positive
 
     Returns
     -------
@@ -410,8 +407,8 @@ class _TestStep:
 
     Parameters
     ----------
-    index : index of the value
-    p_value : p-value of the value
+    index : index of the most extreme value among all tested values
+    p_value : p-value of this value
     tied_indices : indices of other values with the same p-value
     """
 
@@ -456,8 +453,8 @@ class OutlierTest:
             indices = [step.index, *(i for i in step.tied_indices if i not in step_indices)]
             for index in indices:
                 names = " and ".join(self.names[i] for i in indices if i != index)
-                ties = format_sentence("statistics.equally_suspect", tests=names) if names else ""
-                method = self.method + ties
+                note = format_sentence("statistics.equally_suspect", tests=names) if names else ""
+                method = self.method + note
                 outliers.append(Outlier(self.names[index], self.values[index], method, p_value))
         return tuple(outliers)
 
@@ -469,15 +466,16 @@ def run_outlier_test(
 
     Parameters
     ----------
-    values : value of each sample, keyed by name of the sample; NaN are ignored
+    values : value of each sample, keyed by name of the sample; NaNs are ignored
     spools : spool of each sample, keyed by the name of the sample
     max_outliers : largest number of outliers; if None, a tenth of the samples, but at least one
 
     Returns
     -------
-    The test. It has no steps if there are fewer samples than two more than spools, or if all
-    samples of each spool are equal within rounding. Values with equal p-values are all marked, and
-    the name of the method lists them. This always applies to the values of a spool of two samples.
+    The test. It has no steps if the number of samples is less than the number of spools plus two,
+    or if all samples of each spool are equal within rounding. Values with equal p-values are all
+    marked, and the method of each outlier names the others. The two values of a spool of two
+    samples always have equal p-values.
 
     Notes
     -----
@@ -504,8 +502,8 @@ def mark_outliers(groups: Sequence[Group], level: float = 0.05) -> list[Group]:
 
     Parameters
     ----------
-    groups : groups of the report. Outliers that they already have are replaced. Results that the
-        rig sets are not tested
+    groups : groups of the report. Earlier outliers of the groups are replaced. Results that the rig
+        sets are not tested
     level : false-alarm rate for the whole report
 
     Returns
@@ -525,10 +523,10 @@ def mark_outliers(groups: Sequence[Group], level: float = 0.05) -> list[Group]:
     ]
     corrected, marked_groups = iter(correct_p_values(p_values, level)), list[Group]()
     for group, tests in zip(groups, outlier_tests, strict=True):
-        limits = [level / next(corrected).divisor / max(1, len(test.steps)) for test in tests]
+        max_p_values = [level / next(corrected).divisor / max(1, len(test.steps)) for test in tests]
         numbers = tuple(
-            replace(number, outliers=test.select_outliers(limit))
-            for number, test, limit in zip(group.numbers, tests, limits, strict=True)
+            replace(number, outliers=test.select_outliers(max_p_value))
+            for number, test, max_p_value in zip(group.numbers, tests, max_p_values, strict=True)
         )
         marked_groups.append(replace(group, numbers=numbers))
     return marked_groups
@@ -545,7 +543,7 @@ def _test_result(group: Group, number: GroupNumber) -> OutlierTest:
 
 
 def _list_steps(values: Floats, spool_index: NDArray[np.intp], max_steps: int) -> list[_TestStep]:
-    """List the most extreme value, then the most extreme of the remaining values, and so on."""
+    """List the steps of an outlier test; each step removes the most extreme remaining value."""
     max_tied_ratio = 1.001  # p-values of equally extreme values differ by rounding
     indices = np.arange(len(values))
     steps: list[_TestStep] = []
@@ -564,7 +562,7 @@ def _list_steps(values: Floats, spool_index: NDArray[np.intp], max_steps: int) -
 def _compute_p_values(values: Floats, spool_index: NDArray[np.intp]) -> Floats | None:
     """Compute the p-value of each value with Bonferroni's correction for the number of values.
 
-    Return None if there are too few values, or if the values of each spool are equal.
+    Return None if there are too few values, or if the values within each spool are equal.
     """
     rounding_error = 1e-12  # of a sum of values, relative to the largest value
     min_remaining_fraction = 1e-15  # prevents a division by zero

@@ -538,15 +538,15 @@ def _attach_string(test: MechanicalTest) -> tuple[StringRig, CantileverShape]:
     """Attach the string to the wire; return the rig, and the shape before the motion."""
     law, weight = test.wire.build_law(), test.gravity * test.counterweight
     self_weight = test.gravity * test.wire.mass_per_length
-    undeformed = make_straight(law, test.n_stations, self_weight=self_weight)
+    undeformed_state = make_straight(law, test.n_stations, self_weight=self_weight)
     level_rig = StringRig(test.string_length, weight, test.length, test.string_length)
     if test.slack is None:
-        return level_rig, bend_to_travel(law, undeformed, test.length, level_rig, 0.0)
-    hanging = bend_under_force(law, undeformed, test.length, np.array([0.0, -weight]))
-    taut_travel = level_rig.compute_taut_travel(float(hanging.x[-1]), float(hanging.y[-1]))
+        return level_rig, bend_to_travel(law, undeformed_state, test.length, level_rig, 0.0)
+    shape = bend_under_force(law, undeformed_state, test.length, np.array([0.0, -weight]))
+    taut_travel = level_rig.compute_taut_travel(float(shape.x[-1]), float(shape.y[-1]))
     anchor_height = test.string_length - (test.slack - taut_travel)
     rig = StringRig(test.string_length, weight, test.length, anchor_height)
-    return rig, bend_to_travel(law, hanging.state, test.length, rig, 0.0)
+    return rig, bend_to_travel(law, shape.state, test.length, rig, 0.0)
 
 
 @dataclass(slots=True)
@@ -635,8 +635,8 @@ class _BranchSolver:
     def _compute_event_travel(self, shape: CantileverShape) -> float:
         """Compute the travel, m, at which the string becomes taut or slack, from a near shape."""
         weight = np.array([0.0, -self.rig.weight])
-        hanging = bend_under_force(self._law, shape.state, self.test.length, weight)
-        return self.rig.compute_taut_travel(float(hanging.x[-1]), float(hanging.y[-1]))
+        hanging_shape = bend_under_force(self._law, shape.state, self.test.length, weight)
+        return self.rig.compute_taut_travel(float(hanging_shape.x[-1]), float(hanging_shape.y[-1]))
 
 
 def _compute_max_curvature(shapes: list[CantileverShape], max_curvature: float) -> float:

@@ -103,7 +103,7 @@ class Pose:
     Parameters
     ----------
     yaw, pitch, roll : rotations about Y, X and Z, rad; roll is applied first, yaw last
-    origin : position of the clamped end at zero travel, m
+    origin : position of the origin of the specimen frame, at zero travel of the clamp, m
     """
 
     yaw: float = 0.65

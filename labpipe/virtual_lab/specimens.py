@@ -190,7 +190,8 @@ class StrandedWire:
         Raises
         ------
         ValueError
-            If `build_section` raises it, or if `fit_play_law` finds no law.
+            As for `build_section`, and if the moment decreases or the tangent stiffness increases
+            with curvature.
         """
         law = fit_play_law(
             self.build_section(),
@@ -259,7 +260,7 @@ class BundleModel:
         the second type on the side of the pull; the other arrangements distribute it over the
         section
     friction_share : fraction h of the axial stiffness that friction holds
-    slip_curvature : curvature kappa_s at which a wire at the mean distance slips, 1/m
+    slip_curvature : curvature kappa_s at which a wire at the root-mean-square distance c slips, 1/m
     glue_share : fraction g of the axial stiffness of the outer wires that the glue of the tape
         holds
     glue_strain : strain e at which the tape slides on the wires; None if the tape never slides
@@ -298,7 +299,8 @@ class BundleModel:
 
         Parameters
         ----------
-        cycle : number of the cycle, from 1; the laws of all cycles have the same number of plays
+        cycle : number of the cycle, from 1. The plays at the end of a cycle are the history for the
+            law of the next cycle
         max_curvature : largest absolute curvature so far, 1/m
 
         Raises
@@ -315,8 +317,8 @@ class BundleModel:
         min_factor = 0.5
         if self.glue_strain is None:
             return 1.0
-        excess_strain = max(0.0, max_curvature * self.radius / self.glue_strain - 1.0)
-        return max(min_factor, 1.0 - self.slide_loss * excess_strain)
+        relative_excess = max(0.0, max_curvature * self.radius / self.glue_strain - 1.0)
+        return max(min_factor, 1.0 - self.slide_loss * relative_excess)
 
     @property
     def mass_per_length(self) -> float:

@@ -88,8 +88,8 @@ class BilinearLaw:
         """
         extension = distance - self.foot
         slope_change = self.stiffness_second - self.stiffness_first
-        first: Floats = self.stiffness_first * compute_ramp(extension, self.toe)
-        return first + slope_change * compute_ramp(extension - self.break_point, self.knee)
+        first_force: Floats = self.stiffness_first * compute_ramp(extension, self.toe)
+        return first_force + slope_change * compute_ramp(extension - self.break_point, self.knee)
 
     def compute_series_force(self, displacement: Floats, compliance: float) -> Floats:
         """Compute the force of specimen and machine in series at first loading, without slips.
@@ -131,8 +131,8 @@ def compute_ramp(distance: Floats, width: float) -> Floats:
     ramp = np.maximum(distance, 0.0)
     if width == 0.0:
         return ramp
-    rounded = (distance + 0.5 * width) ** 2 / (2.0 * width)
-    return np.where(np.abs(distance) < 0.5 * width, rounded, ramp)
+    corner = (distance + 0.5 * width) ** 2 / (2.0 * width)
+    return np.where(np.abs(distance) < 0.5 * width, corner, ramp)
 
 
 @dataclass(frozen=True, slots=True)

@@ -121,7 +121,7 @@ class ThreePointTest:
 
 @dataclass(frozen=True, slots=True)
 class ConduitClocks:
-    """Time bases of force recorder, cameras and load frame; true time zero is the frame's start.
+    """Time bases of recorder, cameras and load frame. True time is zero when the frame starts.
 
     Parameters
     ----------

@@ -120,14 +120,14 @@ class BandedMatrix:
         values : shape (entries,), entries of the matrix
         right_side : shape (unknowns,), right side; for a fixed unknown, its change
         """
-        flat = np.bincount(self._entries, values * self._weights, minlength=self._depth * self.size)
-        flat[self._fixed_entries] = 1.0
-        band, widths = flat.reshape(self.size, self._depth).T, (self.n_lower, self.n_upper)
+        sums = np.bincount(self._entries, values * self._weights, minlength=self._depth * self.size)
+        sums[self._fixed_entries] = 1.0
+        band, widths = sums.reshape(self.size, self._depth).T, (self.n_lower, self.n_upper)
         factors, pivots, has_failed = lapack.dgbtrf(band, *widths, overwrite_ab=True)
         if has_failed:
             return None
-        scaled = np.where(self.is_fixed, right_side / self.scale, right_side * self.scale)
-        solution, has_failed = lapack.dgbtrs(factors, *widths, scaled, pivots, overwrite_b=True)
+        vector = np.where(self.is_fixed, right_side / self.scale, right_side * self.scale)
+        solution, has_failed = lapack.dgbtrs(factors, *widths, vector, pivots, overwrite_b=True)
         if has_failed or not np.all(np.isfinite(solution)):
             return None
         return np.asarray(solution * self.scale)

@@ -433,8 +433,8 @@ def find_nearest_parameter(positions: Floats, ring: Floats, previous_u: float) -
     max_distance = 1.5  # from the previous parameter, nodes
     max_change, tolerance = 0.1, 1e-14  # of the parameter in an iteration, and at convergence
     end = float(len(positions) - 1)
-    low, high = max(previous_u - max_distance, 0.0), min(previous_u + max_distance, end)
-    candidates = np.linspace(low, high, n_candidates)
+    lower, upper = max(previous_u - max_distance, 0.0), min(previous_u + max_distance, end)
+    candidates = np.linspace(lower, upper, n_candidates)
     distances = [float(np.sum((evaluate_curve(positions, u) - ring) ** 2)) for u in candidates]
     u = float(candidates[int(np.argmin(distances))])
     for _ in range(max_iterations):

@@ -141,7 +141,7 @@ def find_equilibrium(
 def _update_balance(
     start: Equilibrium, target: ImposedValues, guess: LineHistory
 ) -> Balance | None:
-    """Update the balance of a start with new forces; return None if it needs another change."""
+    """Update the balance of `start` with the forces of `target`; None if more has changed."""
     balance, imposed = start.balance, start.imposed
     history, drag = balance.inputs
     pairs = ((imposed.anchors, target.anchors), (imposed.rings, target.rings))
@@ -160,9 +160,8 @@ def _is_balanced(
     # The balance is relative to force, moment and length of the whole line. With a tolerance of
     # 1e-7, a taut clamped line has a spurious tension.
     balance_tolerance = 1e-10
-    # If rounding limits the balance, the search ends after a change below this, in lengths or rad.
-    step_tolerance = 1e-11
-    rounded_balance = 1e-5
+    # If rounding limits the balance, the search ends after a small change, in lengths or rad.
+    step_tolerance, rounding_tolerance = 1e-11, 1e-5
     # The tension is relative to the forces on the line. With a larger one, the shape is mostly
     # rounding error.
     max_relative_tension = 1e4
@@ -173,12 +172,12 @@ def _is_balanced(
     force = max(assembly.force, tension)
     residual = np.abs(balance.residual)
     residual[assembly.matrix.is_fixed] = 0.0
-    nodes, stretches, turns, gaps = (float(np.max(values)) for values in split_unknowns(residual))
-    moments = max(turns, stretches) / (force * length)
-    error = max(max(nodes - assembly.rounding, 0.0) / force, moments, gaps / length)
-    return error < balance_tolerance or (
-        relative_change < step_tolerance and error < rounded_balance
-    )
+    positions, stretches, turns, forces = split_unknowns(residual)
+    force_error = max(float(np.max(positions)) - assembly.rounding, 0.0) / force
+    moment_error = max(float(np.max(turns)), float(np.max(stretches))) / (force * length)
+    error = max(force_error, moment_error, float(np.max(forces)) / length)
+    is_limited = relative_change < step_tolerance and error < rounding_tolerance
+    return error < balance_tolerance or is_limited
 
 
 class StabilityCheck:
@@ -195,12 +194,12 @@ class StabilityCheck:
         rows, columns = assembly.pattern
         is_force = np.arange(assembly.indices.n_unknowns) % PER_ELEMENT >= FORCE
         self._selected_entries = np.flatnonzero(~(is_force[rows] | is_force[columns]))
-        first, second = assembly.indices.positions[:-1], assembly.indices.positions[1:]
+        first_nodes, second_nodes = assembly.indices.positions[:-1], assembly.indices.positions[1:]
         entries = [
             (rows[self._selected_entries], columns[self._selected_entries]),
-            list_block_entries(first, FORCE, first, FORCE),
-            list_block_entries(first, FORCE, second, 3),
-            list_block_entries(second, 3, second, 3),
+            list_block_entries(first_nodes, FORCE, first_nodes, FORCE),
+            list_block_entries(first_nodes, FORCE, second_nodes, 3),
+            list_block_entries(second_nodes, 3, second_nodes, 3),
         ]
         rows, columns = (
             FORCE * (unknowns // PER_ELEMENT) + unknowns % PER_ELEMENT  # without the forces
@@ -296,10 +295,10 @@ class StabilityCheck:
             ]
         )
         weighted_values = values * self._weights
-        flat = np.bincount(self._entries, weighted_values, minlength=self._depth * self.size)
-        diagonal = flat[:: self._depth]
+        sums = np.bincount(self._entries, weighted_values, minlength=self._depth * self.size)
+        diagonal = sums[:: self._depth]
         diagonal += drag * self._drag + rounding * diagonal
         diagonal[self._is_fixed] = 1.0
-        band = flat.reshape(self.size, self._depth).T
+        band = sums.reshape(self.size, self._depth).T
         factors, has_failed = lapack.dpbtrf(band, lower=True, overwrite_ab=True)
         return None if has_failed else np.asarray(factors)

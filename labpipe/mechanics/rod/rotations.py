@@ -56,11 +56,11 @@ def skew(vectors: Floats) -> Floats:
 
 def from_rotation_vectors(vectors: Floats) -> Floats:
     """Return quaternions of rotation vectors, rad, shape (..., 3)."""
-    half = 0.5 * np.sqrt(np.vecdot(vectors, vectors))
+    half_angle = 0.5 * np.sqrt(np.vecdot(vectors, vectors))
     frames = np.empty((*vectors.shape[:-1], 4))
-    frames[..., 0] = np.cos(half)
-    size = np.maximum(half, _MIN_SIZE)
-    frames[..., 1:] = (0.5 * np.sin(size) / size)[..., None] * vectors
+    frames[..., 0] = np.cos(half_angle)
+    divisor = np.maximum(half_angle, _MIN_SIZE)
+    frames[..., 1:] = (0.5 * np.sin(divisor) / divisor)[..., None] * vectors
     return frames
 
 
@@ -147,8 +147,8 @@ def compute_tangent_factors(angles: Floats) -> tuple[Floats, Floats]:
     if is_small.all():
         return c_series, slope_series
     theta = np.where(is_small, 1.0, angles)
-    half = 0.5 * theta
-    cotangent = np.cos(half) / np.sin(half)
-    c = (1.0 - half * cotangent) / theta**2
-    slope = (0.5 * (half / np.sin(half) ** 2 - cotangent) - 2.0 * theta * c) / theta**3
+    half_angle = 0.5 * theta
+    cotangent = np.cos(half_angle) / np.sin(half_angle)
+    c = (1.0 - half_angle * cotangent) / theta**2
+    slope = (0.5 * (half_angle / np.sin(half_angle) ** 2 - cotangent) - 2.0 * theta * c) / theta**3
     return np.where(is_small, c_series, c), np.where(is_small, slope_series, slope)
