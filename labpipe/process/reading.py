@@ -41,7 +41,7 @@ _UNIT_SPELLINGS = MappingProxyType(
 def _check_unit(channel: Channel, source: ChannelSource, path: Path) -> None:
     """Raise a `ReadError` for a channel whose unit is not certain.
 
-    Its unit is not certain if neither export nor protocol states a unit, if only the export states
+    The unit is not certain if neither export nor protocol states a unit, if only the export states
     one, which is unknown or of another quantity, or if the unit of the protocol contradicts that of
     the export, and `wrong_unit_in_file` does not name it.
     """
@@ -331,7 +331,7 @@ def name_channels(recording: Recording, source: Source, path: Path) -> Recording
 
 
 def _check_channel_size(channel: Channel, source: ChannelSource, path: Path) -> None:
-    """Raise an error for a channel with values too large for its unit or its plausible peak."""
+    """Raise an error for values above both the largest value of the unit and the plausible peak."""
     stated_unit, key = source.unit or channel.unit_in_file, source.key
     keys = format_overrides(f"{key}.unit", "...", **{f"{key}.wrong_unit_in_file": stated_unit})
     remedy = format_sentence("process.size_of_channel", unit=keys, peak=f"'{key}.plausible_peak'")
@@ -344,13 +344,13 @@ def _check_channel_size(channel: Channel, source: ChannelSource, path: Path) -> 
 def _check_size(
     values: Floats, unit: str, limit: float, place: tuple[Path, str], *, stated: str, remedy: str
 ) -> None:
-    """Raise an error if a tenth of the values is too large; single ones are damaged samples."""
+    """Raise an error if a tenth of the values is too large; fewer ones are damaged samples."""
     quantile = 0.9
     if max(np.nanmax(values, initial=0.0), -np.nanmin(values, initial=0.0)) <= limit:
         return
-    size = float(np.nanquantile(np.abs(values), quantile))
-    if size > limit:
-        facts = {"limit": f"{limit:g} {unit}", "found": f"{size:.3g} {unit}", "remedy": remedy}
+    value = float(np.nanquantile(np.abs(values), quantile))
+    if value > limit:
+        facts = {"limit": f"{limit:g} {unit}", "found": f"{value:.3g} {unit}", "remedy": remedy}
         raise ReadError.about("process.implausible_size", *place, stated=repr(stated), **facts)
 
 

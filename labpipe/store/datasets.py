@@ -143,8 +143,8 @@ def _compress_chunk(block: NDArray[Any], rows: int) -> bytes:
     block = np.concatenate([block, padding]) if len(padding) else np.ascontiguousarray(block)
     planes = block.view(np.uint8).reshape(-1, block.dtype.itemsize).T
     level = FAST_LEVEL if block.ndim == 1 else COMPRESSION_LEVEL
-    deflated = isal_zlib.compress(np.ascontiguousarray(planes).data, level)
-    return deflated + fletcher32(deflated).to_bytes(4, "little")
+    compressed = isal_zlib.compress(np.ascontiguousarray(planes).data, level)
+    return compressed + fletcher32(compressed).to_bytes(4, "little")
 
 
 def fletcher32(data: bytes) -> int:
@@ -349,12 +349,13 @@ def _check_storage(dataset: Any) -> None:
     properties = dataset.id.get_create_plist()
     if properties.get_layout() == h5d.CHUNKED:
         sizes = zip(dataset.shape, properties.get_chunk(), strict=True)
-        has_all = dataset.id.get_num_chunks() >= prod(ceil(size / chunk) for size, chunk in sizes)
+        n_chunks = prod(ceil(size / chunk) for size, chunk in sizes)
+        is_complete = dataset.id.get_num_chunks() >= n_chunks
     elif properties.get_layout() == h5d.VIRTUAL or properties.get_external_count():
         raise StoreError.about("store.samples_elsewhere", dataset.file.filename, dataset.name)
     else:
-        has_all = dataset.id.get_storage_size() >= dataset.nbytes
-    if not has_all:
+        is_complete = dataset.id.get_storage_size() >= dataset.nbytes
+    if not is_complete:
         file, place, size = dataset.file.filename, dataset.name, dataset.size
         raise StoreError.about("store.part_of_dataset", file, place, size=size)
 
@@ -363,13 +364,12 @@ def _require_equal(dataset: Any, quantity: str, expected: str, actual: str) -> N
     """Raise StoreError if a property of a dataset differs from the layout."""
     if expected != actual:
         file, place = dataset.file.filename, dataset.name
-        raise StoreError.about(
-            "store.other_layout", file, place, what=quantity, expected=expected, found=actual
-        )
+        facts = {"what": quantity, "expected": expected, "found": actual}
+        raise StoreError.about("store.other_layout", file, place, **facts)
 
 
 _INTERVAL_FIELDS = ("lower", "upper", "level")
-_REASONS = Reason, tuple[Reason, ...]
+_REASON_TYPES = Reason, tuple[Reason, ...]
 """Types of fields that contain reasons."""
 _CODES, _MESSAGES = "reason_codes", "reason_messages"
 """Names of the attributes that contain the codes and the messages of reasons."""
@@ -458,7 +458,7 @@ def _write_attribute(target: GroupWriter, name: str, attribute: AttributeSpec, v
     """Write the value of one field of a record as attributes of a group."""
     field_type, unit, _ = attribute
     attributes = target.group.attrs
-    if field_type in _REASONS:
+    if field_type in _REASON_TYPES:
         reasons = value if isinstance(value, tuple) else (value,) if value else ()
         target.write_texts(_CODES, [reason.code for reason in reasons])
         target.write_texts(_MESSAGES, [reason.message for reason in reasons])
@@ -495,7 +495,7 @@ def read_attributes(group: Any, kind: Any, *, skip: Container[str] = ()) -> dict
 def _read_attribute(group: Any, name: str, attribute: AttributeSpec) -> Any:
     """Read the value of one field of a record from attributes of a group."""
     field_type, _, is_optional = attribute
-    if field_type in _REASONS:
+    if field_type in _REASON_TYPES:
         pairs = zip(read_texts(group, _CODES), read_texts(group, _MESSAGES), strict=True)
         reasons = tuple(Reason(*pair) for pair in pairs)
         return next(iter(reasons), None) if field_type is Reason else reasons

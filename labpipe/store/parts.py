@@ -75,7 +75,7 @@ from labpipe.store.layout import (
 
 _R = TypeVar("_R")
 _SPECIMEN_TEXTS: Final = {"type": "specimen_type", "spool": "spool", "sample": "sample"}
-"""Names of the attributes of the root for fields of the specimen, keyed by field."""
+"""Names of the attributes of the root that contain fields of the specimen, keyed by field."""
 _WIRE_COLUMNS: Final = {
     "wire_types": DatasetSpec(("type",), TEXT, TEXT),
     "wire_numbers": DatasetSpec(("type",), "1", "int64"),
@@ -99,7 +99,7 @@ _SERIES_TEXTS: Final[Mapping[type, Mapping[str, str]]] = {
         "calibration": "calibration",
     },
 }
-"""Fields that are attributes of the dataset of a record, keyed by type and attribute."""
+"""Names of the text fields of a record, keyed by type of record and by name of the attribute."""
 _SPECIMEN_MAPS = {"labels": ("labels", "label_words"), "observed": ("observed", "observed_words")}
 """Names of the attributes for the keys and texts of each mapping of a specimen."""
 
@@ -196,8 +196,8 @@ def _write_recording(target: GroupWriter, recording: Recording) -> None:
     write_table(target, "notes", QualityNote, recording.notes)
     if recording.markers is not None:
         _write_markers(target, recording.markers)
-    is_only = len(recording.clocks) == 1
-    clocks = [("time" if is_only else f"time_{clock.name}", clock) for clock in recording.clocks]
+    has_one_clock = len(recording.clocks) == 1
+    clocks = [("time" if has_one_clock else f"time_{x.name}", x) for x in recording.clocks]
     time_scales = _write_series(target, "clocks", clocks)
     if recording.markers is not None and "time" not in target.group:
         target.group["time"] = target.group["markers"]["time"]
@@ -306,15 +306,14 @@ def _require_equal_lengths(recording: Recording) -> None:
 
 def _read_markers(group: Any) -> MarkerTracks:
     """Read the marker tracks and rigid bodies of a recording."""
-    bodies = group["rigid_bodies"]
-    all_bodies = tuple(
-        read_record(bodies[name], RigidBody) for name in read_texts(bodies, "bodies")
-    )
-    return read_record(group["markers"], MarkerTracks, bodies=all_bodies)
+    body_groups = group["rigid_bodies"]
+    names = read_texts(body_groups, "bodies")
+    bodies = tuple(read_record(body_groups[name], RigidBody) for name in names)
+    return read_record(group["markers"], MarkerTracks, bodies=bodies)
 
 
 def _write_raw(target: GroupWriter, result: TestResult) -> None:
-    """Write the recording of each role, with the names, SHA-256 and order of the exports."""
+    """Write the recording of each role, with names, SHA-256, sizes and order of the exports."""
     roles = dict.fromkeys([*result.recordings, *(export.role for export in result.inputs)])
     target.write_texts("roles", tuple(result.recordings))
     for role in roles:
@@ -330,10 +329,10 @@ def _write_raw(target: GroupWriter, result: TestResult) -> None:
             _write_recording(role_group, result.recordings[role])
 
 
-def _read_inputs(raw: Any) -> tuple[InputFile, ...]:
-    """Read the names and SHA-256 of the exports, in the order of the protocol."""
+def _read_inputs(raw_group: Any) -> tuple[InputFile, ...]:
+    """Read the names, SHA-256 and sizes of the exports, in the order of the protocol."""
     inputs: dict[int, InputFile] = {}
-    for role, group in raw.items():
+    for role, group in raw_group.items():
         rows = zip(
             group.attrs["input_order"],
             read_texts(group, "file"),
@@ -548,10 +547,10 @@ It returns the indices of the chosen frames, in increasing order, and their defl
 """
 
 
-def _read_common_fields(root: Any, *, has_raw: bool = True) -> dict[str, Any]:
+def _read_common_fields(root: Any, *, reads_recordings: bool = True) -> dict[str, Any]:
     """Read the fields that `TestResult` and `RawTest` share, with or without recordings."""
     group = root["raw"]
-    roles = read_texts(group, "roles") if has_raw else ()
+    roles = read_texts(group, "roles") if reads_recordings else ()
     return {
         **read_attributes(root, RawTest),
         "specimen": _read_specimen(root),
@@ -566,17 +565,17 @@ def read_test(root: Any, stages: Collection[str] = ()) -> TestResult:
     Parameters
     ----------
     root : open result file
-    stages : names of further parts: ``raw``, ``aligned``, ``shape``, ``bending``. Aligned signals
-        are also read if slips were repaired
+    stages : names of further parts to be read: ``raw``, ``aligned``, ``shape``, ``bending``.
+        Aligned signals are also read if slips were repaired
     """
     display = json.loads(read_text(root, "display"))
-    curve = _read_curve(root)
-    is_repaired = any(slip.decision is SlipDecision.REPAIRED for slip in curve.get("slips", ()))
+    fields = _read_curve(root)  # fields `curve`, `slips` and `lines`
+    is_repaired = any(slip.decision is SlipDecision.REPAIRED for slip in fields.get("slips", ()))
     has_shape = "shape" in stages and "shape" in root
     return TestResult(
-        **_read_common_fields(root, has_raw="raw" in stages),
+        **_read_common_fields(root, reads_recordings="raw" in stages),
         **read_attributes(root, TestResult, skip=list_attributes(RawTest)),
-        **curve,
+        **fields,
         results=_read_results(root),
         quality=read_table(root, "quality", QualityNote),
         display={str(key): str(unit) for key, unit in display.items()},

@@ -48,16 +48,16 @@ def replace_file(path: Path) -> Iterator[Path]:
         After this and any other error, the temporary file is removed and the file at `path` is
         unchanged.
     """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    temporary_path = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
         with map_errors(path):
-            yield temporary
-            _flush_file(temporary)
-            temporary.replace(path)
+            yield temporary_path
+            _flush_file(temporary_path)
+            temporary_path.replace(path)
             _flush_folder(path.parent)
     finally:
         with suppress(OSError):
-            temporary.unlink(missing_ok=True)
+            temporary_path.unlink(missing_ok=True)
 
 
 _NEW = ".labpipe.new"
@@ -151,8 +151,8 @@ def _commit(folder: Path, earlier_files: Iterable[str]) -> None:
     """Make the new files valid and move them into the folder, or undo the moves after an error."""
     new_folder = folder / _NEW
     files = _list_files(new_folder / _FILES)
-    removed = [name for name in earlier_files if name not in files and (folder / name).is_file()]
-    (new_folder / _REMOVED_NAMES).write_text("\n".join(removed), encoding="utf-8")
+    outdated_names = [x for x in earlier_files if x not in files and (folder / x).is_file()]
+    (new_folder / _REMOVED_NAMES).write_text("\n".join(outdated_names), encoding="utf-8")
     _check_destinations(folder, files)
     paths = list(new_folder.rglob("*"))
     with ThreadPoolExecutor(max_workers=8) as pool:  # disks flush several files faster in parallel
@@ -204,12 +204,13 @@ class _Move(NamedTuple):
 
 def _list_moves(folder: Path) -> list[_Move]:
     """List the moves of removed files, then of new files, with result files last."""
-    staged = folder / _COMMITTED
-    removed = (staged / _REMOVED_NAMES).read_text(encoding="utf-8").splitlines()
-    names = [*removed, *sorted(_list_files(staged / _FILES), key=lambda name: name.endswith(".h5"))]
+    committed_folder = folder / _COMMITTED
+    names = (committed_folder / _REMOVED_NAMES).read_text(encoding="utf-8").splitlines()
+    names += sorted(_list_files(committed_folder / _FILES), key=lambda name: name.endswith(".h5"))
     _check_destinations(folder, names)
     return [
-        _Move(staged / _FILES / name, folder / name, staged / _BACKUPS / name) for name in names
+        _Move(committed_folder / _FILES / name, folder / name, committed_folder / _BACKUPS / name)
+        for name in names
     ]
 
 
@@ -285,7 +286,7 @@ def lock(folder: Path, *, timeout: float = 0.0) -> Iterator[None]:
     Parameters
     ----------
     folder : folder to be locked; created if it does not exist
-    timeout : s, longest time to wait for another labpipe process
+    timeout : longest time to wait for another labpipe process, s
 
     Raises
     ------

@@ -75,9 +75,9 @@ def _verify(temporary: Path, path: Path, image: bytes, arrays: dict[str, NDArray
     if is_identical:
         try:
             with h5py.File(temporary, "r") as root:
-                unique = {locate_array(array): name for name, array in arrays.items()}.values()
-                is_identical = all(has_same_content(root[name], arrays[name]) for name in unique)
-        except OSError:  # a wrong checksum
+                names = {locate_array(array): name for name, array in arrays.items()}.values()
+                is_identical = all(has_same_content(root[name], arrays[name]) for name in names)
+        except OSError:  # HDF5 reports a wrong checksum
             is_identical = False
     if not is_identical:
         raise StoreError.about("store.not_verified", path)
@@ -269,7 +269,7 @@ def _check_schema(path: Path, root: Any) -> None:
 
 
 def _check_links(path: Path, root: Any) -> None:
-    """Raise StoreError if a file has links to other files, because it must be complete."""
+    """Raise StoreError if a result file has links to other files, because it must be complete."""
 
     def find_external(name: bytes, link_info: Any) -> bytes | None:
         return None if link_info.type in (h5py.h5l.TYPE_HARD, h5py.h5l.TYPE_SOFT) else name
