@@ -580,11 +580,26 @@ def _build_draft(block: type[_B], data: Values) -> _B:
         has_default = key not in data or isinstance(default, Block | tuple | dict)
         values[name] = default if has_default else None
         if key in data:
-            with suppress(ValidationError):  # the fault is already reported
-                adapter = _build_adapter(block, name)
-                values[name] = adapter.validate_python(data[key], context=_DRAFT)
+            values[name] = _validate_draft(_build_adapter(block, name), data[key], values[name])
     stated_names = {name for key, name in names_by_key.items() if key in data}
     return cast("_B", block.model_construct(stated_names, **values))
+
+
+def _validate_draft(adapter: TypeAdapter[Any], value: object, default: Any) -> Any:
+    """Validate the value of a key of a draft, or the entries of a mapping one by one.
+
+    An entry that is not valid is replaced by an empty block if it must be a block, and otherwise
+    left out.
+    """
+    with suppress(ValidationError):  # the fault is already reported
+        return adapter.validate_python(value, context=_DRAFT)
+    entries: dict[Any, Any] = {}
+    for key, content in value.items() if isinstance(value, Mapping) else ():
+        for entry_content in (dict[str, Any](), content):
+            with suppress(ValidationError):
+                entry = adapter.validate_python({key: entry_content}, context=_DRAFT)
+                entries |= entry if isinstance(entry, dict) else {}
+    return entries or default
 
 
 @cache

@@ -462,7 +462,8 @@ class Protocol(Block):
         sources = self.sources or {}
         for role in sources.keys() - {*ROLES}:
             yield build_choice_fault(("sources", role), role, ROLES, is_key=True)
-        if sources:
+        # The channels of a source at fault may be unknown; then it has no reader either.
+        if sources and all(source.reader for source in sources.values()):
             yield from _find_repeated_channels(self)
             yield from _find_step_faults(self)
             yield from _find_curve_faults(self)

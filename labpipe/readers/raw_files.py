@@ -83,7 +83,8 @@ def map_read_errors(path: Path, content: str, *, remedy: str = _EXPORT_AGAIN) ->
     except Exception as error:
         if isinstance(error, OSError) and error.filename is not None:
             raise ReadError.about("readers.cannot_open", path, reason=error.strerror) from error
-        reason = (str(error).strip().splitlines() or [type(error).__name__])[0][:160]
+        text = re.sub(r"'?<\S+ object at 0x\w+>'?", "the file", str(error).strip())
+        reason = (text.splitlines() or [type(error).__name__])[0][:160]
         facts = {"content": content, "reason": reason, "remedy": remedy}
         raise ReadError.about("readers.damaged", path, **facts) from error
 

@@ -206,7 +206,7 @@ def _make_event_lines(result: TestResult) -> Iterator[Line]:
         if position is not None:
             yield plots.make_vertical_line(name, position)
     for slip in result.slips:
-        label = f"slip, {result.slips[0].decision}"
+        label = f"slip, {slip.decision}"
         yield plots.make_vertical_line("slip_position", slip.position, label=label)
     displacement, force = values.get("failure_displacement"), values.get("failure_force")
     if displacement is not None and force is not None:

@@ -391,7 +391,7 @@ class _WorkbookWriter:
 
     def get_format(self, number_format: str = "", **settings: Any) -> Any:
         """Return the format of a cell; equal formats are added to the workbook once."""
-        key = f"{number_format} {sorted(settings)}" if settings else number_format
+        key = f"{number_format} {sorted(settings.items())}" if settings else number_format
         if key not in self.formats:
             settings |= {"num_format": number_format} if number_format else {}
             self.formats[key] = self.book.add_format({"valign": "top", **settings})

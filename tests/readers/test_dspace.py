@@ -318,6 +318,7 @@ MF4_DAMAGE = [
     (b"\x18\0\0\0", b"\x18\0\0\x7f", b"##CG"),  # a record of 24 bytes, or of 2 GB
     (b"\x08\0\0\0\x40\0\0\0", b"\x08\0\0\x0f\x40\0\0\0", b"##CN"),  # a byte offset
     (b"Model Root/Laser", 16 * b"\0", b"MDF"),  # a channel without a name
+    (b"MDF     ", b"MDF    \0", b""),  # no MDF file
 ]
 """Bytes, others in their first place, and the mark behind which they stand."""
 
@@ -349,7 +350,9 @@ def test_recordings_that_are_refused(
     for old, new, behind in MF4_DAMAGE:
         at = content.index(old, content.index(behind))
         mf4.write_bytes(content[:at] + new + content[at + len(old) :])
-        messages.append(refusal(dspace_mf4.read, mf4).partition(" (")[0])
+        message = refusal(dspace_mf4.read, mf4)
+        assert " object at " not in message
+        messages.append(message.partition(" (")[0])
     assert capfd.readouterr() == ("", "")
     monkeypatch.setitem(sys.modules, "asammdf", None)
     approved([*messages, refusal(dspace_mf4.read, mf4)])
