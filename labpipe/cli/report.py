@@ -9,7 +9,7 @@ from pathlib import Path
 
 from labpipe.campaign.queries import escape_controls
 from labpipe.campaign.reporting import ReportOptions, WrittenReport, report_tests
-from labpipe.cli.terminal import compute_name_width, format_result, shorten_path, show_completed
+from labpipe.cli.terminal import compute_name_width, format_result, shorten_path, show_completion
 from labpipe.errors import UsageError, sort_by_likeness
 from labpipe.process.output_paths import find_results
 from labpipe.records.group import GroupNumber
@@ -23,7 +23,7 @@ from labpipe.report.wording import describe_counts
 def run(options: argparse.Namespace) -> int:
     """Write the report of processed tests: a page, figures and a workbook."""
     files, report_options = find_results(options.paths), parse_report_options(options)
-    with show_completed("test", len(files) + 1, in_pipe=False) as (_, say):
+    with show_completion("test", len(files) + 1, in_pipe=False) as (_, say):
         report = report_tests(files, out=options.out, say=say, options=report_options)
     print(format_report(report))
     return print_left_out(report)
