@@ -383,9 +383,8 @@ def _make_share_notes(
     elif isotropic_share.is_creep:
         yield QualityNote.of("mechanics.studies.share_by_creep", spec.name)
     if spec.stress_table is not None:
-        end_curvature = 2.0 * spec.stress_table[0][-1] / max(spec.strand_diameters)
+        # The curvature, 1/m, at which the strain of the strands reaches the end of the table.
+        table_end = 2.0 * spec.stress_table[0][-1] / max(spec.strand_diameters)
         max_curvature = find_law_range(spec)[0]
-        if end_curvature < LOOP_RANGE * max_curvature:
-            yield QualityNote.of(
-                "mechanics.studies.strands_end", spec.name, table_end=end_curvature
-            )
+        if table_end < LOOP_RANGE * max_curvature:
+            yield QualityNote.of("mechanics.studies.strands_end", spec.name, table_end=table_end)

@@ -218,8 +218,8 @@ def _find_curve_faults(curve: Curve, column: str) -> Iterator[Fault]:
         yield Fault.of("mechanics.studies.no_stress_table", error=error)
         return
     if not min_slope <= slope <= max_slope:
-        values = {"min_gpa": min_slope / 1e9, "max_gpa": max_slope / 1e9, "slope_gpa": slope / 1e9}
-        yield Fault.of("mechanics.studies.first_slope", **values)
+        low, high, value = min_slope / 1e9, max_slope / 1e9, slope / 1e9
+        yield Fault.of("mechanics.studies.first_slope", min_gpa=low, max_gpa=high, slope_gpa=value)
 
 
 def _find_heading_faults(heading: Sequence[Cell], names: Sequence[str]) -> Iterator[PlacedFault]:
