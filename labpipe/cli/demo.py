@@ -16,7 +16,7 @@ from labpipe.campaign.reporting import ReportOptions, report_tests
 from labpipe.campaign.workers import run_calls
 from labpipe.cli import main
 from labpipe.cli.process import format_headline, format_test, process_all
-from labpipe.cli.report import print_left_out
+from labpipe.cli.report import print_left_out_tests
 from labpipe.cli.terminal import shorten_path
 from labpipe.mechanics.studies.calibration_study import MODEL_FILE
 from labpipe.mechanics.studies.harness_line import DEFAULT_SHEET
@@ -99,7 +99,7 @@ def _run_short_demo(raw: Path, out: Path, options: argparse.Namespace) -> int:
     export = raw / first_test.result.test / first_test.result.inputs[0].file
     print(_NEXT_COMMANDS.format(export=shorten_path(export)))
     has_failures = any(test.n_failed for test in processed_tests)
-    return 2 if n_refused else max(int(has_failures), print_left_out(report))
+    return 2 if n_refused else max(int(has_failures), print_left_out_tests(report))
 
 
 def _run_full_demo(raw: Path, out: Path, options: argparse.Namespace) -> int:
