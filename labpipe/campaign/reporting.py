@@ -398,8 +398,8 @@ def find_differences(
     differences = [difference for pair in included_pairs for difference in pair]
     for family in (QUESTION_FAMILY, TYPE_FAMILY, OTHER_FAMILY):
         indices = [n for n, difference in enumerate(differences) if difference.family == family]
-        judged = judge_family(family, [differences[n] for n in indices]) if indices else []
-        for index, difference in zip(indices, judged, strict=True):
+        judgements = judge_family(family, [differences[n] for n in indices]) if indices else []
+        for index, difference in zip(indices, judgements, strict=True):
             differences[index] = difference
     return tuple(differences), len(pairs) - len(included_pairs)
 
