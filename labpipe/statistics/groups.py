@@ -225,7 +225,7 @@ def interpolate_curves(
         return CommonCurves(*empty, Reason.of("statistics.no_curves"))
     labels = list(names) or [f"curve {index}" for index in range(1, len(curves) + 1)]
     sorted_curves = [_sort_by_displacement(*curve) for curve in curves]
-    # The displacements of each curve at which there is a force.
+    # For each curve, the displacements at which there is a force.
     displacements = [displacement[~np.isnan(force)] for displacement, force in sorted_curves]
     if names_without_data := [
         name for name, values in zip(labels, displacements, strict=True) if not len(values)
