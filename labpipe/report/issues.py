@@ -206,7 +206,7 @@ class Effect(NamedTuple):
     ----------
     size : shift of the mean, relative to half the width of its interval, or relative widening of
         the interval; infinite if no value remains
-    text : description of the effect without a full stop
+    text : sentence on the effect without a full stop
     """
 
     size: float
@@ -376,8 +376,8 @@ def _compute_shift(group: Group, number: GroupNumber, tests: set[str], label: st
     shift = float(np.mean([np.mean(values) for values in values_by_spool.values()])) - value
     size = abs(shift) / half_width if half_width > 0.0 else 0.0
     percentage = f"{100.0 * abs(shift / value):.2g} % " if value else ""
-    text = f"without {'it' if len(tests) == 1 else 'them'}, {label} would be {percentage}"
-    text += "higher" if shift > 0.0 else "lower"
+    text = f"{label} would be {percentage}{'higher' if shift > 0.0 else 'lower'}"
+    text += " without this test" if len(tests) == 1 else " without these tests"
     if isnan(half_width) or isnan(size):
         return Effect(0.0, text)
     return Effect(size, f"{text}, {size:.2g} times half its interval")
