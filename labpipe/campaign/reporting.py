@@ -70,7 +70,7 @@ from labpipe.statistics.lots import judge_lot
 from labpipe.statistics.means import PoolingLimits
 from labpipe.statistics.significance import judge_family, mark_outliers
 from labpipe.store.replace import lock, replace_files
-from labpipe.store.result_files import read_reported, read_result
+from labpipe.store.result_files import read_report_parts, read_result
 from labpipe.store.summaries import SUMMARY_FILE, check_summary
 
 _SECTIONS = ("align", "steps", "curve", "branches", "results")
@@ -398,8 +398,8 @@ def find_differences(
     differences = [difference for pair in included_pairs for difference in pair]
     for family in (QUESTION_FAMILY, TYPE_FAMILY, OTHER_FAMILY):
         indices = [n for n, difference in enumerate(differences) if difference.family == family]
-        judged = judge_family(family, [differences[n] for n in indices]) if indices else []
-        for index, difference in zip(indices, judged, strict=True):
+        judgements = judge_family(family, [differences[n] for n in indices]) if indices else []
+        for index, difference in zip(indices, judgements, strict=True):
             differences[index] = difference
     return tuple(differences), len(pairs) - len(included_pairs)
 
@@ -681,7 +681,7 @@ def read_tests(files: Sequence[Path], say: Callable[[str], object]) -> ReportTes
     for file in files:
         say(file.parent.name)
         try:
-            result, shapes, law = read_reported(file, choose_frames)
+            result, shapes, law = read_report_parts(file, choose_frames)
             check_summary(result, file.parent / SUMMARY_FILE)
             protocol = parse_protocol(result.protocol_yaml, str(file))
         except LabpipeError as error:

@@ -535,11 +535,11 @@ def clear_failures(campaign: CampaignFolders, code: str = "") -> list[str]:
         folders = [folder for folder, row in failed_rows.items() if code in {"", row.code}]
         if code and not folders:
             codes = sorted({row.code for row in failed_rows.values()})
-            similar = sort_by_likeness(code, codes, limit=1)
+            matches = sort_by_likeness(code, codes, limit=1)
             raise UsageError.about(
                 "campaign.no_such_failures", campaign.processed, code=code,
                 found=", ".join(codes) or "no failures",
-                remedy=f"Nearest: {similar[0]}." if similar else "There is nothing to clear.",
+                remedy=f"Nearest: {matches[0]}." if matches else "There is nothing to clear.",
             )  # fmt: skip
         for folder in folders:
             path = campaign.processed / folder / FAILURE_FILE
@@ -584,8 +584,8 @@ def _find_row(campaign: CampaignFolders, overview: Overview, test: str) -> TestR
     rows = [row for row in overview.rows.values() if row.test == test]
     if len(rows) == 1:
         return rows[0]
-    similar = ", ".join(sort_by_likeness(folder, [*overview.rows], limit=3))
+    matches = ", ".join(sort_by_likeness(folder, [*overview.rows], limit=3))
     raise UsageError.about(
         "campaign.unknown_test", test, campaign=campaign.name, count=len(rows) or "none",
-        remedy=f"Nearest: {similar}." if similar else "List them with labpipe campaign status.",
+        remedy=f"Nearest: {matches}." if matches else "List them with labpipe campaign status.",
     )  # fmt: skip

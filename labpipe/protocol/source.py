@@ -467,7 +467,7 @@ class _Export(Block):
     part: Text | None = None
     """Specimen or sheet in the export of a load frame, if it has several."""
     optional: bool = False
-    """Whether a test may lack the export; steps and results that need it are then left out."""
+    """Whether a test may lack the export; steps and results that need it are then omitted."""
 
 
 class Source(ChannelSource, _Export):

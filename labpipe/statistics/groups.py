@@ -225,7 +225,7 @@ def interpolate_curves(
         return CommonCurves(*empty, Reason.of("statistics.no_curves"))
     labels = list(names) or [f"curve {index}" for index in range(1, len(curves) + 1)]
     sorted_curves = [_sort_by_displacement(*curve) for curve in curves]
-    # The displacements of each curve at which there is a force.
+    # For each curve, the displacements at which there is a force.
     displacements = [displacement[~np.isnan(force)] for displacement, force in sorted_curves]
     if names_without_data := [
         name for name, values in zip(labels, displacements, strict=True) if not len(values)
@@ -383,10 +383,10 @@ def build_group(
     for result_name in dict.fromkeys(
         result.name for sample in samples for result in sample.results
     ):
-        quantity, excluded = result_name.partition(".")[0], exclusions.get(result_name, {})
+        quantity, reasons = result_name.partition(".")[0], exclusions.get(result_name, {})
         is_signed = quantity in signed_names
         number = average_result(
-            result_name, samples, limits, excluded=excluded, is_signed=is_signed
+            result_name, samples, limits, exclusions=reasons, is_signed=is_signed
         )
         numbers.append(replace(number, is_set_by_rig=quantity in rig_names))
     band, notes = average_loading(samples, limits)
@@ -413,7 +413,7 @@ def average_result(
     samples: Sequence[Sample],
     limits: PoolingLimits = DEFAULT_LIMITS,
     *,
-    excluded: Mapping[str, Reason] | None = None,
+    exclusions: Mapping[str, Reason] | None = None,
     is_signed: bool = False,
 ) -> GroupNumber:
     """Average one result over samples.
@@ -423,7 +423,7 @@ def average_result(
     name : name of the result
     samples : samples with or without the result
     limits : conditions under which spools are pooled
-    excluded : reasons why samples are excluded from the mean, keyed by name of the sample
+    exclusions : reasons why samples are excluded from the mean, keyed by name of the sample
         (`name_samples`)
     is_signed : whether the result can be negative; otherwise intervals are on a log scale
         (`convert_to_log_scale`), if all values and estimates are positive
@@ -433,7 +433,7 @@ def average_result(
     The result over all samples. The mean includes doubtful results, which keep their status in
     `values`. It excludes, each with its reason, failed results, samples without the result
     (``no_result``), values that are not finite (``not_finite``) or in another unit than the first
-    value (``other_unit``), and `excluded`.
+    result (``other_unit``), and `exclusions`.
     """
     results, spools = dict[str, Result | None](), dict[str, str]()
     for key, sample in zip(name_samples(samples), samples, strict=True):
@@ -441,7 +441,7 @@ def average_result(
     units = [result.unit for result in results.values() if result is not None]
     unit = units[0] if units else ""
     reasons = {key: _list_exclusion_reasons(result, name, unit) for key, result in results.items()}
-    for key, reason in (excluded or {}).items():
+    for key, reason in (exclusions or {}).items():
         reasons[key] = reasons[key] or (reason,)
     values = {
         key: result for key, result in results.items() if result is not None and not reasons[key]
@@ -456,8 +456,8 @@ def average_result(
     mean = add_common_causes(compute_nested_mean(arrays, limits), results_by_spool)
     if not is_signed and are_positive(values.values()):
         mean = convert_to_log_scale(mean)
-    exclusions = {key: items for key, items in reasons.items() if items}
-    return GroupNumber(name, unit, mean, values, exclusions)
+    all_exclusions = {key: items for key, items in reasons.items() if items}
+    return GroupNumber(name, unit, mean, values, all_exclusions)
 
 
 def _list_exclusion_reasons(result: Result | None, name: str, unit: str) -> tuple[Reason, ...]:

@@ -166,7 +166,7 @@ def _add_answer(lot: Lot, fractions: Mapping[str, Result], limits: Collection[fl
     Parameters
     ----------
     lot : lot with its verdicts and numbers
-    fractions : peak force divided by its limit for each test, keyed by test
+    fractions : result of each test, keyed by test: peak force divided by the limit
     limits : distinct limits of the tests, N
     """
     is_ok = {test: fraction.status is Status.OK for test, fraction in fractions.items()}

@@ -639,7 +639,7 @@ def depends_on_history(line: RodPath | PreparedLine) -> bool:
 
 
 def select_coarse_steps(boundaries: Sequence[rod.Boundary], n_steps: int) -> Ints:
-    """Select every other step, the ends, corners of paths, and the steps around a release.
+    """Select every other step, the ends, the corners of paths, and the steps around a release.
 
     Parameters
     ----------

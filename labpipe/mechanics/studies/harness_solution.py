@@ -321,8 +321,8 @@ class HarnessBands:
     ----------
     line : pointwise bands of the shape at the shown steps
     intervals : intervals of the numbers, keyed by name
-    doubt : reason why bands and intervals are doubtful; None if, in the draws that were solved, the
-        effects of the causes add up
+    doubt : reason why bands and intervals are doubtful; None if all draws that were solved have an
+        equilibrium in which the effects of the causes add up
     """
 
     line: LineBands
