@@ -82,13 +82,11 @@ def _status(options: argparse.Namespace, campaign: CampaignFolders) -> int:
         _print_to_stderr(overview.notes)
         print(json.dumps(_build_json(campaign, overview, unknown_files), indent=2))
         return _choose_exit_status(overview)
-    claims = overview.claims.items()
-    process_texts = {folder: f"process {claim.pid} on {claim.machine}" for folder, claim in claims}
     descriptions: dict[str, Callable[[TestRow], str]] = {
         FAILED: lambda row: f"{row.code}: {row.reason}",
         STALE: lambda row: row.why,
         PENDING: lambda row: row.why,
-        RUNNING: lambda row: process_texts[row.folder],
+        RUNNING: lambda row: "process {0.pid} on {0.machine}".format(overview.claims[row.folder]),
         REJECTED: lambda row: f"{row.why} ({row.decided_by}, {row.decided})",
     }
     lines: list[str] = []

@@ -18,7 +18,7 @@ from labpipe.cli import main
 from labpipe.cli.process import format_headline, format_test, process_all
 from labpipe.cli.report import print_left_out_tests
 from labpipe.cli.terminal import shorten_path
-from labpipe.mechanics.studies.calibration_study import MODEL_FILE
+from labpipe.mechanics.studies.calibration_study import CALIBRATION_FILE
 from labpipe.mechanics.studies.harness_line import DEFAULT_SHEET
 from labpipe.process.output_paths import find_tests
 from labpipe.protocol.load import find_shipped_folder, load_test_sheet
@@ -112,7 +112,7 @@ def _run_full_demo(raw: Path, out: Path, options: argparse.Namespace) -> int:
     plan_file.write_text(CALIBRATION_PLAN, encoding="utf-8")
     figure_options = ["--no-figures"] * options.no_figures + ["--png"] * options.png
     job_options = ["--jobs", options.jobs]
-    model_file = out / WIRES / "calibration" / MODEL_FILE
+    model_file = out / WIRES / "calibration" / CALIBRATION_FILE
     harness_files = _write_harness_files(raw / LINES, model_file)
     commands: list[list[object]] = []
     for name in CAMPAIGNS:

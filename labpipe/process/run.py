@@ -38,7 +38,7 @@ from labpipe.protocol.load import (
     parse_protocol,
     resolve_protocol,
 )
-from labpipe.protocol.schema import FIGURES, Protocol
+from labpipe.protocol.schema import FIGURE_NEEDS, Protocol
 from labpipe.protocol.yaml_text import parse_yaml
 from labpipe.records.curve import Bending
 from labpipe.records.recording import Recording
@@ -56,7 +56,9 @@ from labpipe.store.summaries import (
 
 _DAY_KEYS = ("date", "start_time", "Capture Start Time")
 """Metadata keys whose values begin with an ISO 8601 date."""
-_FIGURE_FILES = [f"{FIGURES_FOLDER}/{name}.{kind}" for name in FIGURES for kind in ("svg", "png")]
+_FIGURE_FILES = [
+    f"{FIGURES_FOLDER}/{name}.{kind}" for name in FIGURE_NEEDS for kind in ("svg", "png")
+]
 """Paths of all figures that a test may have, relative to its results folder."""
 PROCESSING_VERSION = 3
 """Version of the processing.

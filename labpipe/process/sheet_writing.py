@@ -23,7 +23,7 @@ from labpipe.protocol.source import ROLES
 from labpipe.readers.workbooks import Table, read_campaign_sheet
 from labpipe.store.replace import map_errors, replace_file
 
-_REQUIRED_COLUMNS = ("test", "protocol", "type", "spool", "sample")
+_SHEET_COLUMNS = ("test", "protocol", "type", "spool", "sample")
 _DIMENSIONS = ("length", "gauge_length", "span", "width", "thickness", "diameter")
 _BUNDLE_KEYS = {"bundle_wires": "wires", "bundle_number": "number"} | {
     key: key for key in ("arrangement", "tape", "taping", "conduit", "conduit_bore")
@@ -245,7 +245,7 @@ def _check_headings(table: Table, names: Sequence[str], file: Path) -> Iterator[
         if name in names[:index]:
             yield ReadError.about("process.column_twice", file, cell.place, name=name)
     place = table.heading[0].place
-    for name in _REQUIRED_COLUMNS:
+    for name in _SHEET_COLUMNS:
         if name not in names:
             yield ReadError.about("process.column_missing", file, place, name=name)
 

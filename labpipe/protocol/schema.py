@@ -77,7 +77,7 @@ from labpipe.results.kinds import Kind
 _CURVE, _MARKER_SOURCE = "a block 'curve'", "a source of marker tracks"
 _SHAPE_STEP = "a step that computes shapes"
 """Needs of steps, results and figures, as messages name them."""
-FIGURES: Final = MappingProxyType(
+FIGURE_NEEDS: Final = MappingProxyType(
     {
         "force-displacement": (_CURVE,),
         "stiffness-lines": (_CURVE,),
@@ -96,7 +96,7 @@ if TYPE_CHECKING:
     _FigureName = str
 else:
     ResultEntry = Annotated[Union[KINDS], TaggedChoice("result")]  # noqa: UP007 - the members are computed
-    _FigureName = Literal[tuple(FIGURES)]
+    _FigureName = Literal[tuple(FIGURE_NEEDS)]
 
 KINDS_BY_NAME: Final[Mapping[str, Any]] = {kind.result: kind for kind in KINDS}
 """Kind of result, keyed by its name in YAML."""
@@ -583,7 +583,7 @@ def list_unmet_needs(protocol: Protocol) -> list[tuple[KeyPath, str, str]]:
     for path, result in _list_results(protocol):
         users.append(((*path, "result"), result.result, _list_result_needs(result.needs, curve)))
     for index, name in enumerate(protocol.report.figures):
-        users.append((("report", "figures", index), name, FIGURES[name]))
+        users.append((("report", "figures", index), name, FIGURE_NEEDS[name]))
     if align.method == "turning-points":
         users.append((("align", "method"), "turning-points", (_MARKER_SOURCE, _CLAMP)))
     if protocol.branches:

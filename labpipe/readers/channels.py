@@ -22,7 +22,7 @@ ChannelChoice: TypeAlias = str | tuple[str, ...]
 
 _CHANNEL_PREFIX = re.compile(r"(?:_+|(?:channel|ch|kanal|canale|canal|voie|c)[\s._]*\d+[\s._:-]+)+")
 """Prefix of a channel name: underscores, or the number of the channel."""
-_MAX_LISTED = 3
+_MAX_LISTED_NAMES = 3
 """Largest number of channels that a note lists."""
 
 
@@ -304,7 +304,7 @@ def make_channel_notes(channels: Sequence[Channel]) -> Iterator[QualityNote]:
         yield QualityNote.of("readers.units_not_stated", "channels", which=summary)
     names = Counter(channel.name for channel in channels)
     if repeats := [f"{count} are called '{name}'" for name, count in names.items() if count > 1]:
-        summary = f"of {total} channels {', '.join(repeats[:_MAX_LISTED])}"
+        summary = f"of {total} channels {', '.join(repeats[:_MAX_LISTED_NAMES])}"
         yield QualityNote.of("readers.names_not_unique", "channels", which=summary)
 
 
@@ -312,8 +312,8 @@ def _describe_paths(paths: list[str], total: int) -> str:
     """Describe the channels that have a property, among `total` channels, for a note."""
     if len(paths) == total:
         return "any channel"
-    ending = " ..." if len(paths) > _MAX_LISTED else ""
-    return f"{len(paths)} of {total} channels: {_quote_paths(paths[:_MAX_LISTED])}{ending}"
+    ending = " ..." if len(paths) > _MAX_LISTED_NAMES else ""
+    return f"{len(paths)} of {total} channels: {_quote_paths(paths[:_MAX_LISTED_NAMES])}{ending}"
 
 
 def _is_constant(values: Floats) -> bool:

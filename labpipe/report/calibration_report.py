@@ -199,7 +199,7 @@ class CalibrationReport:
         }
 
 
-_REPEATED_CODES = frozenset({"at_bound", "not_identified", "prior_contradicts_data"})
+_PARAMETER_CODES = frozenset({"at_bound", "not_identified", "prior_contradicts_data"})
 """Codes of the notes that repeat a sentence on a parameter."""
 
 
@@ -293,7 +293,7 @@ def describe_calibration(calibration: Calibration) -> list[str]:
     return sentences + [
         f"Note: {typeset(note.message)}"
         for note in calibration.notes
-        if note.code not in _REPEATED_CODES and note.severity is not Severity.INFO
+        if note.code not in _PARAMETER_CODES and note.severity is not Severity.INFO
     ]
 
 

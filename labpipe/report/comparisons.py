@@ -27,7 +27,7 @@ from labpipe.statistics.group_samples import find_varying_fields, make_field_sor
 MAX_COMPARED_GROUPS = 6
 """Largest number of groups in a figure; a reader could not distinguish more curves."""
 
-_BUNDLE_FIELDS = (
+_BUNDLE_CONTEXT_FIELDS = (
     "type", "spool", "composition", "wire", "number", "arrangement", "tape", "taping", "conduit",
     group_samples.BORE,
 )  # fmt: skip
@@ -231,7 +231,7 @@ def describe_context(groups: Sequence[Group], field: str) -> str:
     named_fields = [
         f"{name.replace('_', ' ')} {value}"
         for name, value in common_fields.items()
-        if name not in _BUNDLE_FIELDS and name not in group_samples.SECTION_SIZES
+        if name not in _BUNDLE_CONTEXT_FIELDS and name not in group_samples.SECTION_SIZES
     ]
     if "composition" not in _collect_field_names(groups[0]):
         return ", ".join(filter(None, [common_fields.get("type", ""), *named_fields]))

@@ -164,7 +164,7 @@ def _list_number_issues(group: Group) -> Iterator[Issue]:
             yield Issue(Kind.OUTLIER, group.name, tests, label, reason=reason, numbers=names)
 
 
-_REPEATED_CODES = {"doubtful_in_mean", *(f"slip_{decision}" for decision in SlipDecision)}
+_GROUP_CODES = {"doubtful_in_mean", *(f"slip_{decision}" for decision in SlipDecision)}
 """Codes of notes that repeat the slips of a test, or the doubtful numbers of a group."""
 
 
@@ -182,7 +182,7 @@ def _list_note_issues(
     """
     notes_by_code: dict[tuple[str, str], list[QualityNote]] = {}
     for note in notes:
-        if note.severity is not Severity.INFO and note.code not in _REPEATED_CODES:
+        if note.severity is not Severity.INFO and note.code not in _GROUP_CODES:
             message = "" if note.code == PROTOCOLS_DIFFER else note.message
             notes_by_code.setdefault((note.code, message), []).append(note)
     for (code, _), members in notes_by_code.items():

@@ -24,7 +24,7 @@ from labpipe.statistics.group_samples import NOT_STATED, SPOOL, list_fields
 from labpipe.statistics.lots import FORCE_LIMIT, format_percent
 from labpipe.statistics.means import summarise_budget
 
-REJECTED = "rejected"
+REJECTED_STATE = "rejected"
 """State of a test that a person has rejected."""
 
 
@@ -128,13 +128,13 @@ def arrange_tests(campaign: Campaign) -> tuple[list[GroupView], list[PageTest]]:
         matching_group = find_group_of_rejected(sample, campaign)
         rejection = campaign.rejected.get(sample.source, sample.decision)
         stem = "" if matching_group is None else stems_by_group[matching_group.name]
-        test = PageTest(len(tests), sample, REJECTED, group=matching_group, stem=stem)
+        test = PageTest(len(tests), sample, REJECTED_STATE, group=matching_group, stem=stem)
         tests.append(test._replace(rejection=rejection))
     groups = []
     for group, stem in zip(campaign.groups, stems, strict=True):
         members = [test for test in tests if test.stem == stem]
-        included = [test for test in members if test.state != REJECTED]
-        rejected = [test for test in members if test.state == REJECTED]
+        included = [test for test in members if test.state != REJECTED_STATE]
+        rejected = [test for test in members if test.state == REJECTED_STATE]
         groups.append(GroupView(group, stem, included, rejected))
     return groups, tests
 

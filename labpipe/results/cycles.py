@@ -48,7 +48,7 @@ _TIME_BEFORE_ZERO = 1.0
 """Time before zero force over which a line is fitted to the displacement, s."""
 _MIN_CROSSING_SAMPLES = 8
 """Smallest number of samples of a fit to the force or the displacement at zero force."""
-_MIN_FOOT_SAMPLES = 4
+_MIN_FORCE_FOOT_SAMPLES = 4
 """Smallest number of samples of the foot of the force."""
 
 
@@ -170,7 +170,7 @@ def _extrapolate_foot(time: Floats, force: Floats, limits: Floats) -> tuple[Floa
     indices = np.arange(rows.start, rows.stop)
     is_foot = (indices >= first[:, np.newaxis]) & (indices <= last[:, np.newaxis])
     mean_time, mean_force, slope = curves.fit_chosen_lines(is_foot, time[rows], force[:, rows])
-    is_falling = (slope < 0.0) & (is_foot.sum(axis=1) >= _MIN_FOOT_SAMPLES)
+    is_falling = (slope < 0.0) & (is_foot.sum(axis=1) >= _MIN_FORCE_FOOT_SAMPLES)
     zero_times = np.where(is_falling, mean_time - divide(mean_force, slope), time[last])
     return zero_times, np.where(is_falling, slope, 0.0), last
 

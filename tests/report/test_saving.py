@@ -92,7 +92,7 @@ def test_what_cannot_be_written(tmp_path: Path, approved: Approve) -> None:
         with pytest.raises(StoreError) as refusal:
             save(tmp_path / "x")
         messages.append(f"{name}: {re.sub(r'.Errno.*?: ', '', str(refusal.value))}")
-    assert set(FIGURES) == set(schema.FIGURES)
+    assert set(FIGURES) == set(schema.FIGURE_NEEDS)
     with pytest.raises(ValueError, match=r"^figures: expected names of .*, found \['pie'\]$"):
         save_figures(replace(RESULT, figures=("pie", "timeline")), tmp_path)
     (tmp_path / "a.png").mkdir()

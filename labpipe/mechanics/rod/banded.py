@@ -14,7 +14,7 @@ from labpipe.records.arrays import Flags, Floats, Ints
 
 PER_ELEMENT = 10
 """Number of unknowns of an element."""
-STRETCH, TURN, FORCE = 3, 4, 7
+STRETCH, TURNS, FORCES = 3, 4, 7
 """Offsets of stretch, turn and force among the ten unknowns of an element."""
 
 
@@ -36,7 +36,7 @@ class UnknownIndices:
     def __init__(self, n: int) -> None:
         self.positions: Ints = PER_ELEMENT * np.arange(n + 1)
         self.stretches, self.turns, self.forces = (
-            self.positions[:-1] + offset for offset in (STRETCH, TURN, FORCE)
+            self.positions[:-1] + offset for offset in (STRETCH, TURNS, FORCES)
         )
         self.n_unknowns = PER_ELEMENT * n + 3
 
@@ -57,7 +57,7 @@ def join_unknowns(positions: Floats, stretches: Floats, turns: Floats, forces: F
     unknowns = np.empty(PER_ELEMENT * len(stretches) + 3)
     rows = unknowns[:-3].reshape(-1, PER_ELEMENT)
     rows[:, :STRETCH], unknowns[-3:] = positions[:-1], positions[-1]
-    rows[:, STRETCH], rows[:, TURN:FORCE], rows[:, FORCE:] = stretches, turns, forces
+    rows[:, STRETCH], rows[:, TURNS:FORCES], rows[:, FORCES:] = stretches, turns, forces
     return unknowns
 
 
@@ -68,7 +68,7 @@ def split_unknowns(values: Floats) -> tuple[Floats, Floats, Floats, Floats]:
     """
     rows = values[:-3].reshape(-1, PER_ELEMENT)
     positions = np.concatenate([rows[:, :STRETCH], values[None, -3:]])
-    return positions, rows[:, STRETCH], rows[:, TURN:FORCE], rows[:, FORCE:]
+    return positions, rows[:, STRETCH], rows[:, TURNS:FORCES], rows[:, FORCES:]
 
 
 def list_block_entries(rows: Ints, height: int, columns: Ints, width: int) -> tuple[Ints, Ints]:

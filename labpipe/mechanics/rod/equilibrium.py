@@ -26,10 +26,10 @@ from labpipe.mechanics.rod.assembly import (
     Shape,
 )
 from labpipe.mechanics.rod.banded import (
-    FORCE,
+    FORCES,
     PER_ELEMENT,
     STRETCH,
-    TURN,
+    TURNS,
     join_unknowns,
     list_block_entries,
     split_unknowns,
@@ -192,34 +192,34 @@ class StabilityCheck:
         self._assembly = assembly
         n, matrix = assembly.n, assembly.matrix
         rows, columns = assembly.pattern
-        is_force = np.arange(assembly.indices.n_unknowns) % PER_ELEMENT >= FORCE
+        is_force = np.arange(assembly.indices.n_unknowns) % PER_ELEMENT >= FORCES
         self._selected_entries = np.flatnonzero(~(is_force[rows] | is_force[columns]))
         first_nodes, second_nodes = assembly.indices.positions[:-1], assembly.indices.positions[1:]
         entries = [
             (rows[self._selected_entries], columns[self._selected_entries]),
-            list_block_entries(first_nodes, FORCE, first_nodes, FORCE),
-            list_block_entries(first_nodes, FORCE, second_nodes, 3),
+            list_block_entries(first_nodes, FORCES, first_nodes, FORCES),
+            list_block_entries(first_nodes, FORCES, second_nodes, 3),
             list_block_entries(second_nodes, 3, second_nodes, 3),
         ]
         rows, columns = (
-            FORCE * (unknowns // PER_ELEMENT) + unknowns % PER_ELEMENT  # without the forces
+            FORCES * (unknowns // PER_ELEMENT) + unknowns % PER_ELEMENT  # without the forces
             for unknowns in (np.concatenate(group) for group in zip(*entries, strict=True))
         )
         # All entries are moved to the lower triangle.
         rows, columns = np.maximum(rows, columns), np.minimum(rows, columns)
-        self.size = FORCE * n + 3
+        self.size = FORCES * n + 3
         self._depth = int(np.max(rows - columns)) + 1
         self._entries = self._depth * columns + (rows - columns)
         self._unknowns = np.flatnonzero(~is_force)
         is_fixed, scale = matrix.is_fixed[~is_force], matrix.scale[~is_force]
         # Off-diagonal entries occur twice, except in the block between nodes.
         weights = np.where(rows == columns, 1.0, 0.5)
-        weights[len(self._selected_entries) + n * FORCE * FORCE : len(rows) - 9 * n] = 1.0
+        weights[len(self._selected_entries) + n * FORCES * FORCES : len(rows) - 9 * n] = 1.0
         is_removed = is_fixed[rows] | is_fixed[columns]
         self._weights = weights * scale[rows] * scale[columns] * ~is_removed
         self._scale, self._is_fixed = scale, is_fixed
         self._drag = assembly.unit_drag[~is_force] * scale**2
-        self._mass = self._drag * (np.arange(self.size) % FORCE < STRETCH)
+        self._mass = self._drag * (np.arange(self.size) % FORCES < STRETCH)
 
     def is_stable(self, balance: Balance, shape: Shape) -> bool:
         """Return whether the line with drag returns from every small perturbation."""
@@ -250,7 +250,7 @@ class StabilityCheck:
         if factors is None:
             return None
         indices = np.arange(self.size)
-        is_bending = np.isin(indices % FORCE, (TURN, TURN + 1))
+        is_bending = np.isin(indices % FORCES, (TURNS, TURNS + 1))
         asymmetric_load = np.cos(1.0 + 2.4 * indices) * is_bending
         asymmetric_load /= np.sqrt(np.sum(asymmetric_load**2))
         scaled_load = load[self._unknowns] * self._scale * ~self._is_fixed
@@ -279,7 +279,7 @@ class StabilityCheck:
         critical_force = line.section.law.first_stiffness / line.length**2
         penalty = penalty_factor * max(critical_force, tension)
         lengths = line.lengths * (1.0 + shape.stretches)
-        stretch_gradient = np.zeros((len(lengths), 3, FORCE + 3))
+        stretch_gradient = np.zeros((len(lengths), 3, FORCES + 3))
         stretch_gradient[:, :, :3] = -np.eye(3)
         stretch_gradient[:, :, 3] = -line.lengths[:, None] * balance.directions.unit_vectors
         stretch_gradient[:, :, 4:7] = -lengths[:, None, None] * balance.directions.turn_derivatives
@@ -289,9 +289,9 @@ class StabilityCheck:
         values = np.concatenate(
             [
                 balance.symmetric_values[self._selected_entries],
-                stiffness[:, :FORCE, :FORCE].ravel(),
-                stiffness[:, :FORCE, FORCE:].ravel(),
-                stiffness[:, FORCE:, FORCE:].ravel(),
+                stiffness[:, :FORCES, :FORCES].ravel(),
+                stiffness[:, :FORCES, FORCES:].ravel(),
+                stiffness[:, FORCES:, FORCES:].ravel(),
             ]
         )
         weighted_values = values * self._weights

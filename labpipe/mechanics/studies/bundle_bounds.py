@@ -166,7 +166,7 @@ def _add_bounds(stiffness: BoundedStiffness, model: _BundleOutcome) -> BoundedSt
 
 
 BUNDLE_FILE = "bundle.json"
-SCHEMA = 1
+BUNDLE_SCHEMA = 1
 """Version of the format of ``bundle.json``."""
 
 _UNSAFE_CHARACTERS = re.compile(r"[^\w.-]+")
@@ -357,7 +357,7 @@ def build_json(modelled: ModelledBundle) -> dict[str, object]:
     model, friction = modelled.model, modelled.friction
     slip_flags, stick_flags = model.is_doubtful, model.is_doubtful_stick
     return {
-        "schema": SCHEMA,
+        "schema": BUNDLE_SCHEMA,
         "labpipe": __version__,
         **select_json(modelled, "name", "wanted_bore", "conduits", "no_friction"),
         "bundle": asdict(model.bundle),

@@ -29,7 +29,7 @@ from labpipe.records.wire import (
 from labpipe.report.calibration_report import BentShape, ValidationGroup
 from labpipe.store.summaries import replace_non_finite, select_json, to_json
 
-SCHEMA = 2
+CALIBRATION_SCHEMA = 2
 """Version of the format of ``calibration.json``."""
 
 
@@ -75,7 +75,7 @@ def build_json(study: CalibrationStudy) -> dict[str, object]:
     solution_names = ("rise", "likelihood", "rmse", "limit", "covariance", "mixture")
     curve_names = ("test", "sample", "length", "sample_factor", *error_names, "runs_p")
     return {
-        "schema": SCHEMA,
+        "schema": CALIBRATION_SCHEMA,
         "labpipe": __version__,
         **select_json(calibration, "wire", "method", *names, quality="notes"),
         "parameters": [_build_parameter(parameter) for parameter in calibration.parameters],

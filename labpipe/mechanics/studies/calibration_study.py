@@ -61,8 +61,8 @@ from labpipe.records.wire import (
 from labpipe.report import calibration_report as reports
 from labpipe.units import GRAVITY
 
-MODEL_FILE = "calibration.json"
-WORKBOOK_FILE = "calibration.xlsx"
+CALIBRATION_FILE = "calibration.json"
+CALIBRATION_WORKBOOK = "calibration.xlsx"
 
 
 def calibrate_tests(
@@ -164,13 +164,13 @@ def calibrate_tests(
 
     def write_others(folder: Path) -> list[Path]:
         """Write the workbook and the decks into a folder."""
-        reports.save_calibration_workbook(report, folder / WORKBOOK_FILE)
-        return [folder / WORKBOOK_FILE, *write_decks(wire_tables, folder)]
+        reports.save_calibration_workbook(report, folder / CALIBRATION_WORKBOOK)
+        return [folder / CALIBRATION_WORKBOOK, *write_decks(wire_tables, folder)]
 
     say("tables and decks")
     written_files = write_study(
         study.folder,
-        {MODEL_FILE: json.dumps(build_json(study), allow_nan=False)},
+        {CALIBRATION_FILE: json.dumps(build_json(study), allow_nan=False)},
         [*reports.list_calibration_figures(report)] if figures else (),
         write_others=write_others,
         say=say,

@@ -40,16 +40,16 @@ from labpipe.records.result import Result, Status
 LOWEST_POINT, RADIUS = "lowest_point", "smallest_bend_radius"
 PATH_RADIUS = f"{RADIUS}_on_the_way"
 LOST_ENERGY, RESIDUAL_CURVATURE = "energy_lost", "kept_curvature"
-FORCE, MOMENT, SPRINGBACK = "force.", "moment.", "springback."
+FORCE_PREFIX, MOMENT_PREFIX, SPRINGBACK_PREFIX = "force.", "moment.", "springback."
 """Names of numbers, and beginnings of names that end with the name of a boundary."""
-SUPPORTS = rod.Held | rod.Ring | rod.String | rod.Plane
+SUPPORT_TYPES = rod.Held | rod.Ring | rod.String | rod.Plane
 """Types of boundaries that exert a reaction force."""
 _UNITS_BY_PREFIX = {
     RADIUS: "m",
     LOWEST_POINT: "m",
-    FORCE: "N",
-    MOMENT: "N*m",
-    SPRINGBACK: "m",
+    FORCE_PREFIX: "N",
+    MOMENT_PREFIX: "N*m",
+    SPRINGBACK_PREFIX: "m",
     RESIDUAL_CURVATURE: "1/m",
     LOST_ENERGY: "J",
 }
@@ -104,13 +104,13 @@ def evaluate_numbers(get_field: Callable[[str], Floats], path: RodPath) -> dict[
         for name in ("positions", "reaction_forces", "reaction_moments")
     )
     for index, boundary in enumerate(path.boundaries):
-        if isinstance(boundary, SUPPORTS):
-            vectors[f"{FORCE}{boundary.name}"] = forces[..., index, :]
+        if isinstance(boundary, SUPPORT_TYPES):
+            vectors[f"{FORCE_PREFIX}{boundary.name}"] = forces[..., index, :]
         if isinstance(boundary, rod.Held) and boundary.frame is not None:
-            vectors[f"{MOMENT}{boundary.name}"] = moments[..., index, :]
+            vectors[f"{MOMENT_PREFIX}{boundary.name}"] = moments[..., index, :]
     for support, release_step in list_releases(path):
         displacements = positions - get_field(f"positions {release_step - 1}")
-        vectors[f"{SPRINGBACK}{support.name}"] = displacements[..., support.node, :]
+        vectors[f"{SPRINGBACK_PREFIX}{support.name}"] = displacements[..., support.node, :]
     curvatures = [
         _compute_max_norm(get_field(f"curvature_vectors {step}")) for step in range(last_step + 1)
     ]
@@ -354,10 +354,10 @@ def _describe_numbers(path: RodPath) -> dict[str, str]:
     for index, boundary in enumerate(path.boundaries):
         step = int(np.argmax(forces[:, index]))
         remark = f"largest in all steps: {forces[step, index]:.4g} N at step {step}"
-        remarks[f"{FORCE}{boundary.name}"] = remark
+        remarks[f"{FORCE_PREFIX}{boundary.name}"] = remark
     for boundary, release_step in list_releases(path):
         remark = f"from its place in step {release_step - 1}, the last one before the release"
-        remarks[f"{SPRINGBACK}{boundary.name}"] = remark
+        remarks[f"{SPRINGBACK_PREFIX}{boundary.name}"] = remark
     residual = compute_residual_curvature(path.last, law)
     node = int(np.argmax(residual))
     if residual[node]:
@@ -484,7 +484,7 @@ def find_jump_doubt(path: RodPath) -> Doubt | None:
     steps = ", ".join(
         map(str, np.flatnonzero(step_losses > min_relative_loss * np.max(step_losses)))
     )
-    names = (LOST_ENERGY, RESIDUAL_CURVATURE, MOMENT, *_list_released_numbers(path))
+    names = (LOST_ENERGY, RESIDUAL_CURVATURE, MOMENT_PREFIX, *_list_released_numbers(path))
     percent = 100.0 * jump_energy / energy
     return Doubt(Reason.of("mechanics.studies.jumped", steps=steps, percent=percent), names)
 
@@ -547,10 +547,10 @@ def list_unloading_numbers(path: RodPath) -> tuple[str, ...]:
     """
     min_unbending = 0.1  # relative decrease of curvature below which forces hardly change
     names = (LOST_ENERGY, RESIDUAL_CURVATURE, *_list_released_numbers(path))
-    supports = [boundary for boundary in path.boundaries if isinstance(boundary, SUPPORTS)]
+    supports = [boundary for boundary in path.boundaries if isinstance(boundary, SUPPORT_TYPES)]
     has_several_supports = len(supports) - len(list_releases(path)) > 1
     if has_several_supports and compute_unbending(path) > min_unbending:
-        names += (FORCE, MOMENT)
+        names += (FORCE_PREFIX, MOMENT_PREFIX)
     return names
 
 
@@ -581,7 +581,7 @@ def make_share_doubts(
     """
     min_share, max_share = share_range
     max_ratio = 2.0  # of the upper to the lower end of an interval of a positive number
-    positive_numbers = (LOST_ENERGY, RESIDUAL_CURVATURE, SPRINGBACK, RADIUS)
+    positive_numbers = (LOST_ENERGY, RESIDUAL_CURVATURE, SPRINGBACK_PREFIX, RADIUS)
     affected_names = tuple(name for name in names if name in positive_numbers)
     for name, interval in intervals.items():
         if name.startswith(affected_names) and interval.upper > max_ratio * interval.lower:
@@ -592,7 +592,7 @@ def make_share_doubts(
 
 def _list_released_numbers(path: RodPath) -> tuple[str, ...]:
     """Return the names of the numbers that a release of the line changes."""
-    return (SPRINGBACK, RADIUS, LOWEST_POINT) if list_releases(path) else ()
+    return (SPRINGBACK_PREFIX, RADIUS, LOWEST_POINT) if list_releases(path) else ()
 
 
 def make_convergence_doubts(

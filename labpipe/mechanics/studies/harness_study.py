@@ -59,7 +59,7 @@ from labpipe.store.summaries import (
 
 SHAPE_FILE, FORCES_FILE, SWEEP_FILE = "shape.csv", "forces.csv", "sweep.csv"
 VTK_FILE, DECK_FILE = "shape.vtk", "line.mujoco.xml"
-SCHEMA = 1
+HARNESS_SCHEMA = 1
 """Version of the format of ``summary.json`` and ``failure.json``."""
 
 
@@ -181,7 +181,7 @@ def _build_header(solution: HarnessSolution) -> dict[str, object]:
     files = (describe_file("harness", solution.file), *solution.material.files)
     run_text = "".join([__version__, *(file.sha256 for file in files)])
     return {
-        "schema": SCHEMA,
+        "schema": HARNESS_SCHEMA,
         "harness": solution.file.stem,
         "about": solution.harness.about,
         "labpipe": __version__,

@@ -22,9 +22,9 @@ from labpipe.records.wire import WireSpec, WireTable
 from labpipe.report.wire_report import list_figure_names, list_wire_figures, save_wire_workbook
 from labpipe.store.summaries import select_json
 
-WORKBOOK_FILE = "wires.xlsx"
+MODEL_WORKBOOK = "wires.xlsx"
 MODEL_FILE = "model.json"
-SCHEMA = 1
+MODEL_SCHEMA = 1
 """Version of the format of ``model.json``."""
 
 
@@ -83,7 +83,7 @@ def model_wires(
         results cannot be written. Earlier results are then unchanged.
     """
     folder = Path("processed") / sheet.stem if out is None else out
-    for file in (folder / WORKBOOK_FILE, folder / MODEL_FILE):
+    for file in (folder / MODEL_WORKBOOK, folder / MODEL_FILE):
         if file.resolve() == sheet.resolve():
             raise UsageError.about("mechanics.studies.sheet_in_results", sheet, file=file)
     wire_sheet = read_wire_sheet(sheet)
@@ -99,7 +99,7 @@ def model_wires(
     def write_others(folder: Path) -> list[Path]:
         """Write the workbook and the decks into a folder, and return their paths."""
         texts_by_wire = {table.name: texts for table, texts in modelled_wires}
-        deck_paths, workbook_path = write_deck_texts(texts_by_wire, folder), folder / WORKBOOK_FILE
+        deck_paths, workbook_path = write_deck_texts(texts_by_wire, folder), folder / MODEL_WORKBOOK
         save_wire_workbook(tables, workbook_path, refusals=refusals, stress_tables=descriptions)
         return [workbook_path, *deck_paths]
 
@@ -171,7 +171,7 @@ def build_json(modelled: ModelledWires) -> dict[str, object]:
     modelled : modelled wires of a sheet
     """
     return {
-        "schema": SCHEMA,
+        "schema": MODEL_SCHEMA,
         "labpipe": __version__,
         "sheet": modelled.sheet.name,
         "wires": {

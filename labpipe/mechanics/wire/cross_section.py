@@ -569,7 +569,7 @@ def _sort_strands(centres: Floats, layers: tuple[Layer, ...]) -> Floats:
     return np.asarray(np.concatenate(rings) @ np.array([[cosine, -sine], [sine, cosine]]))
 
 
-LAYOUTS: Mapping[LayoutKind, Callable[[tuple[Layer, ...], Insulation], CrossSection]] = {
+LAYOUT_FUNCTIONS: Mapping[LayoutKind, Callable[[tuple[Layer, ...], Insulation], CrossSection]] = {
     "hexagonal": place_hexagon,
     "concentric": place_rings,
     "packed": pack_strands,
@@ -596,7 +596,7 @@ def make_cross_section(
         diameters.
     """
     if kind is not None:
-        return LAYOUTS[kind](layers, insulation)
+        return LAYOUT_FUNCTIONS[kind](layers, insulation)
     for place_layers in (place_hexagon, place_rings):
         with suppress(ValueError):  # the layout does not fit; the next one is tried
             return place_layers(layers, insulation)
