@@ -268,7 +268,7 @@ def _list_tables(
 
 
 def _make_channel_frame(recording: Recording, clock_name: str) -> pd.DataFrame:
-    """Make a table of the channels of a clock; a repeated name is replaced by the path."""
+    """Make a table of the channels of a clock; the path replaces a name that is not unique."""
     clock = recording.get_clock(clock_name)
     channels = [channel for channel in recording.channels if channel.clock == clock_name]
     counts = Counter(channel.name for channel in channels)
@@ -299,7 +299,7 @@ Paths: TypeAlias = PathLike | Iterable[PathLike]
 
 
 def parse_path(location: PathLike) -> Path:
-    """Convert a location to a path that the system accepts, even if nothing is there.
+    """Convert a location to a path that the system accepts, even if no file exists.
 
     Parameters
     ----------
@@ -487,7 +487,7 @@ def _parse_result(entry: Mapping[str, Any]) -> list[object]:
 
 
 def _make_column(name: str, values: Sequence[Any]) -> pd.Series:
-    """Make a column of dates if it is ``date``, of numbers if all values are, or of texts.
+    """Make a column: dates in ``date``, numbers if all values are numbers, otherwise texts.
 
     Missing values are None in `values`, and NaN or NaT in the column.
     """
@@ -508,7 +508,7 @@ def groups(
     folder : folder with processed tests at any depth, or several such folders
     by : field or fields of the test sheets, whose values make the groups; if empty, the fields by
         which a report groups tests
-    say : function that is called with the name of each test when the test is read
+    say : function that is called with the folder name of each test before it is read
 
     Returns
     -------

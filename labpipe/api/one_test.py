@@ -234,14 +234,14 @@ class Test:
         return replace_unprintable(f"<div><strong>{escape(heading)}</strong></div>{html}")
 
     def _build_name_error(self, kind: str, name: str, names: list[str]) -> UsageError:
-        """Build the error that a name is unknown, with the most similar of the valid names."""
+        """Build the error for an unknown name, with the most similar valid names."""
         if not names:
             return UsageError.about("api.none_of_kind", self.name, kind=kind)
         examples = ", ".join(sort_by_likeness(name, names, limit=7))
         return UsageError.about("api.unknown", self.name, kind=kind, names=examples, found=name)
 
     def _build_absence_error(self, stage: str) -> ProcessingError:
-        """Build the error that the test has no curve or shape, with the first error note."""
+        """Build the error for a missing curve or shape, with the first error note."""
         notes = self._outcome.quality
         reason = next((note.message for note in notes if note.severity is Severity.ERROR), "")
         if not reason:

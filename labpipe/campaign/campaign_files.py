@@ -68,19 +68,17 @@ def find_campaign(folder: Path) -> CampaignFolders:
     if not folder.is_dir():
         found = "a file" if folder.exists() else "nothing of that name"
         raise UsageError.about("campaign.no_campaign", folder, found=found)
-    start = folder.resolve()
-    top_folders = [parent for parent in (start, *start.parents) if parent.name in {RAW, PROCESSED}]
+    path = folder.resolve()
+    top_folders = [parent for parent in (path, *path.parents) if parent.name in {RAW, PROCESSED}]
     if not top_folders:
         raise UsageError.about("campaign.outside_campaigns", folder)
-    name = start.relative_to(top_folders[0])
-    current = Path.cwd().resolve()
-    paths = (top_folders[0].parent / top / name for top in (RAW, PROCESSED))
-    raw, processed = (
-        path.relative_to(current) if path.is_relative_to(current) else path for path in paths
-    )
+    relative_path = path.relative_to(top_folders[0])
+    cwd = Path.cwd().resolve()
+    paths = (top_folders[0].parent / top / relative_path for top in (RAW, PROCESSED))
+    raw, processed = (path.relative_to(cwd) if path.is_relative_to(cwd) else path for path in paths)
     if (raw / SHEET_NAME).is_file():
         raise UsageError.about("campaign.no_campaign", folder, found="the folder of a single test")
-    return CampaignFolders(name.as_posix(), raw, processed)
+    return CampaignFolders(relative_path.as_posix(), raw, processed)
 
 
 def find_campaign_name(folder: Path) -> str:
@@ -176,8 +174,8 @@ def list_processed(campaign: CampaignFolders) -> dict[str, OutcomeFiles]:
     Outcome files, keyed by folder of the test; tests without such files are absent.
     """
     outcomes = {}
-    for test, folder, _, hidden in _walk(campaign.processed, [], skipped_name=FIGURES_FOLDER):
-        if hidden & {*TEMPORARY_FOLDERS}:
+    for test, folder, _, hidden_names in _walk(campaign.processed, [], skipped_name=FIGURES_FOLDER):
+        if hidden_names & {*TEMPORARY_FOLDERS}:
             outcome = find_outcome(campaign, test)
         else:
             outcome = OutcomeFiles(Path(folder), _compute_signature(folder))
@@ -233,14 +231,14 @@ def _walk(
 
     for folder, subfolders, files in os.walk(top, onerror=note_error):
         links = {name for name in subfolders if os.path.islink(f"{folder}/{name}")}  # noqa: PTH114
-        hidden = {name for name in (*subfolders, *files) if name.startswith(".")}
-        undecodable = {name for name in {*subfolders, *files} - hidden if not _is_text(name)}
-        for name in sorted(undecodable):
-            printable = f"{folder}/{name}".encode("utf-8", "backslashreplace").decode()
-            problems.append(str(StoreError.about("campaign.undecodable_name", printable)))
-        subfolders[:] = sorted({*subfolders} - links - hidden - undecodable - {skipped_name})
+        hidden_names = {name for name in (*subfolders, *files) if name.startswith(".")}
+        bad_names = {name for name in {*subfolders, *files} - hidden_names if not _is_text(name)}
+        for name in sorted(bad_names):
+            printable_path = f"{folder}/{name}".encode("utf-8", "backslashreplace").decode()
+            problems.append(str(StoreError.about("campaign.undecodable_name", printable_path)))
+        subfolders[:] = sorted({*subfolders} - links - hidden_names - bad_names - {skipped_name})
         test = folder[len(str(top)) + 1 :].replace(os.sep, "/")
-        yield test, folder, [*({*files} | links) - hidden - undecodable], hidden
+        yield test, folder, [*({*files} | links) - hidden_names - bad_names], hidden_names
 
 
 def _is_text(name: str) -> bool:
@@ -279,13 +277,13 @@ class FileStamp(NamedTuple):
         return max(self.modified_ns, self.changed_ns) + coarsest_resolution_ns < self.hashed_ns
 
 
-def take_stamp(path: Path, previous: FileStamp | None = None) -> FileStamp:
+def take_stamp(path: Path, old_stamp: FileStamp | None = None) -> FileStamp:
     """Read the state of a file, and hash the file unless it is unchanged.
 
     Parameters
     ----------
     path : path of the file
-    previous : previous stamp of the file; None if there is none
+    old_stamp : previous stamp of the file; None if there is none
 
     Returns
     -------
@@ -295,8 +293,8 @@ def take_stamp(path: Path, previous: FileStamp | None = None) -> FileStamp:
     try:
         status = path.stat()
         state = (status.st_size, status.st_mtime_ns, status.st_ctime_ns, status.st_ino)
-        if previous is not None and state == previous[:4] and previous.is_reliable:
-            return previous
+        if old_stamp is not None and state == old_stamp[:4] and old_stamp.is_reliable:
+            return old_stamp
         if not stat.S_ISREG(status.st_mode):
             return _UNREADABLE_FILE
         with path.open("rb") as stream:
@@ -404,7 +402,7 @@ class InputReader:
             stamps[name].sha256 == stamp.sha256 for name, stamp in previous.stamps.items()
         )
         dependencies = previous.dependencies
-        current_dependencies = self._hash_dependencies(folder, *dependencies[:1])
+        current_dependencies = self._collect_dependencies(folder, *dependencies[:1])
         if are_files_unchanged and dependencies == current_dependencies:
             return previous if stamps == previous.stamps else replace(previous, stamps=stamps)
         return self._read_new_inputs(sheet_path, stamps)
@@ -412,6 +410,7 @@ class InputReader:
     def _read_new_inputs(
         self, sheet_path: Path, previous_stamps: Mapping[str, FileStamp]
     ) -> HashedInputs:
+        """Read the sheet and the protocol of a test, and hash its new and changed files."""
         folder, facts, protocol_name = sheet_path.parent, dict[str, str](), ""
         stamps = {SHEET_NAME: take_stamp(sheet_path, previous_stamps.get(SHEET_NAME))}
         try:
@@ -431,7 +430,7 @@ class InputReader:
             protocol_text = format_protocol(protocol)
             cards = fingerprint_dialect_cards(protocol)
         except (LabpipeError, OSError, ValueError):  # a faulty sheet or protocol
-            dependencies = self._hash_dependencies(folder, protocol_name)
+            dependencies = self._collect_dependencies(folder, protocol_name)
             file_hashes = [[name, stamp.sha256] for name, stamp in stamps.items()]
             key = hash_text(json.dumps(["unfit", file_hashes, *dependencies[1:]]))
             return HashedInputs(key, stamps=stamps, dependencies=dependencies, facts=facts)
@@ -443,11 +442,11 @@ class InputReader:
             make_input_key(hashes, sheet_text, protocol_text),
             SourceHashes(tuple(files), hash_text(sheet_text), hash_text(protocol_text)),
             stamps,
-            self._hash_dependencies(folder, protocol_name),
+            self._collect_dependencies(folder, protocol_name),
             facts,
         )
 
-    def _hash_dependencies(self, sheet_folder: Path, protocol_name: str = "") -> tuple[str, ...]:
+    def _collect_dependencies(self, sheet_folder: Path, protocol_name: str = "") -> tuple[str, ...]:
         """Collect `HashedInputs.dependencies` of a test with this protocol.
 
         The hash of the file of the protocol is empty if the file does not exist.
@@ -468,12 +467,12 @@ class InputReader:
         return hash_text(json.dumps(card_hashes)) if card_hashes else ""
 
 
-def describe_changes(before: SourceHashes, now: SourceHashes) -> str:
+def describe_changes(old_sources: SourceHashes, new_sources: SourceHashes) -> str:
     """Describe what changed since a test was processed.
 
     Parameters
     ----------
-    before, now : inputs of the stored results, and present inputs
+    old_sources, new_sources : hashes of the inputs of the stored results, and of the present inputs
 
     Returns
     -------
@@ -481,17 +480,17 @@ def describe_changes(before: SourceHashes, now: SourceHashes) -> str:
     it is ``labpipe changed`` for equal sheets and protocols, and ``unknown change`` if the hash of
     a sheet is missing.
     """
-    hashes_before, hashes_now = (
-        {name: sha256 for _, name, sha256 in hashes.files} for hashes in (before, now)
+    old_files, new_files = (
+        {name: sha256 for _, name, sha256 in hashes.files} for hashes in (old_sources, new_sources)
     )
-    changed_names = sorted({name for name, _ in hashes_before.items() ^ hashes_now.items()})
+    changed_names = sorted({name for name, _ in old_files.items() ^ new_files.items()})
     reasons = []
-    if changed_names and hashes_before and hashes_now:
+    if changed_names and old_files and new_files:
         reasons.append(f"file changed ({', '.join(changed_names)})")
-    if not before.sheet or not now.sheet:
+    if not old_sources.sheet or not new_sources.sheet:
         return ", ".join(reasons) or "unknown change"
-    reasons += ["sheet changed"] if before.sheet != now.sheet else []
-    reasons += ["protocol changed"] if before.protocol != now.protocol else []
+    reasons += ["sheet changed"] if old_sources.sheet != new_sources.sheet else []
+    reasons += ["protocol changed"] if old_sources.protocol != new_sources.protocol else []
     return ", ".join(reasons) or "labpipe changed"
 
 

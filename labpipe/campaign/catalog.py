@@ -113,7 +113,7 @@ class Entry(NamedTuple):
     ----------
     row : row of the table ``tests``
     file_state : state of the files of the test
-    source_hashes : exports, sheet and protocol of the last attempt
+    source_hashes : hashes of the exports, sheet and protocol of the last attempt
     results : results of the last successful attempt
     """
 
@@ -159,14 +159,14 @@ def read_outcome(folder: str, files: OutcomeFiles) -> Entry:
     the same key as the results is ignored, because the process that wrote these results was killed
     before it deleted the older failure.
     """
-    entry, names = Entry(TestRow(folder)), files.names
-    if {SUMMARY_FILE, RESULT_FILE} <= names:
+    entry, file_names = Entry(TestRow(folder)), files.names
+    if {SUMMARY_FILE, RESULT_FILE} <= file_names:
         entry = _read_summary(folder, files.folder / SUMMARY_FILE)
-    elif SUMMARY_FILE in names:
+    elif SUMMARY_FILE in file_names:
         entry = Entry(TestRow(folder, why=f"{RESULT_FILE} is missing"))
-    failure = _read_failure(files.folder / FAILURE_FILE) if FAILURE_FILE in names else {}
+    failure = _read_failure(files.folder / FAILURE_FILE) if FAILURE_FILE in file_names else {}
     run = failure.get("run") or ""
-    if FAILURE_FILE not in names or (run and run == entry.row.run):
+    if FAILURE_FILE not in file_names or (run and run == entry.row.run):
         return entry
     row = entry.row._replace(
         state=FAILED,
@@ -182,7 +182,7 @@ def read_outcome(folder: str, files: OutcomeFiles) -> Entry:
 
 
 def _read_summary(folder: str, path: Path) -> Entry:
-    """Read the results of a test; those that cannot be read give a pending entry."""
+    """Read the results of a test; if they cannot be read, the entry states the reason."""
     try:
         return _parse_summary(folder, read_summary(path))
     except StoreError as error:
@@ -203,22 +203,22 @@ _SUMMARY_COLUMNS = (
 def _parse_summary(folder: str, content: Mapping[str, Any]) -> Entry:
     """Parse the content of summary.json as the entry of a test."""
     results = tuple(map(_parse_result, content["results"]))
-    first_fault = next((result for result in results if result.status != OK), None)
+    bad_result = next((result for result in results if result.status != OK), None)
     specimen = {"type": "", "spool": "", "sample": "", **content["specimen"]}
-    texts = {**specimen, **content}
+    facts = {**specimen, **content}
     row = TestRow(
         folder,
-        state=PENDING if not content["run"] else OK if first_fault is None else DOUBTFUL,
-        code="" if first_fault is None else first_fault.code,
-        reason="" if first_fault is None else f"{first_fault.name}: {first_fault.reason}",
+        state=PENDING if not content["run"] else OK if bad_result is None else DOUBTFUL,
+        code="" if bad_result is None else bad_result.code,
+        reason="" if bad_result is None else f"{bad_result.name}: {bad_result.reason}",
         specimen=write_json(specimen),
-        **{key: str(texts.get(key) or "") for key in _SUMMARY_COLUMNS},
+        **{key: str(facts.get(key) or "") for key in _SUMMARY_COLUMNS},
     )
     return Entry(row, source_hashes=_parse_source_hashes(content), results=results)
 
 
 def _parse_source_hashes(content: Mapping[str, Any]) -> SourceHashes:
-    """Parse the exports, sheet and protocol from which an outcome was made."""
+    """Parse the hashes of the exports, sheet and protocol from which an outcome was made."""
     files = tuple(
         (str(file["role"]), str(file["file"]), str(file["sha256"])) for file in content["inputs"]
     )
@@ -227,7 +227,7 @@ def _parse_source_hashes(content: Mapping[str, Any]) -> SourceHashes:
 
 
 def _parse_result(entry: Mapping[str, Any]) -> ResultRow:
-    """Parse a result of summary.json; refuse numbers that were changed after it was written."""
+    """Parse a result of summary.json; refuse numbers that were changed after the seal was made."""
     seal = str(entry.get("seal") or "")
     if seal and seal != compute_entry_seal(entry):
         message = f"the numbers of {entry['name']} were changed"
@@ -294,7 +294,8 @@ class Claim(NamedTuple):
     ----------
     host : name of the machine, and the namespace of process ids if the system has namespaces
     pid : process id
-    start_time : start time of the process, s since 1970; a later process may have the same id
+    start_time : start time of the process as text, s since 1970; a later process may have the
+        same id
     since : time of the claim, s since 1970
     """
 
@@ -377,8 +378,8 @@ class Catalog:
 
     def _select(self, columns: str, table: str, folder: str | None) -> list[Any]:
         """Select columns of a table for one test, or for all tests if `folder` is None."""
-        where, values = ("", ()) if folder is None else (" where folder = ?", (folder,))
-        return self._fetch_all(f"select {columns} from {table}{where}", *values)
+        condition, values = ("", ()) if folder is None else (" where folder = ?", (folder,))
+        return self._fetch_all(f"select {columns} from {table}{condition}", *values)
 
     def read_rows(self, folder: str | None = None) -> dict[str, TestRow]:
         """Read rows of ``tests``, keyed by folder.
@@ -498,8 +499,8 @@ class Catalog:
         process.
         """
         with self._begin_transaction() as connection:
-            claims = self._fetch_all("select * from running where folder = ?", folder)
-            if any(is_alive(Claim(*claim[1:])) for claim in claims):
+            rows = self._fetch_all("select * from running where folder = ?", folder)
+            if any(is_alive(Claim(*row[1:])) for row in rows):
                 return False
             start_time = str(psutil.Process().create_time())
             claim = Claim(_identify_host(), os.getpid(), start_time, time.time())
@@ -569,7 +570,7 @@ def _insert(connection: sqlite3.Connection, table: str, rows: Sequence[Sequence[
 
 def _connect(path: Path | None) -> sqlite3.Connection:
     """Connect to a file, or to memory, in autocommit mode with explicit transactions."""
-    lock_timeout = 60.0  # s, for another process that writes
+    lock_timeout = 60.0  # s to wait for another process that writes
     connection = sqlite3.connect(
         path or ":memory:", timeout=lock_timeout, isolation_level=None, check_same_thread=False
     )
@@ -585,7 +586,7 @@ def open_catalog(folder: Path, notes: list[str]) -> Catalog:
     folder : folder of the results. It is made if it does not exist. If it is read-only, the catalog
         is a copy in memory; without a usable file, that copy is empty
     notes : list to which a message is added if the catalog is empty in memory, or if an unusable
-        catalog was replaced; that one is kept as ``catalog.sqlite.damaged``
+        catalog was replaced; the replaced file is kept as ``catalog.sqlite.damaged``
 
     Raises
     ------
@@ -593,15 +594,15 @@ def open_catalog(folder: Path, notes: list[str]) -> Catalog:
         If the catalog was made by a newer labpipe or another program, is in use, or cannot be
         opened or made.
     """
-    path, lock_timeout = folder / CATALOG, 30.0  # s, for another process that makes the catalog
+    path, lock_timeout = folder / CATALOG, 30.0  # s to wait for another process
     with suppress(OSError):
         folder.mkdir(parents=True, exist_ok=True)
     is_file_writable = not path.exists() or os.access(path, os.W_OK)
     if not (is_file_writable and os.access(folder, os.W_OK | os.X_OK)):
         memory = _connect(None)
-        with suppress(sqlite3.DatabaseError):  # a file that cannot be read is no catalog here
-            with closing(_open_file(path)) as file:
-                file.backup(memory)
+        with suppress(sqlite3.DatabaseError):  # then the copy is empty
+            with closing(_open_file(path)) as connection:
+                connection.backup(memory)
             return Catalog(memory, path, is_in_memory=True)
         notes.append(format_sentence("campaign.catalog_in_memory", path=path))
         return Catalog(_make_tables(memory), path, is_in_memory=True)
@@ -621,8 +622,8 @@ def open_catalog(folder: Path, notes: list[str]) -> Catalog:
             if path.exists():
                 notes.append(format_sentence("campaign.catalog_rebuilt", path=path, why=reason))
                 path.replace(path.with_name(f"{CATALOG}.damaged"))
-            for ending in ("-wal", "-shm", "-journal"):
-                path.with_name(CATALOG + ending).unlink(missing_ok=True)
+            for suffix in ("-wal", "-shm", "-journal"):
+                path.with_name(CATALOG + suffix).unlink(missing_ok=True)
             return Catalog(_make_tables(_connect(path)), path)
 
 
@@ -633,7 +634,7 @@ def _raise_if_refused(error: sqlite3.DatabaseError, path: Path) -> None:
 
 
 def _open_file(path: Path) -> sqlite3.Connection:
-    """Connect to a catalog after checking its tables; an absent file is an SQLite error."""
+    """Connect to a catalog and check its tables; raise an SQLite error if it does not exist."""
     if not path.exists():
         raise sqlite3.DatabaseError
     connection = _connect(path)
@@ -659,10 +660,10 @@ def _check_tables(connection: sqlite3.Connection, path: Path) -> None:
 
     Other faults are damage, and tables of an older labpipe.
     """
-    (program,) = connection.execute("pragma application_id").fetchone()
+    (application_id,) = connection.execute("pragma application_id").fetchone()
     (version,) = connection.execute("pragma user_version").fetchone()
     (n_tables,) = connection.execute("select count(*) from sqlite_schema").fetchone()
-    if program != APPLICATION_ID and n_tables:
+    if application_id != APPLICATION_ID and n_tables:
         raise UsageError.about("campaign.foreign_catalog", path)
     if version > SCHEMA:
         raise UsageError.about("campaign.newer_catalog", path, known=SCHEMA, found=version)

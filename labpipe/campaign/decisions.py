@@ -164,16 +164,16 @@ def _find_entry_fault(entry: Any) -> tuple[str, str] | None:
     """Find the fault of an entry: what is expected and what was found; None for a valid entry."""
     if not isinstance(entry, dict):
         return "a decision", repr(entry)[:60]
-    missing = [key for key in _DECISION_KEYS[:-1] if not str(entry.get(key) or "").strip()]
-    if missing:
-        return "test, run, decision, because and by", f"missing or empty: {', '.join(missing)}"
+    missing_keys = [key for key in _DECISION_KEYS[:-1] if not str(entry.get(key) or "").strip()]
+    if missing_keys:
+        return "test, run, decision, because and by", f"missing or empty: {', '.join(missing_keys)}"
     if entry["decision"] not in {ACCEPT, REJECT}:
         return f"{ACCEPT} or {REJECT}", repr(entry["decision"])[:60]
     return None
 
 
 def find_decision_in_force(decisions: Sequence[Decision], *, run: str) -> Decision | None:
-    """Return the decision in force: the last one on the present results, or a kept rejection.
+    """Find the decision in force: the last one on the present results, or an earlier rejection.
 
     Parameters
     ----------
@@ -186,11 +186,11 @@ def find_decision_in_force(decisions: Sequence[Decision], *, run: str) -> Decisi
     is a rejection, it remains in force until a person decides again, and its reason says so. None
     if no decision is in force.
     """
-    latest = next((decision for decision in reversed(decisions) if decision.run == run), None)
-    if latest is None and decisions and decisions[-1].decision == REJECT:
+    last_match = next((decision for decision in reversed(decisions) if decision.run == run), None)
+    if last_match is None and decisions and decisions[-1].decision == REJECT:
         because = f"{decisions[-1].because} ({format_sentence('campaign.needs_new_decision')})"
         return replace(decisions[-1], because=because)
-    return latest
+    return last_match
 
 
 def find_outdated_decisions(
@@ -205,8 +205,8 @@ def find_outdated_decisions(
 
     Yields
     ------
-    The last decision on each test that has no decision for its present results, and why it is not
-    for them: no such test, or results with another key.
+    The last decision on each test that has no decision for its present results, and why it does
+    not apply to them: no such test, or results with another key.
     """
     for test, test_decisions in decisions.items():
         if test not in runs:
@@ -229,7 +229,7 @@ def add_decisions(folder: Path, campaign: str, decisions: Iterable[Decision]) ->
     UsageError
         If the existing file cannot be read; it is then unchanged.
     StoreError
-        If it cannot be written, or another process holds the lock.
+        If the file cannot be written, or another process holds the lock.
 
     Notes
     -----
@@ -238,14 +238,14 @@ def add_decisions(folder: Path, campaign: str, decisions: Iterable[Decision]) ->
     """
     lock_timeout = 30.0  # s to wait for another process that writes
     with lock(folder, timeout=lock_timeout):
-        stored = read_decisions(folder)
-        if not stored.is_readable:
-            raise UsageError("\n".join(stored.faults))
-        document = {"schema": _SCHEMA, "campaign": campaign, "decisions": [], **stored.document}
+        file = read_decisions(folder)
+        if not file.is_readable:
+            raise UsageError("\n".join(file.faults))
+        document = {"schema": _SCHEMA, "campaign": campaign, "decisions": [], **file.document}
         document["decisions"] = [*document["decisions"], *map(asdict, decisions)]
         text = json.dumps(document, indent=2, ensure_ascii=False) + "\n"
-        with replace_file(folder / DECISIONS_FILE) as temporary:
-            temporary.write_bytes(text.encode("utf-8", "surrogatepass"))
+        with replace_file(folder / DECISIONS_FILE) as temporary_file:
+            temporary_file.write_bytes(text.encode("utf-8", "surrogatepass"))
 
 
 def format_current_time() -> str:
@@ -253,13 +253,13 @@ def format_current_time() -> str:
     return datetime.now(tz=UTC).isoformat(timespec="seconds")
 
 
-def find_decision_folder(file: Path, default: Path) -> tuple[Path, str]:
+def find_decision_folder(file: Path, default_folder: Path) -> tuple[Path, str]:
     """Find the folder with the decisions on a test, and the label of the test in them.
 
     Parameters
     ----------
     file : result.h5 of the test
-    default : folder of the campaign, used if no folder above the test contains decisions
+    default_folder : folder of the campaign, used if no folder above the test contains decisions
 
     Returns
     -------
@@ -268,7 +268,7 @@ def find_decision_folder(file: Path, default: Path) -> tuple[Path, str]:
     """
     test = file.resolve().parent
     folders = (parent for parent in test.parents if (parent / DECISIONS_FILE).is_file())
-    decision_folder = next(folders, default.resolve())
+    decision_folder = next(folders, default_folder.resolve())
     return decision_folder, test.relative_to(decision_folder).as_posix()
 
 
@@ -290,10 +290,10 @@ def read_decisions_by_file(files: Iterable[Path]) -> dict[Path, Sequence[Decisio
         If a file of decisions cannot be read; without it, a rejected test might be included.
     """
     decisions: dict[Path, Sequence[Decision]] = {}
-    read_once = cache(read_decisions)
+    read_decisions_once = cache(read_decisions)
     for file in files:
         decision_folder, label = find_decision_folder(file, file.parent)
-        content = read_once(decision_folder)
+        content = read_decisions_once(decision_folder)
         if not content.is_readable:
             raise StoreError("\n".join(content.faults))
         if content.document:
@@ -310,25 +310,25 @@ def exclude_rejected_tests(files: Sequence[Path]) -> tuple[list[Path], dict[Path
 
     Returns
     -------
-    included : files of the tests that were not rejected, in the order of `files`
-    rejected : reason, person and time of each rejection, keyed by file
+    included_files : files of the tests that were not rejected, in the order of `files`
+    rejections : reason, person and time of each rejection, keyed by file
 
     Raises
     ------
     LabpipeError
         If all tests were rejected, or decisions cannot be read.
     """
-    rejected = {}
+    rejections = {}
     for file, decisions in read_decisions_by_file(files).items():
         decision = find_decision_in_force(decisions, run=read_run(file)) if decisions else None
         if decision is not None and decision.decision == REJECT:
-            rejected[file] = decision.describe()
-    included = [file for file in files if file not in rejected]
-    if not included:
+            rejections[file] = decision.describe()
+    included_files = [file for file in files if file not in rejections]
+    if not included_files:
         raise UsageError(
-            "\n".join(f"{file}: rejected: {reason}" for file, reason in rejected.items())
+            "\n".join(f"{file}: rejected: {reason}" for file, reason in rejections.items())
         )
-    return included, rejected
+    return included_files, rejections
 
 
 @dataclass(slots=True)
@@ -423,12 +423,12 @@ def import_decisions(
             imported.not_imported.append((decision, reason))
             continue
         decision_folder, label = decision_folders[result_file]
-        relabelled = replace(decision, test=label)
-        if relabelled in stored.get(result_file, ()):
+        relabelled_decision = replace(decision, test=label)
+        if relabelled_decision in stored.get(result_file, ()):
             imported.n_stored_before += 1
         else:
             imported.added.append(decision)
-            added_by_folder[decision_folder].append(relabelled)
+            added_by_folder[decision_folder].append(relabelled_decision)
     for decision_folder, added_decisions in added_by_folder.items():
         add_decisions(decision_folder, campaign, added_decisions)
     return imported
@@ -437,7 +437,7 @@ def import_decisions(
 def _find_result(
     decision: Decision, files: Iterable[Path], read_key: Callable[[Path], tuple[str, str]]
 ) -> tuple[Path | None, str]:
-    """Find the result file that a decision with a valid time judges.
+    """Find the result file to which a decision applies.
 
     Parameters
     ----------
@@ -454,8 +454,8 @@ def _find_result(
     try:
         datetime.fromisoformat(decision.when or format_current_time())
     except ValueError:
-        time, valid = decision.when[:40], format_current_time()
-        return None, format_sentence("campaign.bad_time", time=time, valid=valid)
+        time, example_time = decision.when[:40], format_current_time()
+        return None, format_sentence("campaign.bad_time", time=time, valid=example_time)
     reason = format_sentence("campaign.no_such_test")
     for file in files:
         key, fault = read_key(file)

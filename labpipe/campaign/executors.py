@@ -74,7 +74,7 @@ Outcome: TypeAlias = ProcessedTest | RefusedTest
 Outcomes: TypeAlias = Generator[tuple[Task, Outcome], None, None]
 """Tasks of tests with their outcomes, in the order of completion."""
 Executor: TypeAlias = Callable[[Iterable[Task]], Outcomes]
-"""Function that processes tasks; it takes the next task whenever that can be started."""
+"""Function that processes tasks; it takes a task only when the task can be started."""
 
 
 def await_outcome(task: Task, future: Future[Outcome]) -> Outcome:
@@ -97,14 +97,14 @@ def await_outcome(task: Task, future: Future[Outcome]) -> Outcome:
 
 
 def _record_failure(task: Task, error: LabpipeError) -> RefusedTest:
-    """Record why a test failed without reading its exports, since these may crash a process."""
+    """Record why a test failed; do not read its exports, which may crash a process."""
     return record_refusal(task, error.code, str(error), reads_inputs=False)
 
 
 def process_locally(tasks: Iterable[Task], jobs: int, time_limit: float | None = None) -> Outcomes:
     """Process tests in child processes of this machine.
 
-    With given `jobs` and `time_limit`, the function is an `Executor`.
+    `functools.partial` of this function and `jobs` is an `Executor`.
 
     Parameters
     ----------
@@ -115,8 +115,8 @@ def process_locally(tasks: Iterable[Task], jobs: int, time_limit: float | None =
     futures = run_as_completed(
         try_to_process, tasks, jobs=jobs, time_limit=time_limit, subject=lambda task: task.source
     )
-    with closing(futures) as completed:
-        for task, future in completed:
+    with closing(futures) as completed_calls:
+        for task, future in completed_calls:
             yield task, await_outcome(task, future)
 
 
@@ -137,7 +137,7 @@ def parse_executor(text: str, jobs: int | None = None, time_limit: float | None 
     Raises
     ------
     UsageError
-        If the text is none of these.
+        If the text has another form.
     """
     if text == "local":
         return partial(process_locally, jobs=jobs or choose_default_jobs(), time_limit=time_limit)
@@ -195,8 +195,8 @@ def process_tests(
     refuse_duplicates(folders_and_sheets, "folder of results")
     if len(tests) == 1:
         return [*outcomes.values(), *(try_to_process(task, is_alone=True) for task in tasks)]
-    with closing(process_locally(tasks, jobs=jobs, time_limit=time_limit)) as completed:
-        for task, outcome in completed:
+    with closing(process_locally(tasks, jobs=jobs, time_limit=time_limit)) as completed_tests:
+        for task, outcome in completed_tests:
             on_outcome(task.source)
             outcomes[task.source] = outcome
     return [outcomes[test] for test in tests]
@@ -254,11 +254,11 @@ def process_on_worker(
     """
     check_worker(working_folder / task.source, versions)
     process = vars(_THREAD_DATA).setdefault("process", WorkerProcess())
-    call = partial(_attempt_in_folder, working_folder, task)
+    call = partial(_process_in_folder, working_folder, task)
     return cast("Outcome", process.call(call, subject=task.source, time_limit=time_limit))
 
 
-def _attempt_in_folder(working_folder: Path, task: Task) -> Outcome:
+def _process_in_folder(working_folder: Path, task: Task) -> Outcome:
     """Process a test in the working folder of the client."""
     with suppress(OSError):  # the folder is not needed if all paths are absolute
         os.chdir(working_folder)
@@ -291,13 +291,13 @@ def process_on_cluster(
             try:
                 if first_task.source.exists():
                     arguments = Path.cwd() / first_task.source, _VERSIONS
-                    answers = client.run(check_worker, *arguments, on_error="return")
-                    for error in filter(None, answers.values()):
+                    worker_errors = client.run(check_worker, *arguments, on_error="return")
+                    for error in filter(None, worker_errors.values()):
                         raise _convert_worker_error(error)
                 yield from _process_all(client, all_tasks, time_limit)
             except LabpipeError:
                 raise
-            except (OSError, CancelledError) as error:  # as a TimeoutError and a lost connection
+            except (OSError, CancelledError) as error:  # a timeout or a lost connection
                 raise ProcessingError.about(
                     "campaign.lost_scheduler", "--executor", address=address
                 ) from error
@@ -306,7 +306,7 @@ def process_on_cluster(
 
 
 def _convert_worker_error(error: Exception) -> LabpipeError:
-    """Convert an error of a worker that cannot run labpipe; errors of labpipe remain."""
+    """Convert an error of a worker that cannot run labpipe; keep an error of labpipe."""
     if isinstance(error, LabpipeError):
         return error
     kind, message = type(error).__name__, (str(error).splitlines() or [""])[0]
@@ -349,25 +349,25 @@ def _process_all(client: Client, tasks: Iterator[Task], time_limit: float | None
 
     check_interval, worker_timeout = 5.0, 120.0  # s
     last_time_with_worker = time.monotonic()
-    submitted: dict[Any, Task] = {}
+    submitted_tasks: dict[Any, Task] = {}
     while True:
         n_threads = sum(client.nthreads().values())
         if n_threads:
             last_time_with_worker = time.monotonic()
         elif time.monotonic() - last_time_with_worker >= worker_timeout:
             raise TimeoutError
-        # No more tests are submitted than there are threads: when a worker dies, dask counts the
-        # tests in its queue as failed.
-        for task in islice(tasks, max(not submitted, n_threads - len(submitted))):
+        # At most one test per thread is submitted: when a worker dies, dask counts the tests in
+        # its queue as failed.
+        for task in islice(tasks, max(not submitted_tasks, n_threads - len(submitted_tasks))):
             arguments = (task, Path.cwd(), time_limit, _VERSIONS)
-            submitted[client.submit(process_on_worker, *arguments, pure=False)] = task
-        if not submitted:
+            submitted_tasks[client.submit(process_on_worker, *arguments, pure=False)] = task
+        if not submitted_tasks:
             return
-        completed: Iterable[Any] = ()
+        completed_futures: Iterable[Any] = ()
         with suppress(TimeoutError), client.as_current():
-            completed = wait([*submitted], check_interval, "FIRST_COMPLETED").done
-        for future in completed:
-            task = submitted.pop(future)
+            completed_futures = wait([*submitted_tasks], check_interval, "FIRST_COMPLETED").done
+        for future in completed_futures:
+            task = submitted_tasks.pop(future)
             yield task, _fetch_outcome(task, future)
 
 
@@ -393,10 +393,10 @@ def _fetch_outcome(task: Task, future: Any) -> Outcome:
 
 
 def _can_read_results(processed: ProcessedTest) -> bool:
-    """Return whether the results of a worker can be read here, after a delay of a shared drive."""
+    """Return whether the results of a worker can be read here; wait for a slow shared drive."""
     max_delay, check_interval = 5.0, 0.1  # s
-    end, key = time.monotonic() + max_delay, json.dumps(processed.result.run)
-    while time.monotonic() < end:
+    deadline, key = time.monotonic() + max_delay, json.dumps(processed.result.run)
+    while time.monotonic() < deadline:
         with suppress(OSError):
             if key in (processed.folder / SUMMARY_FILE).read_text(encoding="utf-8"):
                 return True

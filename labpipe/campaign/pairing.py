@@ -148,7 +148,7 @@ def _list_by_folder(
     folder: Path, pair: FolderPair, is_skipped: Callable[[Path], bool]
 ) -> CandidateListing:
     """List each folder with files as a test."""
-    top_files = filter(_could_be_export, _scan(folder)[1])
+    top_files = filter(_could_be_export, _list_entries(folder)[1])
     unused_files = {folder / name: "it is not in the folder of a test" for name in top_files}
     candidates = []
     for test_folder, names in _walk_test_folders(folder, is_skipped):
@@ -168,10 +168,10 @@ def _walk_test_folders(
     folder: Path, is_skipped: Callable[[Path], bool]
 ) -> Iterator[tuple[Path, list[str]]]:
     """Yield the topmost folders with files below a folder, and the names of these files."""
-    for subfolder in _scan(folder)[0]:
+    for subfolder in _list_entries(folder)[0]:
         if is_skipped(subfolder):
             continue
-        if names := _scan(subfolder)[1]:
+        if names := _list_entries(subfolder)[1]:
             yield subfolder, names
         else:
             yield from _walk_test_folders(subfolder, is_skipped)
@@ -180,7 +180,7 @@ def _walk_test_folders(
 def _list_by_name(
     folder: Path, pair: NamePair, is_skipped: Callable[[Path], bool]
 ) -> CandidateListing:
-    """List as one test the exports whose names agree in the values of the patterns."""
+    """Assign exports to one test if their names have the same values in the patterns."""
     top, patterns = folder / pair.source, pair.exports
     candidates: dict[tuple[str, ...], Candidate] = {}
     unused_files: dict[Path, str] = {}
@@ -202,9 +202,9 @@ def _list_by_name(
             files = candidates.setdefault(key, Candidate(folder / test, {}, values)).files
             if files.setdefault(role, path) != path:
                 unused_files[path] = f"{files[role].name} is already the {role} of the same test"
-    included = [candidate for candidate in candidates.values() if not is_skipped(candidate.folder)]
-    included.sort(key=lambda candidate: candidate.name)
-    return CandidateListing(tuple(included), unused_files)
+    tests = [candidate for candidate in candidates.values() if not is_skipped(candidate.folder)]
+    tests.sort(key=lambda candidate: candidate.name)
+    return CandidateListing(tuple(tests), unused_files)
 
 
 def _walk_exports(top: Path, depth: int, prefix: str = "") -> Iterator[str]:
@@ -218,7 +218,7 @@ def _walk_exports(top: Path, depth: int, prefix: str = "") -> Iterator[str]:
     depth : number of levels of folders, 1 for the folder alone
     prefix : path of the folder relative to the topmost one, with a slash at the end
     """
-    folders, names = _scan(top)
+    folders, names = _list_entries(top)
     if prefix and SHEET_NAME in names:
         return
     yield from (f"{prefix}{name}" for name in names if _could_be_export(name))
@@ -226,12 +226,12 @@ def _walk_exports(top: Path, depth: int, prefix: str = "") -> Iterator[str]:
         yield from _walk_exports(folder, depth - 1, f"{prefix}{folder.name}/")
 
 
-def _scan(folder: Path) -> tuple[list[Path], list[str]]:
+def _list_entries(folder: Path) -> tuple[list[Path], list[str]]:
     """List the visible subfolders of a folder and the names of its visible files, sorted."""
     with os.scandir(folder) as entries:
-        visible = [entry for entry in entries if not entry.name.startswith(".")]
-        folders = sorted(folder / entry.name for entry in visible if entry.is_dir())
-        return folders, sorted(entry.name for entry in visible if entry.is_file())
+        visible_entries = [entry for entry in entries if not entry.name.startswith(".")]
+        folders = sorted(folder / entry.name for entry in visible_entries if entry.is_dir())
+        return folders, sorted(entry.name for entry in visible_entries if entry.is_file())
 
 
 def _could_be_export(name: str) -> bool:
@@ -283,26 +283,28 @@ def pair_test(candidate: Candidate, plan: CampaignPlan, stable_time: float = 0.0
         return _check_sheet(candidate)
     if isinstance(plan.pair, NamePair):
         roles = plan.pair.exports if plan.wait_for is None else plan.wait_for
-        if missing_roles := tuple(role for role in roles if role not in candidate.files):
-            return PairingOutcome(None, missing_files=missing_roles)
+        if absent_roles := tuple(role for role in roles if role not in candidate.files):
+            return PairingOutcome(None, missing_files=absent_roles)
     copies = _copy_exports(candidate)
-    tests = read_campaign_tests(candidate.folder.resolve().parent)
-    inferred = infer_test(candidate.folder, collect_columns(plan, candidate), campaign_tests=tests)
-    protocol_counts = count_protocols(tests, candidate.folder)
-    missing = _find_missing_roles(inferred, plan, protocol_counts, stable_time)
-    if inferred.read_errors or missing:
-        # The originals may still be written, so that the copies may be incomplete.
+    other_tests = read_campaign_tests(candidate.folder.resolve().parent)
+    test = infer_test(
+        candidate.folder, collect_columns(plan, candidate), campaign_tests=other_tests
+    )
+    protocol_counts = count_protocols(other_tests, candidate.folder)
+    missing_roles = _find_missing_roles(test, plan, protocol_counts, stable_time)
+    if test.read_errors or missing_roles:
+        # Another program may still write the originals, and the copies may be incomplete.
         for copy in copies:
             copy.unlink(missing_ok=True)
         with suppress(OSError):  # the folder is not empty
             if copies:
                 candidate.folder.rmdir()
-        return PairingOutcome(None, missing_files=missing, read_errors=inferred.read_errors)
+        return PairingOutcome(None, missing_files=missing_roles, read_errors=test.read_errors)
     # These facts of the plan have no column in a campaign sheet.
     specimen = {key: value for key, value in plan.specimen.items() if key not in _SPECIMEN_COLUMNS}
     overrides = {key: override.model_dump() for key, override in plan.overrides.items()}
-    completed = replace(inferred, blocks={"specimen": specimen, "overrides": overrides})
-    sheet = write_inferred_sheet(completed)
+    completed_test = replace(test, blocks={"specimen": specimen, "overrides": overrides})
+    sheet = write_inferred_sheet(completed_test)
     return PairingOutcome(sheet.path, sheet.remarks, is_new=True, open_keys=sheet.open_keys)
 
 
@@ -313,17 +315,17 @@ def _check_sheet(candidate: Candidate) -> PairingOutcome:
     except ProtocolError:
         return PairingOutcome(candidate.sheet)  # processing reports the fault
     names = chain.from_iterable(sheet.files.values())
-    missing = tuple(name for name in names if not (candidate.folder / name).exists())
-    if missing:
-        return PairingOutcome(None, missing_files=missing)
+    missing_files = tuple(name for name in names if not (candidate.folder / name).exists())
+    if missing_files:
+        return PairingOutcome(None, missing_files=missing_files)
     originals = [path for path in candidate.files.values() if path.parent != candidate.folder]
-    changed = [path for path in originals if _differs(path, candidate.folder / path.name)]
-    messages = [format_sentence("campaign.newer_export", file=path.name) for path in changed]
+    changed_files = [path for path in originals if _differs(path, candidate.folder / path.name)]
+    messages = [format_sentence("campaign.newer_export", file=path.name) for path in changed_files]
     return PairingOutcome(candidate.sheet, tuple(messages))
 
 
 def _differs(path: Path, copy: Path) -> bool:
-    """Return whether size or modification time of an export differ from those of its copy.
+    """Return whether an export differs from its copy in size or modification time.
 
     A missing copy does not differ. Times are compared in whole seconds, since some drives store
     no fractions.
@@ -335,7 +337,7 @@ def _differs(path: Path, copy: Path) -> bool:
 
 
 def _find_missing_roles(
-    inferred: InferredTest, plan: CampaignPlan, protocol_counts: Counter[str], stable_time: float
+    test: InferredTest, plan: CampaignPlan, protocol_counts: Counter[str], stable_time: float
 ) -> tuple[str, ...]:
     """Find the missing roles, from the inferred test and the protocols of other tests.
 
@@ -347,7 +349,7 @@ def _find_missing_roles(
 
     Parameters
     ----------
-    inferred : facts of the test from its exports
+    test : facts of the test from its exports
     plan : plan of the campaign
     protocol_counts : number of other tests with each protocol, keyed by name of the protocol
     stable_time : time since a change of the exports was last seen, s
@@ -355,31 +357,29 @@ def _find_missing_roles(
     required_roles: list[str] = [*(plan.wait_for or ())]
     optional_roles: list[str] = []
     if plan.wait_for is None and plan.protocol:
-        sources = _load_sources(plan.protocol, inferred.folder)
+        sources = _load_sources(plan.protocol, test.folder)
         required_roles, optional_roles = _list_required_roles(sources), [*sources]
     elif plan.wait_for is None:
         possible_sources = _filter_sources(
-            inferred, (_load_sources(name, inferred.folder) for name in protocol_counts)
-        ) or _filter_sources(inferred, (protocol.sources for protocol in load_all_protocols()))
-        sources = _load_sources(find_majority(protocol_counts), inferred.folder)
+            test, (_load_sources(name, test.folder) for name in protocol_counts)
+        ) or _filter_sources(test, (protocol.sources for protocol in load_all_protocols()))
+        sources = _load_sources(find_majority(protocol_counts), test.folder)
         if sources not in possible_sources:
-            sources = _load_sources(inferred.values.get("protocol", ""), inferred.folder)
-        required_elsewhere = set(chain.from_iterable(map(_list_required_roles, possible_sources)))
+            sources = _load_sources(test.values.get("protocol", ""), test.folder)
+        possible_roles = set(chain.from_iterable(map(_list_required_roles, possible_sources)))
         required_roles = _list_required_roles(sources)
-        optional_roles = [role for role in sources if role in required_elsewhere]
-    missing = [role for role in required_roles if role not in inferred.files]
-    if not missing and stable_time < plan.patience:
-        missing = [role for role in optional_roles if role not in inferred.files]
-    return tuple(missing)
+        optional_roles = [role for role in sources if role in possible_roles]
+    missing_roles = [role for role in required_roles if role not in test.files]
+    if not missing_roles and stable_time < plan.patience:
+        missing_roles = [role for role in optional_roles if role not in test.files]
+    return tuple(missing_roles)
 
 
 def _filter_sources(
-    inferred: InferredTest, candidates: Iterable[Mapping[Role, Source]]
+    test: InferredTest, source_maps: Iterable[Mapping[Role, Source]]
 ) -> list[Mapping[Role, Source]]:
     """Return the sources of those protocols that have all roles of the exports of a test."""
-    return [
-        sources for sources in candidates if sources and sources.keys() >= inferred.files.keys()
-    ]
+    return [sources for sources in source_maps if sources and sources.keys() >= test.files.keys()]
 
 
 def _load_sources(name: str, folder: Path) -> Mapping[Role, Source]:
@@ -408,7 +408,7 @@ def _copy_exports(candidate: Candidate) -> list[Path]:
             continue
         with map_errors(copy):
             candidate.folder.mkdir(parents=True, exist_ok=True)
-            with replace_file(copy) as temporary:
-                shutil.copy2(path, temporary)
+            with replace_file(copy) as temporary_file:
+                shutil.copy2(path, temporary_file)
         copies.append(copy)
     return copies

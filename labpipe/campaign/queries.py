@@ -36,7 +36,7 @@ QUERY_COLUMNS: Final = {
         *("date", "operator", "labpipe", "run"),
     )
 }
-"""SQL expressions, keyed by column; a query adds dimensions, labels and answers of the tests."""
+"""SQL expressions, keyed by column; a query adds dimensions, labels and observations."""
 _MAX_SHEET_ROWS: Final = 1_048_575
 """Largest number of rows of a worksheet below its header row."""
 _ALLOWED_ACTIONS: Final = frozenset(
@@ -69,13 +69,13 @@ class QueryResult:
     rows: Sequence[Sequence[Any]]
 
 
-def query_results(catalog: Catalog, where: str) -> QueryResult:
+def query_results(catalog: Catalog, condition: str) -> QueryResult:
     """Query the results that match a condition.
 
     Parameters
     ----------
     catalog : catalog of the campaign
-    where : SQL condition on the columns; empty for all results
+    condition : SQL condition on the columns; empty for all results
 
     Returns
     -------
@@ -87,7 +87,7 @@ def query_results(catalog: Catalog, where: str) -> QueryResult:
     UsageError
         If the condition is invalid or takes too long.
     """
-    base_checks, checks_per_result = 200, 0.05  # limit of the duration, in `_STEPS_PER_CHECK`
+    base_checks, checks_per_result = 200, 0.05  # a query with more checks is stopped
     with catalog.open_copy() as connection:
         columns = QUERY_COLUMNS | _list_specimen_columns(connection)
         (n_results,) = connection.execute("select count(*) from results").fetchone()
@@ -98,23 +98,23 @@ def query_results(catalog: Catalog, where: str) -> QueryResult:
         connection.set_progress_handler(lambda: next(check_numbers) > max_checks, _STEPS_PER_CHECK)
         selection = ", ".join(f'{sql} as "{name}"' for name, sql in columns.items())
         # The condition is on its own line, so that a comment in it ends there.
-        condition = f"where (\n{where}\n)" if where.strip() else ""
+        clause = f"where (\n{condition}\n)" if condition.strip() else ""
         sql = (
             f"select * from (select {selection} from tests left join results"
             " on results.folder = tests.folder order by tests.folder, results.place) "
-            f"{condition}"
+            f"{clause}"
         )
         try:
             return QueryResult(tuple(columns), connection.execute(sql).fetchall())
         except (sqlite3.Error, sqlite3.Warning, ValueError) as error:
-            raise _make_condition_error(where, str(error), list(columns)) from error
+            raise _make_condition_error(condition, str(error), list(columns)) from error
 
 
-def _make_condition_error(where: str, message: str, columns: list[str]) -> UsageError:
+def _make_condition_error(condition: str, message: str, columns: list[str]) -> UsageError:
     """Make the error of a condition from the message of SQLite."""
-    place = repr(where)
-    if missing := re.match(r"no such column: \"?([^\"]*?)\"?(?: - .*)?$", message):
-        near = ", ".join(sort_by_likeness(missing[1], columns, limit=3))
+    place = repr(condition)
+    if match := re.match(r"no such column: \"?([^\"]*?)\"?(?: - .*)?$", message):
+        near = ", ".join(sort_by_likeness(match[1], columns, limit=3))
         return UsageError.about(
             "campaign.unknown_column", "--where", place, message=message, near=near
         )
@@ -126,13 +126,13 @@ def _make_condition_error(where: str, message: str, columns: list[str]) -> Usage
 
 
 def _list_specimen_columns(connection: sqlite3.Connection) -> dict[str, str]:
-    """List the SQL expressions of dimensions, labels and answers of the tests, keyed by column."""
+    """List the SQL expressions of dimensions, labels and observations, keyed by column."""
     max_columns = 200
-    scalars = "where json_each.type in ('real', 'integer', 'text')"
+    scalar_clause = "where json_each.type in ('real', 'integer', 'text')"
     columns: dict[str, str] = {}
-    for block, condition in (("$", scalars), ("$.labels", ""), ("$.observed", "")):
+    for block, clause in (("$", scalar_clause), ("$.labels", ""), ("$.observed", "")):
         table = f"tests, json_each(tests.specimen, '{block}')"
-        sql = f"select distinct key from {table} {condition} order by key"
+        sql = f"select distinct key from {table} {clause} order by key"
         for (key,) in connection.execute(sql):
             name = str(key).casefold()
             is_taken = name in QUERY_COLUMNS or name in columns
@@ -163,10 +163,10 @@ def format_query_result(query_result: QueryResult, output_format: str) -> str:
         entries = (dict(zip(names, row, strict=True)) for row in rows)
         lines = ",".join(f"\n{json.dumps(entry, ensure_ascii=False)}" for entry in entries)
         return f"[{lines}\n]\n"
-    tests, *other_columns = [
+    first_column, *other_columns = [
         [*map(_format_cell, cells)] for cells in zip(names, *rows, strict=True)
     ]
-    columns = [tests, *(cells for cells in other_columns if cells[1:] != tests[1:])]
+    columns = [first_column, *(cells for cells in other_columns if cells[1:] != first_column[1:])]
     shown_columns = [cells for cells in columns if cells[0] != "run" and any(cells[1:])]
     return "".join(f"{line}\n" for line in align_columns(shown_columns))
 

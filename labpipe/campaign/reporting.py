@@ -70,7 +70,7 @@ from labpipe.statistics.lots import judge_lot
 from labpipe.statistics.means import PoolingLimits
 from labpipe.statistics.significance import judge_family, mark_outliers
 from labpipe.store.replace import lock, replace_files
-from labpipe.store.result_files import read_reported, read_result
+from labpipe.store.result_files import read_report_parts, read_result
 from labpipe.store.summaries import SUMMARY_FILE, check_summary
 
 _SECTIONS = ("align", "steps", "curve", "branches", "results")
@@ -94,14 +94,16 @@ def list_settings(protocol: Protocol) -> Settings:
     Returns
     -------
     Values of the settings, keyed by dotted keys such as ``results.stiffness_first.from``. The key
-    of an item of a list is its name or its kind. A list also has an entry of its own, which gives
-    the order of its items.
+    of an item of a list is its name or its kind, with a number if an earlier item has the same key.
+    A list also has an entry of its own, which gives the order of its items.
     """
     data = protocol.model_dump(mode="json", by_alias=True)
-    return dict(_flatten({key: data[key] for key in _SECTIONS if data.get(key) is not None}, ""))
+    return dict(
+        _flatten_data({key: data[key] for key in _SECTIONS if data.get(key) is not None}, "")
+    )
 
 
-def _flatten(data: object, path: str) -> Iterator[tuple[str, str]]:
+def _flatten_data(data: object, path: str) -> Iterator[tuple[str, str]]:
     """Yield the dotted keys and the values of nested data.
 
     Parameters
@@ -122,7 +124,7 @@ def _flatten(data: object, path: str) -> Iterator[tuple[str, str]]:
     else:
         yield path, str(data)
     for key, value in items.items():
-        yield from _flatten(value, f"{path}.{key}" if path else key)
+        yield from _flatten_data(value, f"{path}.{key}" if path else key)
 
 
 def note_differing_settings(
@@ -138,15 +140,16 @@ def note_differing_settings(
     Returns
     -------
     One note ``protocols_differ`` for each block of the protocol in which settings differ. It names
-    the key of the setting, or only the block if several settings differ.
+    the key of the setting. If several settings differ, it names the block, their number and the
+    first key.
     """
     noted_keys = tuple(
         key for name in noted_results for key in (f"results.{name}.", f"curve.{name}.decision")
     )
     differences_by_block = defaultdict[str, dict[str, TestsByValue]](dict)
-    for key, tests in find_differing_settings(settings).items():
+    for key, tests_by_value in find_differing_settings(settings).items():
         if not key.startswith(noted_keys):
-            differences_by_block[key.partition(".")[0]][key] = tests
+            differences_by_block[key.partition(".")[0]][key] = tests_by_value
     notes = []
     for block, differences in differences_by_block.items():
         key = next(iter(differences))
@@ -174,8 +177,8 @@ def find_differing_settings(settings: Mapping[str, Settings]) -> dict[str, Tests
     differences: dict[str, TestsByValue] = {}
     for key in dict.fromkeys(key for values in settings.values() for key in values):
         tests = defaultdict[str, list[str]](list)
-        for test, values in settings.items():
-            tests[values.get(key, _NO_VALUE)].append(test)
+        for test, test_settings in settings.items():
+            tests[test_settings.get(key, _NO_VALUE)].append(test)
         is_in_list = _NO_VALUE in tests and any(key.startswith(f"{path}.") for path in differences)
         if len(tests) > 1 and not is_in_list:
             differences[key] = tests
@@ -202,7 +205,7 @@ def describe_differing_settings(settings: Mapping[str, Settings]) -> tuple[str, 
 
 
 class GroupKey(NamedTuple):
-    """Fields that the samples of a group have in common.
+    """Fields and protocol that the samples of a group have in common.
 
     Parameters
     ----------
@@ -221,7 +224,7 @@ class GroupKey(NamedTuple):
 
     @property
     def rank(self) -> tuple[object, ...]:
-        """Sort key: types are sorted alphabetically, other fields by size or alphabetically."""
+        """Key that sorts by fields, then by protocol; types are sorted alphabetically."""
         ranks = [
             value if name == TYPE else make_field_sort_key(name, value or NOT_STATED)
             for name, value in self.fields
@@ -260,7 +263,7 @@ def divide_into_groups(
 
 
 def name_groups(keys: Sequence[GroupKey]) -> dict[GroupKey, str]:
-    """Name groups by their fields, and by their protocol if two protocols have groups of these.
+    """Name groups by their fields, and by their protocol if groups of two protocols share them.
 
     Parameters
     ----------
@@ -294,27 +297,27 @@ def _name_field(name: str, value: str) -> str:
     return value if name in (TYPE, "length") else f"{label} {value}"
 
 
-def check_fields(requested: Sequence[str], samples: Sequence[Sample], option: str) -> None:
+def check_fields(requested_fields: Sequence[str], samples: Sequence[Sample], option: str) -> None:
     """Refuse names of fields that no test sheet has.
 
     Parameters
     ----------
-    requested : names of fields, as typed
+    requested_fields : names of fields, as typed
     samples : all samples of the report
     option : option of the command line that names the fields
 
     Raises
     ------
     UsageError
-        If no sheet has one of the fields; the message lists the existing fields.
+        If a field is in no sheet; the message lists the existing fields.
     """
-    fields = list_field_names(sample.specimen for sample in samples)
-    unknown_fields = [name for name in requested if name not in fields]
+    existing_fields = list_field_names(sample.specimen for sample in samples)
+    unknown_fields = [name for name in requested_fields if name not in existing_fields]
     if unknown_fields:
         raise UsageError.about(
-            "campaign.unknown_field", option, fields=", ".join(fields),
+            "campaign.unknown_field", option, fields=", ".join(existing_fields),
             found=", ".join(map(repr, unknown_fields)),
-            near=sort_by_likeness(unknown_fields[0], fields, limit=1)[0],
+            near=sort_by_likeness(unknown_fields[0], existing_fields, limit=1)[0],
         )  # fmt: skip
 
 
@@ -390,15 +393,15 @@ def find_differences(
         if first.protocol == second.protocol
     ]
     pairs = [pair for pair in pairs if pair]
-    included = [pair for pair in pairs if not only_field or list(pair[0].fields) == [only_field]]
-    included.sort(key=_compute_pair_rank)
-    differences = [difference for pair in included for difference in pair]
+    included_pairs = [p for p in pairs if not only_field or list(p[0].fields) == [only_field]]
+    included_pairs.sort(key=_compute_pair_rank)
+    differences = [difference for pair in included_pairs for difference in pair]
     for family in (QUESTION_FAMILY, TYPE_FAMILY, OTHER_FAMILY):
         indices = [n for n, difference in enumerate(differences) if difference.family == family]
-        judged = judge_family(family, [differences[n] for n in indices]) if indices else []
-        for index, difference in zip(indices, judged, strict=True):
+        judgements = judge_family(family, [differences[n] for n in indices]) if indices else []
+        for index, difference in zip(indices, judgements, strict=True):
             differences[index] = difference
-    return tuple(differences), len(pairs) - len(included)
+    return tuple(differences), len(pairs) - len(included_pairs)
 
 
 def _compute_pair_rank(pair: Sequence[Difference]) -> tuple[int, str]:
@@ -484,10 +487,10 @@ class ReportOptions:
         were edited or written by an earlier labpipe.
         """
         try:
-            stored = json.loads((folder / OPTIONS_FILE).read_text(encoding="utf-8"))
-            wires, logo = stored["wires"] and folder / stored["wires"], stored["logo"]
-            lists = {key: tuple(stored[key]) for key in ("by", "formats")}
-            return cls(**stored | lists | {"wires": wires, "logo": logo})
+            data = json.loads((folder / OPTIONS_FILE).read_text(encoding="utf-8"))
+            wires, logo = data["wires"] and folder / data["wires"], data["logo"]
+            lists = {key: tuple(data[key]) for key in ("by", "formats")}
+            return cls(**data | lists | {"wires": wires, "logo": logo})
         except (OSError, ValueError, KeyError, TypeError):
             return cls()
 
@@ -552,9 +555,9 @@ def report_tests(
     Raises
     ------
     LabpipeError
-        If there is no processed test, no test can be read, all were rejected, decisions cannot be
-        read, two tests have the same name, no test sheet has a requested field, the wire sheet has
-        faults, or the report cannot be written. An earlier report is then unchanged.
+        If there is no processed test, no test can be read, all tests were rejected, decisions
+        cannot be read, two tests have the same name, no test sheet has a requested field, the wire
+        sheet has faults, or the report cannot be written. An earlier report is then unchanged.
     """
     tests = read_tests(find_results(targets), say)
     campaign = make_campaign(tests, options.title or tests.folder.resolve().name, options)
@@ -669,8 +672,8 @@ def read_tests(files: Sequence[Path], say: Callable[[str], object]) -> ReportTes
     Raises
     ------
     LabpipeError
-        If no file can be read, all were rejected, decisions cannot be read, or two tests have the
-        same name.
+        If no file can be read, all tests were rejected, decisions cannot be read, or two tests
+        have the same name.
     """
     tests, decisions_by_file = ReportTests(find_shared_folder(files)), read_decisions_by_file(files)
     recordings: list[tuple[Path, RecordingIdentity]] = []
@@ -678,7 +681,7 @@ def read_tests(files: Sequence[Path], say: Callable[[str], object]) -> ReportTes
     for file in files:
         say(file.parent.name)
         try:
-            result, shapes, law = read_reported(file, choose_frames)
+            result, shapes, law = read_report_parts(file, choose_frames)
             check_summary(result, file.parent / SUMMARY_FILE)
             protocol = parse_protocol(result.protocol_yaml, str(file))
         except LabpipeError as error:
@@ -731,7 +734,7 @@ def _make_groups(tests: ReportTests, grouping_fields: Sequence[str]) -> list[Gro
 def _make_group(
     name: str, members: Sequence[Sample], protocol: Protocol, missing_fields: Sequence[str]
 ) -> Group:
-    """Make a group of samples; its numbers are only results that describe the specimen.
+    """Make a group of samples, with the numbers of the results that describe the specimen.
 
     Parameters
     ----------
@@ -783,7 +786,7 @@ def make_sample(result: TestResult) -> Sample:
     The sample without shapes, law, source and label.
     """
     sample_fields, result_fields = (
-        {field.name for field in fields(kind)} for kind in (Sample, TestResult)
+        {field.name for field in fields(record_type)} for record_type in (Sample, TestResult)
     )
     curve = result.curve
     curves: dict[Direction, list[SampleCurve]] = {direction: [] for direction in Direction}
@@ -828,12 +831,12 @@ def _average_branch(result: TestResult, curve: Curve, branch: Branch) -> SampleC
     values_by_name = {entry.name: entry.value for entry in result.results}
     failure = values_by_name.get("failure_displacement")
     if is_loading and failure is not None:
-        samples_beyond = np.flatnonzero(curve.displacement[branch.start : stop] > failure)
-        stop = branch.start + int(samples_beyond[0]) if len(samples_beyond) else stop
-    measured = curve.force if result.aligned is None else result.aligned.series["force"].values
+        indices_beyond = np.flatnonzero(curve.displacement[branch.start : stop] > failure)
+        stop = branch.start + int(indices_beyond[0]) if len(indices_beyond) else stop
+    raw_force = curve.force if result.aligned is None else result.aligned.series["force"].values
     displacement, force, measured_force = (
         average_blocks(values[branch.start : stop][:: 1 if is_loading else -1], max_points)
-        for values in (curve.displacement, curve.force, measured)
+        for values in (curve.displacement, curve.force, raw_force)
     )
     return SampleCurve(displacement, force, measured_force=measured_force, cycle=branch.cycle)
 

@@ -169,12 +169,12 @@ class CatalogSync:
         if missing_folders := rows.keys() - folders:
             self.catalog.remove_tests(missing_folders)
         rows |= {folder: entry.row for folder, entry in new_entries.items()}
-        names = [
+        named_sheets = [
             (row.test, raw.sheets[folder])
             for folder, row in sorted(rows.items())
             if row.run and row.state != REJECTED and folder in raw.sheets
         ]
-        faults = [*decisions.faults, *raw.problems, *list_duplicates(names, "name")]
+        faults = [*decisions.faults, *raw.problems, *list_duplicates(named_sheets, "name")]
         return Overview(
             {folder: rows[folder] for folder in folders},
             self.catalog.read_claims(),
@@ -206,7 +206,7 @@ class CatalogSync:
     def read_due_key(self, folder: str, *, is_forced: bool) -> str:
         """Read the key of the inputs of a test if the test must be processed.
 
-        The next update of the test reads again only files that have changed since.
+        The next update of the test reads only the files that have changed since then.
 
         Parameters
         ----------
@@ -220,8 +220,8 @@ class CatalogSync:
         is_due = self.refresh_test(folder).is_due or is_forced
         if not is_due or not self.get_sheet_path(folder).is_file():
             return ""
-        content = self.catalog.read_file_states(folder).get(folder, FileState()).inputs_json
-        inputs = self._input_reader.read_inputs(self.get_sheet_path(folder), parse_inputs(content))
+        text = self.catalog.read_file_states(folder).get(folder, FileState()).inputs_json
+        inputs = self._input_reader.read_inputs(self.get_sheet_path(folder), parse_inputs(text))
         self._recent_inputs[folder] = inputs
         return inputs.key
 
@@ -245,15 +245,15 @@ class CatalogSync:
             key = inputs.key
         decisions = self._decisions.decisions_by_test.get(folder, ()) if self._decisions else ()
         decisions_hash = hash_text(repr(decisions)) if decisions else ""
-        # Inputs without outcome files are not read; then it only matters whether there is a sheet.
+        # Without outcome files, inputs are not read; the fingerprint shows if there is a sheet.
         fingerprint = f"{files.signature} {key or sheet is not None} {decisions_hash}"
         if state is not None and state.fingerprint == fingerprint and inputs == stored_inputs:
             return None
         entry = read_outcome(folder, files)
         decision = find_decision_in_force(decisions, run=_get_last_key(entry.row))
         row = _complete_row(entry, inputs if key else None, decision)
-        content = inputs.to_json() if inputs is not None else ""
-        return entry._replace(row=row, file_state=FileState(content, fingerprint))
+        json_text = inputs.to_json() if inputs is not None else ""
+        return entry._replace(row=row, file_state=FileState(json_text, fingerprint))
 
 
 def _get_last_key(row: TestRow) -> str:
@@ -306,7 +306,7 @@ def find_unknown_files(sync: CatalogSync, overview: Overview) -> list[str]:
     known_files = {
         f"{folder}/{name}" if folder else name
         for folder, sheet in overview.raw.sheets.items()
-        for name in _list_files(sheet, parse_inputs(states.get(folder, FileState()).inputs_json))
+        for name in _list_names(sheet, parse_inputs(states.get(folder, FileState()).inputs_json))
     }
     if (raw / PLAN_NAME).is_file():
         known_files.add(PLAN_NAME)
@@ -319,8 +319,8 @@ def find_unknown_files(sync: CatalogSync, overview: Overview) -> list[str]:
     return sorted(file for file in overview.raw.files if file not in known_files)
 
 
-def _list_files(sheet: Path, inputs: HashedInputs | None) -> list[str]:
-    """List the test sheet and the exports of a test, or only the sheet if it is faulty."""
+def _list_names(sheet: Path, inputs: HashedInputs | None) -> list[str]:
+    """List the names of the sheet and the exports of a test; only the sheet if it is faulty."""
     if inputs is not None and inputs.stamps:
         return [*inputs.stamps]
     with suppress(LabpipeError):
@@ -336,13 +336,13 @@ class RunSummary:
     Parameters
     ----------
     overview : state of the campaign after the run
-    processed : folders of the tests that this run processed
+    processed_folders : folders of the tests that this run processed
     skipped_folders : folders of the tests that another labpipe process has claimed, or whose
         results it writes
     """
 
     overview: Overview
-    processed: list[str]
+    processed_folders: list[str]
     skipped_folders: list[str]
 
 
@@ -463,7 +463,7 @@ def _process_tests(
                 for task, outcome in executor(tasks):
                     folder = claimed_folders.pop(task.source)
                     failure = outcome.code if isinstance(outcome, RefusedTest) else ""
-                    if failure == "in_use":  # another process, such as a killed run, still writes
+                    if failure == "in_use":  # another process still writes the results
                         postponed_folders.append(folder)
                     else:
                         row, outcomes[folder] = sync.refresh_test(folder), outcome
@@ -503,10 +503,10 @@ def rebuild_catalog(campaign: CampaignFolders) -> Overview:
         If a process has a claim on a test, or the catalog was made by a newer labpipe.
     """
     with open_campaign(campaign) as sync:
-        for test, claim in sync.catalog.read_claims().items():
+        for folder, claim in sync.catalog.read_claims().items():
             raise StoreError.about(
                 "campaign.process_at_work", sync.catalog.path,
-                pid=claim.pid, host=claim.machine, test=test,
+                pid=claim.pid, host=claim.machine, test=folder,
             )  # fmt: skip
         sync.catalog.remove_tests(sync.catalog.read_rows())
         return sync.refresh()
@@ -535,11 +535,11 @@ def clear_failures(campaign: CampaignFolders, code: str = "") -> list[str]:
         folders = [folder for folder, row in failed_rows.items() if code in {"", row.code}]
         if code and not folders:
             codes = sorted({row.code for row in failed_rows.values()})
-            similar = sort_by_likeness(code, codes, limit=1)
+            matches = sort_by_likeness(code, codes, limit=1)
             raise UsageError.about(
                 "campaign.no_such_failures", campaign.processed, code=code,
                 found=", ".join(codes) or "no failures",
-                remedy=f"Nearest: {similar[0]}." if similar else "There is nothing to clear.",
+                remedy=f"Nearest: {matches[0]}." if matches else "There is nothing to clear.",
             )  # fmt: skip
         for folder in folders:
             path = campaign.processed / folder / FAILURE_FILE
@@ -578,14 +578,14 @@ def record_decision(campaign: CampaignFolders, test: str, decision: Decision) ->
 
 def _find_row(campaign: CampaignFolders, overview: Overview, test: str) -> TestRow:
     """Find the row of a test by its folder, or by its name if only one test has that name."""
-    label = test.replace("\\", "/").strip("/")
-    if label in overview.rows:
-        return overview.rows[label]
+    folder = test.replace("\\", "/").strip("/")
+    if folder in overview.rows:
+        return overview.rows[folder]
     rows = [row for row in overview.rows.values() if row.test == test]
     if len(rows) == 1:
         return rows[0]
-    similar = ", ".join(sort_by_likeness(label, [*overview.rows], limit=3))
+    matches = ", ".join(sort_by_likeness(folder, [*overview.rows], limit=3))
     raise UsageError.about(
         "campaign.unknown_test", test, campaign=campaign.name, count=len(rows) or "none",
-        remedy=f"Nearest: {similar}." if similar else "List them with labpipe campaign status.",
+        remedy=f"Nearest: {matches}." if matches else "List them with labpipe campaign status.",
     )  # fmt: skip

@@ -150,16 +150,16 @@ class _RequestHandler(BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         """Send a page or a file."""
-        self._answer(self._answer_get)
+        self._answer_request(self._answer_get)
 
     def do_POST(self) -> None:
         """Save decisions, or make the report again."""
-        self._answer(self._answer_post)
+        self._answer_request(self._answer_post)
 
     def log_message(self, format: str, *args: object) -> None:
         """Suppress the log line that the base class prints for each request."""
 
-    def _answer(self, send_reply: Callable[[list[str]], None]) -> None:
+    def _answer_request(self, send_reply: Callable[[list[str]], None]) -> None:
         """Reply to an authorised request, or send the message of an error.
 
         Parameters
@@ -178,7 +178,7 @@ class _RequestHandler(BaseHTTPRequestHandler):
             message = {"error": describe_system_error(error)}
             self._send_json(message, HTTPStatus.INTERNAL_SERVER_ERROR)
 
-    def _send(
+    def _send_reply(
         self, content: bytes, headers: dict[str, str], status: HTTPStatus = HTTPStatus.OK
     ) -> None:
         """Send a reply; `headers` replace common headers with the same name."""
@@ -190,7 +190,7 @@ class _RequestHandler(BaseHTTPRequestHandler):
 
     def _send_json(self, content: object, status: HTTPStatus = HTTPStatus.OK) -> None:
         """Send a reply in JSON."""
-        self._send(json.dumps(content).encode(), {"Content-Type": "application/json"}, status)
+        self._send_reply(json.dumps(content).encode(), {"Content-Type": "application/json"}, status)
 
     def _read_authorised_path(self) -> list[str]:
         """Check origin and token of a request; return the segments of the path after the token."""
@@ -209,20 +209,20 @@ class _RequestHandler(BaseHTTPRequestHandler):
         site = self.server.site
         if path in ([], [""], [REPORT_FOLDER], [REPORT_FOLDER, ""]):
             location = f"/{site.token}/{REPORT_FOLDER}/{PAGE_FILE}"
-            self._send(b"", {"Location": location}, HTTPStatus.FOUND)
+            self._send_reply(b"", {"Location": location}, HTTPStatus.FOUND)
         elif path == [REPORT_FOLDER, PAGE_FILE]:
             html = (site.report_folder / PAGE_FILE).read_text(encoding="utf-8")
-            self._send(allow_own_server(html).encode(), _PAGE_HEADERS)
+            self._send_reply(allow_own_server(html).encode(), _PAGE_HEADERS)
         elif len(path) == 3 and path[:2] == [REPORT_FOLDER, _TEST_PAGES_FOLDER]:
             with site.lock:
                 html = render_test(read_result(_find_result("/".join(path[1:]), site)))
-            self._send(html.encode(), _PAGE_HEADERS)
+            self._send_reply(html.encode(), _PAGE_HEADERS)
         else:
             file = _find_file(path, site)
             content_type = _INLINE_CONTENT_TYPES.get(file.suffix.lower())
             headers = {"Content-Type": content_type or "application/octet-stream"}
             headers |= {} if content_type else {"Content-Disposition": "attachment"}
-            self._send(file.read_bytes(), headers)
+            self._send_reply(file.read_bytes(), headers)
 
     def _answer_post(self, path: list[str]) -> None:
         """Save decisions or make the report again, and send a message."""
@@ -294,20 +294,20 @@ def _find_result(page: str, site: Site) -> Path:
 
 def _save_decisions(body: bytes, site: Site) -> dict[str, Any]:
     """Import the decisions of a request; return a message and all decisions of the campaign."""
-    received = parse_decisions(body, Path("decisions"))
-    if received.faults:
-        raise _HttpError(HTTPStatus.BAD_REQUEST, "\n".join(received.faults[:_MAX_LISTED_ERRORS]))
-    imported = import_decisions(site.results_folder, site.campaign, received.decisions)
+    content = parse_decisions(body, Path("decisions"))
+    if content.faults:
+        raise _HttpError(HTTPStatus.BAD_REQUEST, "\n".join(content.faults[:_MAX_LISTED_ERRORS]))
+    import_result = import_decisions(site.results_folder, site.campaign, content.decisions)
     decisions_by_file = read_decisions_by_file(list_files_below(site.results_folder, RESULT_FILE))
     entries = [asdict(decision) for decision in chain(*decisions_by_file.values())]
-    n_saved = len(imported.added) + imported.n_stored_before
+    n_saved = len(import_result.added) + import_result.n_stored_before
     sentences = [f"{format_count(n_saved, 'decision')} saved."]
     not_saved_messages = [
-        f"{decision.test}: not saved: {reason}." for decision, reason in imported.not_imported
+        f"{decision.test}: not saved: {reason}." for decision, reason in import_result.not_imported
     ]
     sentences += not_saved_messages[:_MAX_LISTED_ERRORS]
     if (n_unlisted := len(not_saved_messages) - _MAX_LISTED_ERRORS) > 0:
         sentences.append(f"{n_unlisted} more not saved.")
-    if imported.added:
+    if import_result.added:
         sentences.append(format_sentence("campaign.decisions_take_effect"))
     return {"message": " ".join(sentences), "decisions": entries}

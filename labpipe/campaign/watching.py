@@ -58,7 +58,7 @@ def describe_test(
     ----------
     name : name of the test
     test : results of the test
-    group_values : values of each result in the other tests of the group whose result is ok
+    group_values : values of the results that are ok in the other tests of the group
     main_names : names of the main results in order, by which the protocol compares groups
 
     Returns
@@ -79,7 +79,7 @@ def describe_test(
     if len(group_sizes) == 1:  # the size is written once for all results
         texts = [*(comparison.text for comparison in comparisons), *group_sizes]
     else:
-        texts = [f"{item.text}, {item.group_size}" for item in comparisons] or ["no numbers"]
+        texts = [f"{entry.text}, {entry.group_size}" for entry in comparisons] or ["no numbers"]
     codes = [code for result in test.results for code in result.codes]
     codes += [note.code for note in test.quality if note.severity is not Severity.INFO]
     actions = describe_actions(codes, is_outside=bool(outside_names))
@@ -183,7 +183,7 @@ def _compare_with_group(
         range_text = f"{lower:.4g}" if n == 1 else f"{lower:.4g} to {upper:.4g}"
         text += f" (so far {range_text})"
         return _Comparison(name, text, f"n = {n} so far, too few to judge")
-    false_alarm_rate = 0.05  # rate of a verdict, divided among its results
+    false_alarm_rate = 0.05  # rate per test, divided among its results
     quantile = compute_t_quantile(n - 1, false_alarm_rate / _MAX_RESULTS)
     half_width = quantile * float(np.std(values, ddof=1)) * sqrt(1 + 1 / n)
     lower, upper = values.mean() - half_width, values.mean() + half_width
@@ -196,7 +196,7 @@ def _compare_with_group(
 def process_in_pool(pool: Pool, tasks: Iterable[Task]) -> Outcomes:
     """Process tests without figures one after another in a pool.
 
-    With a given pool, the function is an `Executor`.
+    `functools.partial` of this function and a pool is an `Executor`.
 
     Parameters
     ----------
@@ -291,14 +291,15 @@ def _read_signature(path: Path) -> Signature:
 
 @dataclass(slots=True)
 class _WatchedTest:
-    """State of a watched test, or of a file of no test; times are those of the watcher.
+    """State of a watched test, or of an unused file; times are on the clock of the watcher.
 
     Parameters
     ----------
     signatures : signatures of the files in the last scan, or when they were handled
-    changed_at : time when a change was seen, s; the drive of the files may have another clock
-    next_attempt : time of the next attempt if the files do not change, s; infinite once they were
-        handled or the pairing failed
+    changed_at : time when a scan detected the last change, s; modification times are not compared
+        with the clock, because the drive of the files may have another clock
+    next_attempt : time of the next attempt if the files do not change, s; infinite after
+        they were handled or their pairing failed
     handled_at : time when the files were handled, s; NaN if they were not
     is_forced : whether the test must be processed again, because files were missing or locked when
         it was refused
@@ -319,7 +320,7 @@ class Watcher:
     campaign : campaign to watch
     pair : function that writes the sheet of a test, as `pair_test` does
     draw : function that draws figures. It is called with the folder of results before the verdict
-        on a test is reported, and must therefore return at once
+        on a test is reported, and must therefore return immediately
     show_message : function that is called with each message
     clock : function that returns a monotonic time, s
     """
@@ -339,7 +340,7 @@ class Watcher:
         self._plan_signature = _read_signature(self._plan_file)
         self.plan = read_plan(campaign.raw)
         self._tests = defaultdict[Path, _WatchedTest](_WatchedTest)
-        self._reported = set[str]()
+        self._reported_messages = set[str]()
         self._n_scans = 0
         self._is_folder_missing = False
 
@@ -355,9 +356,9 @@ class Watcher:
         try:
             raw.stat()
             self._read_plan()
-            ready = self._find_ready()
-            if ready:
-                self._handle(ready[0])
+            ready_tests = self._find_ready_tests()
+            if ready_tests:
+                self._handle_test(ready_tests[0])
         except OSError as error:
             if not self._is_folder_missing:
                 self._is_folder_missing = True
@@ -368,17 +369,17 @@ class Watcher:
         if self._is_folder_missing:
             self._is_folder_missing = False
             self._show_message(format_sentence("campaign.folder_is_back", path=raw))
-        return len(ready) > 1
+        return len(ready_tests) > 1
 
     def _show_once(self, text: str) -> None:
         """Report a message unless it was reported since the plan was last read."""
-        if text not in self._reported:
-            self._reported.add(text)
+        if text not in self._reported_messages:
+            self._reported_messages.add(text)
             self._show_message(text)
 
     def _is_skipped(self, folder: Path) -> bool:
         """Return whether this scan skips a test that was handled long ago."""
-        check_interval = 40  # scans; ten thousand tests are too many to check in every scan
+        check_interval = 40  # in scans, as a scan cannot check ten thousand tests
         test = self._tests[folder]
         is_recent = self._clock() - test.handled_at < self.plan.patience
         if test.next_attempt < inf or is_recent:
@@ -386,7 +387,7 @@ class Watcher:
         return (hash(folder) - self._n_scans) % check_interval != 0
 
     def _read_plan(self) -> None:
-        """Read a changed campaign YAML; if it is faulty, report it and keep the last plan."""
+        """Read the campaign YAML if it has changed; report a faulty one, and keep the last plan."""
         signature = _read_signature(self._plan_file)
         if signature == self._plan_signature:
             return
@@ -396,21 +397,21 @@ class Watcher:
         except LabpipeError as error:
             self._show_message(format_sentence("campaign.faulty_plan", error=error, file=PLAN_NAME))
             return
-        self._reported.clear()
+        self._reported_messages.clear()
         for test in self._tests.values():
             test.next_attempt = 0.0 if isnan(test.handled_at) else inf
         self._show_message(format_sentence("campaign.plan_read_again", file=PLAN_NAME))
 
-    def _find_ready(self) -> list[Candidate]:
+    def _find_ready_tests(self) -> list[Candidate]:
         """Find the tests that are ready, the newest first, and report files that are not used."""
         listing = list_candidates(self._campaign.raw, self.plan, is_skipped=self._is_skipped)
         for path, reason in listing.unused_files.items():
             if self._measure_stable_time(path, [path]) > self.plan.patience:
                 file = self._format_path(path)
                 self._show_once(format_sentence("campaign.unused_file", file=file, why=reason))
-        ready = [candidate for candidate in listing.candidates if self._is_ready(candidate)]
-        stable_times = {candidate.folder: self._get_stable_time(candidate) for candidate in ready}
-        return sorted(ready, key=lambda candidate: stable_times[candidate.folder])
+        tests = [candidate for candidate in listing.candidates if self._is_ready(candidate)]
+        stable_times = {candidate.folder: self._get_stable_time(candidate) for candidate in tests}
+        return sorted(tests, key=lambda candidate: stable_times[candidate.folder])
 
     def _measure_stable_time(self, key: Path, paths: Iterable[Path]) -> float:
         """Read the signatures of files, and measure the time since they last changed, s."""
@@ -446,8 +447,8 @@ class Watcher:
             self._show_once(format_sentence("campaign.locked_file", test=label, file=file))
         return not locked_files
 
-    def _handle(self, candidate: Candidate) -> None:
-        """Write the sheet of a test, process it and report the verdict, if its files permit."""
+    def _handle_test(self, candidate: Candidate) -> None:
+        """Write the sheet of a test, process it and report the verdict, if no file is missing."""
         retry_delay = 5.0  # s
         test = self._tests[candidate.folder]
         test.next_attempt = self._clock() + retry_delay
@@ -461,13 +462,13 @@ class Watcher:
             self._show_missing_files(candidate, pairing)
             return
         self._show_sheet(candidate, pairing)
-        # The signatures are taken before processing, because exports may change meanwhile.
+        # The signatures are taken before processing, because exports may change during processing.
         signatures = test.signatures | {candidate.sheet: _read_signature(candidate.sheet)}
-        if pairing.open_keys or self._process(candidate):
+        if pairing.open_keys or self._process_test(candidate):
             test.signatures, test.next_attempt = signatures, inf
             test.handled_at = self._clock()
 
-    def _process(self, candidate: Candidate) -> bool:
+    def _process_test(self, candidate: Candidate) -> bool:
         """Process a test and report the verdict; return False if the attempt must be repeated."""
         test = self._tests[candidate.folder]
         try:
@@ -497,7 +498,7 @@ class Watcher:
             self._show_once(format_sentence("campaign.missing_files", test=label, files=names))
 
     def _show_sheet(self, candidate: Candidate, pairing: PairingOutcome) -> None:
-        """Report the sheet of a test if it was written, its messages and its open keys."""
+        """Report the sheet of a test if the sheet is new, its messages and its open keys."""
         lines = [*pairing.messages]
         if pairing.is_new:
             label = escape_controls(candidate.name)

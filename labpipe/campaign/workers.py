@@ -31,9 +31,10 @@ class WorkerProcess:
 
     Notes
     -----
-    The process is started by the first call, and ends at once if its parent is killed. It is not
+    The first call starts the process, which ends immediately if its parent is killed. It is not
     forked, because a fork of a process with threads may deadlock. It is not made by
-    `multiprocessing`, because daemonic processes, such as workers of a cluster, may not use that.
+    `multiprocessing`, because a daemonic process, such as a worker of a cluster, may not use this
+    module.
     """
 
     def __init__(self) -> None:
@@ -63,14 +64,14 @@ class WorkerProcess:
             self.process = _start_process()
         start_time = time.monotonic()
         kill_delay = min(time_limit or threading.TIMEOUT_MAX, threading.TIMEOUT_MAX)
-        timer = threading.Timer(kill_delay, _kill, [self.process])
+        timer = threading.Timer(kill_delay, _kill_process, [self.process])
         timer.daemon = True
         timer.start()
         reply: bytes | None = None
         try:
             # These errors mean that the process has died.
             with suppress(OSError, EOFError, pickle.UnpicklingError, ValueError):
-                _send(request, cast("IO[bytes]", self.process.stdin))
+                _send_message(request, cast("IO[bytes]", self.process.stdin))
                 reply = pickle.load(cast("IO[bytes]", self.process.stdout))
         finally:
             timer.cancel()
@@ -92,7 +93,7 @@ class WorkerProcess:
         if process is None:
             return 0
         if process.returncode is None:
-            _kill(process)  # this does not change the exit code of a dead process
+            _kill_process(process)  # this does not change the exit code of a dead process
         for pipe in (process.stdin, process.stdout):
             with suppress(OSError):
                 cast("IO[bytes]", pipe).close()
@@ -142,9 +143,9 @@ class Pool:
         -------
         Future of the result, which raises the errors of `WorkerProcess.call`.
         """
-        return self._threads.submit(self._call, work, subject)
+        return self._threads.submit(self._run_call, work, subject)
 
-    def _call(self, work: Callable[[], T], subject: object) -> T:
+    def _run_call(self, work: Callable[[], T], subject: object) -> T:
         """Run a call in an idle process; there are as many processes as threads."""
         worker = self._idle_workers.pop()
         try:
@@ -218,8 +219,8 @@ def run_calls(calls: Sequence[Callable[[], T]], *, jobs: int) -> list[T]:
     """
     if jobs == 1:
         return [call() for call in calls]
-    completed = run_as_completed(operator.call, calls, jobs=jobs, subject=lambda _: "labpipe")
-    results = {call: future.result() for call, future in completed}
+    completed_calls = run_as_completed(operator.call, calls, jobs=jobs, subject=lambda _: "labpipe")
+    results = {call: future.result() for call, future in completed_calls}
     return [results[call] for call in calls]
 
 
@@ -237,11 +238,11 @@ def _start_process() -> subprocess.Popen[bytes]:
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         env={"OPENBLAS_NUM_THREADS": "1", **os.environ},
-        start_new_session=True,  # so that `_kill` also ends the child processes of the worker
+        start_new_session=True,  # so that `_kill_process` also ends child processes
     )
 
 
-def _kill(process: subprocess.Popen[bytes]) -> None:
+def _kill_process(process: subprocess.Popen[bytes]) -> None:
     """Kill a process, and its child processes except on Windows."""
     with suppress(OSError):
         if sys.platform == "win32":
@@ -250,7 +251,7 @@ def _kill(process: subprocess.Popen[bytes]) -> None:
             os.killpg(process.pid, signal.SIGKILL)
 
 
-def _send(message: bytes, stream: IO[bytes]) -> None:
+def _send_message(message: bytes, stream: IO[bytes]) -> None:
     """Send a message to another process as a pickle."""
     pickle.dump(message, stream)
     stream.flush()
@@ -277,7 +278,7 @@ def run_worker() -> NoReturn:
                 reply = pickle.dumps((pickle.loads(call)(), None))
             except Exception as error:  # noqa: BLE001  the parent raises it again
                 reply = pickle.dumps((None, error))
-            _send(reply, replies)
+            _send_message(reply, replies)
     except SystemExit as error:
         os._exit(error.code if isinstance(error.code, int) else 1)
 

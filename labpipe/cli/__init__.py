@@ -1,6 +1,6 @@
 """Run the command line: parse the arguments, run the command, return the exit status.
 
-This module imports only the standard library, so that ``labpipe --help`` answers at once. The
+This module imports only the standard library, so that ``labpipe --help`` answers immediately. The
 module of a command is imported when that command runs.
 """
 
@@ -58,7 +58,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if arguments is not None:
         return _run(options)
     if not sys.warnoptions:
-        # RuntimeWarnings, most of NumPy, are hidden unless an option -W of Python is given.
+        # RuntimeWarnings, mostly from NumPy, are hidden unless an option -W of Python is given.
         warnings.simplefilter("ignore", RuntimeWarning)
     gc.disable()
     try:
@@ -130,7 +130,7 @@ def build_parser(command_name: str = "") -> argparse.ArgumentParser:
     """
     text = Path(__file__).with_name("commands.toml").read_text(encoding="utf-8")
     commands = tomllib.loads(text)
-    texts, shared = commands.pop("labpipe"), commands.pop("shared")
+    texts, shared_lists = commands.pop("labpipe"), commands.pop("shared")
     parser = argparse.ArgumentParser(
         prog="labpipe", formatter_class=argparse.RawDescriptionHelpFormatter, **texts
     )
@@ -140,12 +140,12 @@ def build_parser(command_name: str = "") -> argparse.ArgumentParser:
         dest="command", metavar="COMMAND [...]", required=True, prog="labpipe"
     )
     for name in [command_name] if command_name in commands else commands:
-        _add_command(subparsers, name, commands[name], shared)
+        _add_command(subparsers, name, commands[name], shared_lists)
     return parser
 
 
 def _add_command(
-    subparsers: Any, name: str, entry: Mapping[str, Any], shared: _SharedArguments
+    subparsers: Any, name: str, entry: Mapping[str, Any], shared_lists: _SharedArguments
 ) -> None:
     """Add a command, or an action of a command, from its entry in ``commands.toml``."""
     help_text = entry["about"]
@@ -153,20 +153,20 @@ def _add_command(
     parser = subparsers.add_parser(
         name, help=help_text, description=description, epilog=entry.get("epilog")
     )
-    _add_arguments(parser, entry.get("arguments", ()), shared)
+    _add_arguments(parser, entry.get("arguments", ()), shared_lists)
     if "actions" in entry:
         actions = parser.add_subparsers(dest="action", metavar="ACTION ...", required=True)
         for action, action_entry in entry["actions"].items():
-            _add_command(actions, action, action_entry, shared)
+            _add_command(actions, action, action_entry, shared_lists)
 
 
-def _add_arguments(parser: Any, arguments: Iterable[Any], shared: _SharedArguments) -> None:
+def _add_arguments(parser: Any, arguments: Iterable[Any], shared_lists: _SharedArguments) -> None:
     """Add arguments, lists of shared arguments, and mutually exclusive groups to a parser."""
     for argument in arguments:
         if isinstance(argument, str):
-            _add_arguments(parser, shared[argument], shared)
+            _add_arguments(parser, shared_lists[argument], shared_lists)
         elif "one_of" in argument:
-            _add_arguments(parser.add_mutually_exclusive_group(), argument["one_of"], shared)
+            _add_arguments(parser.add_mutually_exclusive_group(), argument["one_of"], shared_lists)
         else:
             options = {key: value for key, value in argument.items() if key != "name"}
             if "type" in options:

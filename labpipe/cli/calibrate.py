@@ -8,7 +8,7 @@ import sys
 
 from labpipe.campaign.decisions import exclude_rejected_tests
 from labpipe.campaign.queries import escape_controls
-from labpipe.cli.terminal import shorten_path, show_completed
+from labpipe.cli.terminal import shorten_path, show_completion
 from labpipe.mechanics.studies.calibration_file import CalibrationStudy, build_json
 from labpipe.mechanics.studies.calibration_study import calibrate_tests
 from labpipe.process.output_paths import find_results
@@ -23,7 +23,7 @@ def run(options: argparse.Namespace) -> int:
     for file, reason in rejected.items():
         message = f"labpipe calibrate: rejected: {file.parent}: {reason}"
         print(escape_controls(message), file=sys.stderr)
-    with show_completed("test", in_pipe=False) as (_, say):
+    with show_completion("test", in_pipe=False) as (_, say):
         study = calibrate_tests(
             files if rejected else options.paths,
             wires=options.wire,

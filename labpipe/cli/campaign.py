@@ -30,7 +30,7 @@ from labpipe.campaign.running import (
     record_decision,
     run_campaign,
 )
-from labpipe.cli.terminal import shorten_path, show_completed
+from labpipe.cli.terminal import shorten_path, show_completion
 from labpipe.errors import UsageError
 from labpipe.process.run import Task
 from labpipe.report.wording import format_count
@@ -53,7 +53,7 @@ def _run(
     make_task = partial(
         Task, figures=not options.no_figures, png=options.png, follow_links=options.follow_links
     )
-    with show_completed("test") as (begin, show):
+    with show_completion("test") as (begin, show):
         summary = run_campaign(
             campaign,
             executor,
@@ -63,7 +63,7 @@ def _run(
             on_outcome=lambda folder, state: show(f"{escape_controls(folder)}: {state}"),
         )
     overview, skipped_folders = summary.overview, summary.skipped_folders
-    lines = [f"  processed {len(summary.processed)} of {len(overview.rows)}"]
+    lines = [f"  processed {len(summary.processed_folders)} of {len(overview.rows)}"]
     if skipped_folders:
         names = join_names(skipped_folders)
         lines.append(f"  {len(skipped_folders)} in use by another labpipe process: {names}")

@@ -16,7 +16,7 @@ from labpipe.campaign.reporting import ReportOptions, report_tests
 from labpipe.campaign.workers import run_calls
 from labpipe.cli import main
 from labpipe.cli.process import format_headline, format_test, process_all
-from labpipe.cli.report import print_left_out
+from labpipe.cli.report import print_left_out_tests
 from labpipe.cli.terminal import shorten_path
 from labpipe.mechanics.studies.calibration_study import MODEL_FILE
 from labpipe.mechanics.studies.harness_line import DEFAULT_SHEET
@@ -82,24 +82,24 @@ def _run_short_demo(raw: Path, out: Path, options: argparse.Namespace) -> int:
         [partial(simulate_campaigns, [campaign], raw) for campaign in DEMO_TESTS], jobs=options.jobs
     )
     sheets = [folder / SHEET_NAME for folders in folders_by_kind for folder in folders]
-    processed, n_refused = process_all(sheets, options, out=out)
-    if not processed:
+    processed_tests, n_refused = process_all(sheets, options, out=out)
+    if not processed_tests:
         return 2  # `process_all` has printed the reasons
-    first_test, *other_tests = processed
+    first_test, *other_tests = processed_tests
     print("\n".join((format_test(first_test), "", *map(format_headline, other_tests))))
-    title, wires = f"Synthetic demo campaign: {out.name}", write_wire_sheet(raw)
-    report = report_tests([out], options=ReportOptions(title, wires=wires))
+    title, wire_sheet = f"Synthetic demo campaign: {out.name}", write_wire_sheet(raw)
+    report = report_tests([out], options=ReportOptions(title, wires=wire_sheet))
     main_figures = [
         next(path for name in _MAIN_FIGURES for path in test.figures if path.name == f"{name}.svg")
-        for test in processed
+        for test in processed_tests
         if test.figures
     ]
     print("\nopen in a browser, the report first:")
     print("\n".join(f"  {shorten_path(path)}" for path in (report.files[0], *main_figures)))
     export = raw / first_test.result.test / first_test.result.inputs[0].file
     print(_NEXT_COMMANDS.format(export=shorten_path(export)))
-    has_failures = any(test.n_failed for test in processed)
-    return 2 if n_refused else max(int(has_failures), print_left_out(report))
+    has_failures = any(test.n_failed for test in processed_tests)
+    return 2 if n_refused else max(int(has_failures), print_left_out_tests(report))
 
 
 def _run_full_demo(raw: Path, out: Path, options: argparse.Namespace) -> int:
@@ -108,30 +108,30 @@ def _run_full_demo(raw: Path, out: Path, options: argparse.Namespace) -> int:
     entries = CAMPAIGNS.items()
     calls = [partial(simulate_campaigns, campaigns, raw / name) for name, campaigns in entries]
     run_calls(calls, jobs=options.jobs)
-    wires, plan = write_wire_sheet(raw / WIRES), raw / WIRES / "plan.yaml"
-    plan.write_text(CALIBRATION_PLAN, encoding="utf-8")
-    figures = ["--no-figures"] * options.no_figures + ["--png"] * options.png
-    jobs = ["--jobs", options.jobs]
-    calibration = out / WIRES / "calibration" / MODEL_FILE
-    lines = _write_harness_files(raw / LINES, calibration)
+    wire_sheet, plan_file = write_wire_sheet(raw / WIRES), raw / WIRES / "plan.yaml"
+    plan_file.write_text(CALIBRATION_PLAN, encoding="utf-8")
+    figure_options = ["--no-figures"] * options.no_figures + ["--png"] * options.png
+    job_options = ["--jobs", options.jobs]
+    model_file = out / WIRES / "calibration" / MODEL_FILE
+    harness_files = _write_harness_files(raw / LINES, model_file)
     commands: list[list[object]] = []
     for name in CAMPAIGNS:
         folders_by_type: dict[str, Path] = {}
-        for test in find_tests([raw / name]):
-            folders_by_type.setdefault(load_test_sheet(test).specimen.type, test.parent)
+        for sheet in find_tests([raw / name]):
+            folders_by_type.setdefault(load_test_sheet(sheet).specimen.type, sheet.parent)
         title = f"Synthetic demo campaign: {name}"
         commands += [
-            ["process", *folders_by_type.values(), *figures, *jobs],
-            ["campaign", "run", raw / name, "--no-figures", *jobs],
-            ["report", out / name, "--title", title, "--wire", wires],
+            ["process", *folders_by_type.values(), *figure_options, *job_options],
+            ["campaign", "run", raw / name, "--no-figures", *job_options],
+            ["report", out / name, "--title", title, "--wire", wire_sheet],
         ]
     commands += [
-        ["calibrate", out / WIRES, "--wire", wires, "--plan", plan, *figures],
-        ["harness", *lines, "--out", out / LINES, *figures],
+        ["calibrate", out / WIRES, "--wire", wire_sheet, "--plan", plan_file, *figure_options],
+        ["harness", *harness_files, "--out", out / LINES, *figure_options],
     ]
     statuses = []
     for command in commands:
-        arguments = [str(shorten_path(x) if isinstance(x, Path) else x) for x in command]
+        arguments = [str(shorten_path(arg) if isinstance(arg, Path) else arg) for arg in command]
         print(f"\n$ labpipe {shlex.join(arguments)}", flush=True)
         statuses.append(main(arguments))
     return max(statuses)

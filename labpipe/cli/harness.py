@@ -53,7 +53,7 @@ def show_progress() -> Iterator[Progress]:
 
 
 def _find_faults(solution: HarnessSolution) -> Iterator[str]:
-    """Yield the reasons for a failure, or that a bend is sharper than the file allows."""
+    """Yield the reasons for a failure, or the message on a bend that is too sharp."""
     if solution.status is Status.FAILED:
         yield from (f"{reason.code}: {reason.message}" for reason in solution.reasons)
     elif not solution.limit.is_assumed and solution.sharpest_bend.radius < solution.limit.radius:
@@ -69,7 +69,7 @@ def format_harness(solution: HarnessSolution) -> str:
 
     Returns
     -------
-    Its status, results, allowed bend radius, doubts and the folder of the files.
+    Its status, results, allowed bend radius, reasons for doubt, notes and folder.
     """
     line, steps = solution.path.line, solution.harness.steps
     is_failed = solution.status is Status.FAILED
@@ -96,7 +96,7 @@ def format_harness(solution: HarnessSolution) -> str:
 
 
 def _format_limit(solution: HarnessSolution) -> str:
-    """Format the allowed bend radius, and the sharpest bend if it is below."""
+    """Format the allowed bend radius, and the sharpest bend if its radius is smaller."""
     limit, bend = solution.limit, solution.sharpest_bend
     is_met = bend.radius >= limit.radius
     verdict = "kept" if is_met else "NOT KEPT"

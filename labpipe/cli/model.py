@@ -10,7 +10,7 @@ from collections import defaultdict
 import numpy as np
 
 from labpipe.campaign.queries import align_columns, join_names
-from labpipe.cli.terminal import shorten_path, show_completed
+from labpipe.cli.terminal import shorten_path, show_completion
 from labpipe.mechanics.studies.wire_models import ModelledWires, build_json, model_wires
 from labpipe.mechanics.studies.wire_sheets import describe_stress_tables
 from labpipe.mechanics.wire.first_loading import interpolate_end_load
@@ -30,7 +30,7 @@ _RELATIVE_TIP_DEFLECTION = 0.3
 
 def run(options: argparse.Namespace) -> int:
     """Compute moment-curvature and stiffness tables from a wire sheet."""
-    with show_completed("wire", in_pipe=False) as (_, say):
+    with show_completion("wire", in_pipe=False) as (_, say):
         wires = model_wires(
             options.sheet, out=options.out, figures=not options.no_figures, png=options.png, say=say
         )

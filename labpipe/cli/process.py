@@ -16,7 +16,7 @@ from labpipe.cli.terminal import (
     format_result,
     format_statuses,
     shorten_path,
-    show_completed,
+    show_completion,
 )
 from labpipe.messages import format_sentence
 from labpipe.process.output_paths import find_tests
@@ -58,7 +58,7 @@ def process_all(
     processed : processed tests
     n_refused : number of tests that were refused
     """
-    with show_completed("test") as (begin, show):
+    with show_completion("test") as (begin, show):
         begin(len(tests))
         outcomes = process_tests(
             tests,

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from labpipe.campaign.queries import escape_controls
 from labpipe.campaign.reporting import ReportOptions, WrittenReport, report_tests
-from labpipe.cli.terminal import compute_name_width, format_result, shorten_path, show_completed
+from labpipe.cli.terminal import compute_name_width, format_result, shorten_path, show_completion
 from labpipe.errors import UsageError, sort_by_likeness
 from labpipe.process.output_paths import find_results
 from labpipe.records.group import GroupNumber
@@ -23,10 +23,10 @@ from labpipe.report.wording import describe_counts
 def run(options: argparse.Namespace) -> int:
     """Write the report of processed tests: a page, figures and a workbook."""
     files, report_options = find_results(options.paths), parse_report_options(options)
-    with show_completed("test", len(files) + 1, in_pipe=False) as (_, say):
+    with show_completion("test", len(files) + 1, in_pipe=False) as (_, say):
         report = report_tests(files, out=options.out, say=say, options=report_options)
     print(format_report(report))
-    return print_left_out(report)
+    return print_left_out_tests(report)
 
 
 def parse_report_options(options: argparse.Namespace) -> ReportOptions:
@@ -42,12 +42,12 @@ def parse_report_options(options: argparse.Namespace) -> ReportOptions:
         If a format of figures is unknown, or the logo is not a PNG or JPEG of the allowed size.
     """
     formats = _split_list(getattr(options, "figures", ""))
-    unknown = [name for name in formats if name not in FORMATS]
-    if unknown:
+    unknown_formats = [name for name in formats if name not in FORMATS]
+    if unknown_formats:
         raise UsageError.about(
             "cli.figure_format", "--figures", known=", ".join(FORMATS),
-            found=", ".join(map(repr, unknown)),
-            near=sort_by_likeness(unknown[0], list(FORMATS), limit=1)[0],
+            found=", ".join(map(repr, unknown_formats)),
+            near=sort_by_likeness(unknown_formats[0], list(FORMATS), limit=1)[0],
         )  # fmt: skip
     letterhead = {"Lab": options.lab, "Customer": options.customer, "Order": options.order}
     logo = "" if options.logo is None else read_logo(options.logo)
@@ -68,7 +68,7 @@ def _split_list(text: str) -> tuple[str, ...]:
     return tuple(dict.fromkeys(filter(None, map(str.strip, text.split(",")))))
 
 
-def print_left_out(report: WrittenReport) -> int:
+def print_left_out_tests(report: WrittenReport) -> int:
     """Print the reasons why tests are left out of a report, and choose the exit status.
 
     Parameters

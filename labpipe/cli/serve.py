@@ -10,7 +10,7 @@ from labpipe.campaign.campaign_files import find_campaign_name
 from labpipe.campaign.reporting import ReportOptions, report_tests
 from labpipe.campaign.serving import REPORT_FOLDER, ReportServer, Site
 from labpipe.cli.report import parse_report_options
-from labpipe.cli.terminal import show_completed
+from labpipe.cli.terminal import show_completion
 from labpipe.process.output_paths import find_results, find_shared_folder
 from labpipe.report.lab_report import PAGE_FILE
 
@@ -39,5 +39,5 @@ def _make_report(options: argparse.Namespace, folder: Path) -> None:
     """Write the report; options that are not given are those of the report in the folder."""
     files = find_results(options.paths)
     report_options = parse_report_options(options).fill_from(ReportOptions.read(folder))
-    with show_completed("test", len(files) + 1, in_pipe=False) as (_, say):
+    with show_completion("test", len(files) + 1, in_pipe=False) as (_, say):
         report_tests(files, out=options.out, say=say, options=report_options)

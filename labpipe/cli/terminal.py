@@ -35,7 +35,7 @@ def show_progress_bar(unit: str, total: int | None = None) -> Iterator[tqdm[NoRe
 
 
 @contextmanager
-def show_completed(
+def show_completion(
     unit: str, total: int | None = None, *, in_pipe: bool = True
 ) -> Iterator[tuple[Callable[[int], None], Callable[[str], None]]]:
     """Show completed items, such as tests: a bar on a terminal, a line per item in a pipe.
@@ -92,7 +92,7 @@ def format_statuses(results: Iterable[Result]) -> str:
 
 
 def format_result(result: Result, display: Mapping[str, str], width: int) -> str:
-    """Format a result with its interval and its largest contribution, in its display unit.
+    """Format a result with its interval and the largest cause of its uncertainty.
 
     Parameters
     ----------

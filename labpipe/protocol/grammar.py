@@ -113,7 +113,7 @@ else:
     QuantityName = Literal[tuple(SI_UNITS)]
 
 NUMBER_PATTERN: Final = r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?"
-"""Pattern of a number with a decimal point."""
+"""Pattern of a number, which may have a decimal point and an exponent."""
 _DIMENSION_NAMES = {si_unit: quantity for quantity, si_unit in SI_UNITS.items()} | {
     "m": "length",
     "rad": "an angle or a ratio",
@@ -351,7 +351,7 @@ MAX_NAME_BYTES = 120
 
 
 def _parse_text(value: object) -> str:
-    """Parse text; other YAML readers convert an unquoted 1 to a number, which is accepted, too."""
+    """Parse text; accept numbers, because other YAML readers convert an unquoted 1."""
     if isinstance(value, bool) or not isinstance(value, str | int | float) or not str(value):
         raise build_refusal("protocol.no_text", found=value)
     return str(value)
@@ -556,12 +556,12 @@ class Block(BaseModel):
     @model_serializer(mode="wrap")
     def _omit_unset_keys(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
         """Omit keys with the value None, if None is their default."""
-        fields = type(self).model_fields
-        optional = {field.alias or name for name, field in fields.items() if field.default is None}
+        fields = type(self).model_fields.items()
+        optional_keys = {field.alias or name for name, field in fields if field.default is None}
         return {
             key: value
             for key, value in handler(self).items()
-            if value is not None or key not in optional
+            if value is not None or key not in optional_keys
         }
 
 
@@ -588,8 +588,8 @@ def _build_draft(block: type[_B], data: Values) -> _B:
 def _validate_draft(adapter: TypeAdapter[Any], value: object, default: Any) -> Any:
     """Validate the value of a key of a draft, or the entries of a mapping one by one.
 
-    An entry that is not valid is replaced by an empty block if it must be a block, and otherwise
-    left out.
+    An entry that is not valid is replaced by an empty block if it must be a block, and is omitted
+    otherwise.
     """
     with suppress(ValidationError):  # the fault is already reported
         return adapter.validate_python(value, context=_DRAFT)
@@ -714,8 +714,8 @@ def _check_larger(
     """Return a value; refuse it if it is not larger than that of an earlier field."""
     bound = (info.data or {}).get(marker.field)
     if bound is not None and value <= bound:
-        found, bound_text = map(quantity_text.format, (value, bound))
-        raise build_refusal("protocol.not_larger", found=found, key=marker.key, bound=bound_text)
+        text, bound_text = map(quantity_text.format, (value, bound))
+        raise build_refusal("protocol.not_larger", found=text, key=marker.key, bound=bound_text)
     return value
 
 
@@ -801,11 +801,11 @@ class _BlockAnnotation:
     def _read(self, data: object, info: ValidationInfo) -> object:
         block = build_block(self.kind, self.tag)
         try:
-            validated = block.model_validate(data, context=info.context)
+            model = block.model_validate(data, context=info.context)
         except ValidationError as error:
             raise FaultsError(*convert_errors(error, data)) from error
         names = (name for name in block.model_fields if name != self.tag)
-        return self.kind(**{name: getattr(validated, name) for name in names})
+        return self.kind(**{name: getattr(model, name) for name in names})
 
     def _write(self, settings: object, info: SerializationInfo) -> dict[str, Any]:
         block = build_block(self.kind, self.tag)

@@ -314,8 +314,8 @@ def resolve_protocol(
     protocol, protocol_faults = Protocol.read(document.data)
     placed_faults: list[PlacedFault] = []
     if protocol_faults:
-        unmerged, unmerged_faults = Protocol.read(parse_yaml(text, name).data)
-        file_protocol = None if unmerged_faults else unmerged
+        unmerged_protocol, unmerged_faults = Protocol.read(parse_yaml(text, name).data)
+        file_protocol = None if unmerged_faults else unmerged_protocol
         placed_faults += _place_merged_faults(protocol_faults, document, sheet_path, file_protocol)
     faults: list[Fault] = []
     if protocol is not None:
@@ -444,7 +444,7 @@ def _find_removed_main_results(merged: Document, protocol: Protocol, sheet_name:
     removed_results = tuple(result for index, result in results if index not in kept_indices)
     faults = find_unknown_main_results(protocol.model_copy(update={"results": removed_results}))
     other_indices = {fault.path[-1] for fault in faults}
-    return {x for index, x in enumerate(protocol.groups.main) if index not in other_indices}
+    return {name for index, name in enumerate(protocol.groups.main) if index not in other_indices}
 
 
 def _find_wrong_answers(sheet: TestSheet, protocol: Protocol) -> Iterator[Fault]:
@@ -454,8 +454,8 @@ def _find_wrong_answers(sheet: TestSheet, protocol: Protocol) -> Iterator[Fault]
         path = ("specimen", "observed", name)
         if name not in questions:
             remedy = "The protocol asks no questions; use specimen.labels."
-            expected = "a question of the protocol:"
-            yield build_choice_fault(path, name, questions, expected, remedy=remedy, is_key=True)
+            choice_text = "a question of the protocol:"
+            yield build_choice_fault(path, name, questions, choice_text, remedy=remedy, is_key=True)
         elif answer not in questions[name]:
             answers = ", ".join(map(repr, questions[name]))
             yield Fault.of("protocol.no_answer", path, answers=answers, found=answer)
@@ -465,8 +465,8 @@ def _find_role_faults(sheet: TestSheet, protocol: Protocol) -> Iterator[Fault]:
     """Find roles without a source in the protocol, and required sources without a file."""
     sources = protocol.sources or sheet.files.keys()
     for role in sheet.files.keys() - sources:
-        expected = "a role of the protocol:"
-        yield build_choice_fault(("files", role), role, sources, expected, is_key=True)
+        choice_text = "a role of the protocol:"
+        yield build_choice_fault(("files", role), role, sources, choice_text, is_key=True)
     for role, source in (protocol.sources or {}).items():
         if role in ROLES and role not in sheet.files and not source.optional:
             yield Fault.of("protocol.no_file_of_role", ("files",), role=role)
@@ -678,7 +678,7 @@ def find_missing_curve_sources(protocol: Protocol, full_protocol: Protocol) -> I
 
 
 def _list_possible_steps(protocol: Protocol, absent_channels: set[str]) -> Iterator[Step]:
-    """Yield the steps of a protocol without those on channels of absent sources."""
+    """Yield the steps of a protocol that need no absent source."""
     for step in protocol.steps:
         if "markers" not in protocol.sources and step.uses_markers:
             continue

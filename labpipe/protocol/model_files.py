@@ -59,11 +59,11 @@ AccelerationComponent: TypeAlias = Annotated[float, Quantity("m/s^2", "m/s^2", "
 
 def _normalise(vector: Vector3) -> Vector3:
     """Scale a direction to the length 1."""
-    size = math.hypot(*vector)
-    if size == 0.0:
+    norm = math.hypot(*vector)
+    if norm == 0.0:
         raise build_refusal("protocol.no_direction", found=list(vector))
     x, y, z = vector
-    return x / size, y / size, z / size
+    return x / norm, y / norm, z / norm
 
 
 Position: TypeAlias = Annotated[
@@ -201,12 +201,12 @@ class LineBlock(Block):
     """The line: length, section, shape without load, and initial position."""
 
     length: Length
-    """From one end to the other, unstretched."""
+    """Length from end to end, unstretched."""
     elements: Annotated[int, WholeNumber(4, 2000)] = 40
     """Number of finite elements."""
     section: SectionBlock
     spool: Spool | None = None
-    """Curl of the line; straight without load if left out."""
+    """Curl of the line; straight without load if absent."""
     start: Position | None = None
     """Initial position of the start; by default that of the clip or pin there."""
     direction: Direction | None = None
@@ -309,7 +309,7 @@ class Load(_Boundary):
 
 
 class Plane(_Boundary):
-    """A table or wall; the axis of the line stays at least half its diameter away."""
+    """A table or wall; the axis of the line stays at least half a diameter away."""
 
     kind: Literal["plane"]
     point: Position
@@ -386,8 +386,8 @@ def _find_repeated_names(
     """Find names that an earlier item of a list at a key has; `noun` stands for it in messages."""
     names = [item.name for item in items]
     for index, name in enumerate(names):
-        if (first := names.index(name)) < index:
-            other, path = f"{noun} {first + 1}", (key, index, "name")
+        if (first_index := names.index(name)) < index:
+            other, path = f"{noun} {first_index + 1}", (key, index, "name")
             yield Fault.of("protocol.name_taken", path, name=name, other=other)
 
 
@@ -429,9 +429,9 @@ def _find_release_faults(harness: HarnessFile) -> Iterator[Fault]:
     has_weight = section.bending_stiffness is None or section.mass_per_length
     has_support = any(not isinstance(x, (Holder, Load)) for x in harness.boundaries)
     if has_weight and any(harness.gravity) and not has_support and all(release_steps.values()):
-        last_released = max(release_steps, key=lambda index: release_steps[index])
-        path = ("boundaries", last_released, "release")
-        yield Fault.of("protocol.falls", path, step=release_steps[last_released])
+        last_index = max(release_steps, key=lambda index: release_steps[index])
+        path = ("boundaries", last_index, "release")
+        yield Fault.of("protocol.falls", path, step=release_steps[last_index])
 
 
 def _compute_arrival_step(harness: HarnessFile, holder: Holder) -> int:
@@ -459,20 +459,20 @@ def _find_large_turns(harness: HarnessFile) -> Iterator[Fault]:
         start_step, start_angle = 0, 0.0
         for turn_path, end_step, stated_angle in turns:
             angle = start_angle if stated_angle is None else stated_angle
-            degrees = math.degrees(abs(angle - start_angle)) / (end_step - start_step)
-            if degrees >= 180.0:
+            rate = math.degrees(abs(angle - start_angle)) / (end_step - start_step)
+            if rate >= 180.0:  # deg per step
                 path = ("boundaries", index, *turn_path)
-                yield Fault.of("protocol.turn", path, found=degrees, start=start_step, end=end_step)
+                yield Fault.of("protocol.turn", path, found=rate, start=start_step, end=end_step)
             start_step, start_angle = end_step, angle
 
 
 def _find_large_curl(harness: HarnessFile) -> Iterator[Fault]:
     """Find a curl of more than 90 deg per element, because elements are straight."""
     spool, path, max_angle = harness.line.spool, ("line", "spool", "curvature"), 90.0
-    length_mm = 1e3 * max(harness.lengths) / harness.line.elements
-    angle = 0.0 if spool is None else math.degrees(1e-3 * spool.curvature * length_mm)
+    element_mm = 1e3 * max(harness.lengths) / harness.line.elements
+    angle = 0.0 if spool is None else math.degrees(1e-3 * spool.curvature * element_mm)
     if angle > max_angle:
-        yield Fault.of("protocol.curl", path, limit=max_angle, element=length_mm, found=angle)
+        yield Fault.of("protocol.curl", path, limit=max_angle, element=element_mm, found=angle)
 
 
 def _find_distant_places(harness: HarnessFile) -> Iterator[Fault]:
@@ -487,7 +487,7 @@ def _find_distant_places(harness: HarnessFile) -> Iterator[Fault]:
 def _find_distances_beyond(
     harness: HarnessFile, length: float, length_path: KeyPath
 ) -> Iterator[Fault]:
-    """Find held places that are too far apart for a length; its path is empty if not in a sweep."""
+    """Find held places too far apart for a length; `length_path` is empty outside a sweep."""
     start, direction = map(np.array, get_line_start(harness))
     places = []
     for index, holder in enumerate(harness.boundaries):
@@ -501,8 +501,8 @@ def _find_distances_beyond(
         first_index, first_place, first_path, first_string_length = first
         second_index, second_place, second_path, second_string_length = second
         reach = abs(second_place - first_place) + first_string_length + second_string_length
-        steps = min(len(first_path), len(second_path))
-        distances = np.linalg.norm(first_path[:steps] - second_path[:steps], axis=1)
+        n_steps = min(len(first_path), len(second_path))
+        distances = np.linalg.norm(first_path[:n_steps] - second_path[:n_steps], axis=1)
         if distances.max() > reach * ROUNDING_FACTOR:
             yield Fault.of(
                 "protocol.too_far",
@@ -565,7 +565,7 @@ def compute_path(
 
 
 def resolve_file_name(name: str, path: Path) -> Path:
-    """Resolve a file name of a harness: beside its YAML, or else in the working folder.
+    """Return the path of a file that a harness names: beside it, or else in the working folder.
 
     Parameters
     ----------

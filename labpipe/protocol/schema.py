@@ -114,7 +114,7 @@ class SpecimenBlock(Block):
     span: Length | None = None
     """Distance between the supports."""
     mass_per_length: LinearMass | None = None
-    """Mass per length of a cantilever; without it, its deflection by its weight is ignored."""
+    """Mass per length of a cantilever; without it, the deflection by its weight is ignored."""
     section: Section | None = None
     """Sizes of the cross-section, or its area."""
     uncertainty: SizeUncertainties | None = None
@@ -348,8 +348,8 @@ class Report(Block):
         for quantity, unit in self.display.items():
             si_unit, path = SI_UNITS[quantity], ("display", quantity)
             if try_parse_quantity(f"1 {unit}", si_unit) is None:
-                example, found = f"{quantity} such as {si_unit}", repr(unit)
-                yield Fault.of("protocol.no_unit", path, quantity=example, found=found)
+                example, unit_text = f"{quantity} such as {si_unit}", repr(unit)
+                yield Fault.of("protocol.no_unit", path, quantity=example, found=unit_text)
 
 
 LotFraction: TypeAlias = Annotated[float, Quantity("1", "%", "99 %", minimum=0.5, maximum=0.9999)]
@@ -370,7 +370,7 @@ class Groups(Block):
     coverage: LotFraction = 0.99
     """Fraction of a lot that must reach its force-limit."""
     confidence: LotFraction = 0.95
-    """Confidence that this fraction of the lot reaches it."""
+    """Confidence that this fraction reaches its force-limit."""
     margin: Fraction | None = None
     """Irrelevant difference of two groups, as a fraction of the first."""
 
@@ -435,7 +435,7 @@ class Protocol(Block):
     def clocks(self) -> dict[str, str | None]:
         """Return the role of the export whose clock a channel has, keyed by channel.
 
-        It is None for a channel that is computed from an unknown one.
+        The role is None for a channel that is computed from an unknown one.
         """
         clocks: dict[str, str | None] = {
             name: role
@@ -636,8 +636,8 @@ def _find_step_faults(protocol: Protocol) -> Faults:
             yield from _find_speed_faults(protocol, step, kind_path)
         span = getattr(step, "span", None)
         if span is not None and span.kind == "branch" and not protocol.branches:
-            found = repr(format_span(span))
-            yield Fault.of("protocol.span_of_no_branch", (*path, "span"), found=found)
+            span_text = repr(format_span(span))
+            yield Fault.of("protocol.span_of_no_branch", (*path, "span"), found=span_text)
         channels += protocol.list_added_channels(step)
         earlier_steps.append(step.step)
 
@@ -672,15 +672,15 @@ def _find_curve_faults(protocol: Protocol) -> Faults:
     added_channels = protocol.list_added_channels(*protocol.steps)
     if not isinstance(protocol.align, AlignNone):
         yield from _find_channel_faults(protocol.align.channel, ("align", "channel"), channels)
-    uses = []
+    channel_uses = []
     if curve:
-        uses += [(("curve", "force"), curve.force, "N")]
-        uses += [(("curve", "displacement"), curve.displacement, "m")]
+        channel_uses += [(("curve", "force"), curve.force, "N")]
+        channel_uses += [(("curve", "displacement"), curve.displacement, "m")]
     if branches:
-        uses += [(("branches", "channel"), branches.channel, "m")]
-    units = {name: SI_UNITS.get(x.measured_quantity) for name, x in channels.items()}
+        channel_uses += [(("branches", "channel"), branches.channel, "m")]
+    units = {name: SI_UNITS.get(channel.measured_quantity) for name, channel in channels.items()}
     units |= dict.fromkeys(added_channels, "m")
-    for path, name, si_unit in uses:
+    for path, name, si_unit in channel_uses:
         yield from _find_channel_faults(name, path, units)
         unit = units.get(name)
         if unit not in (None, si_unit):
@@ -707,8 +707,8 @@ def _find_result_faults(protocol: Protocol) -> Faults:
             if name is not None and not stiffnesses:
                 yield Fault.of("protocol.no_stiffness", (*path, key), name=name)
             elif name is not None and name not in stiffnesses:
-                valid = "one of the stiffnesses above,"
-                yield build_choice_fault((*path, key), name, stiffnesses, valid)
+                choice_text = "one of the stiffnesses above,"
+                yield build_choice_fault((*path, key), name, stiffnesses, choice_text)
         names = list_summary_names(result)
         repeated_names = [name for name in names if name in earlier_names]
         if repeated_names:

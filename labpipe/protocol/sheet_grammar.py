@@ -131,7 +131,7 @@ class SheetBundle(Block):
     def record(self) -> Bundle:
         """Return the record of the bundle for other subpackages; lengths in m."""
         items = self.wires.items()
-        wires = tuple(BundleWire(name, wires.number, wires.diameter) for name, wires in items)
+        wires = tuple(BundleWire(name, entry.number, entry.diameter) for name, entry in items)
         settings = {key: value for key, value in self if key not in ("wires", "number")}
         return Bundle(wires, **settings | {"positions": self.positions or ()})
 
@@ -142,8 +142,8 @@ class SheetBundle(Block):
         if self.tape != NONE and self.taping == NONE:
             yield Fault.of("protocol.no_taping", ("tape",), found=repr(self.tape))
         if self.conduit == NONE and self.conduit_bore is not None:
-            found = f"{1e3 * self.conduit_bore:.12g} mm"
-            yield Fault.of("protocol.no_conduit", ("conduit_bore",), found=repr(found))
+            bore_text = f"{1e3 * self.conduit_bore:.12g} mm"
+            yield Fault.of("protocol.no_conduit", ("conduit_bore",), found=repr(bore_text))
 
     def find_value_faults(self) -> Iterator[Fault]:
         """Find a stated number, an arrangement or positions that do not fit the wires."""
@@ -154,9 +154,9 @@ class SheetBundle(Block):
             )
         if len(bundle.wires) == 1 and bundle.arrangement != PACKED:
             yield Fault.of("protocol.one_type", ("arrangement",), found=bundle.arrangement)
-        count, path = len(bundle.positions), ("positions",)
-        if count not in (0, bundle.number):
-            yield Fault.of("protocol.number_of_places", path, bundle=bundle, found=count)
+        n_positions, path = len(bundle.positions), ("positions",)
+        if n_positions not in (0, bundle.number):
+            yield Fault.of("protocol.number_of_places", path, bundle=bundle, found=n_positions)
 
 
 def parse_bundle(text: str, *, arrangement: str = PACKED) -> Bundle:
@@ -355,7 +355,7 @@ def format_test_sheet(data: Mapping[str, object]) -> str:
 
 def _format_entry(key: str, value: object) -> str:
     """Format one key of the sheet with its comment."""
-    # PyYAML would write the rare line breaks unescaped, and read them back as blanks.
+    # PyYAML would write these line breaks unescaped, and read them back as blanks.
     json_text = json.dumps(value, ensure_ascii=False, default=str)
     has_rare_breaks = any(mark in json_text for mark in "\x85\u2028\u2029")
     # PyYAML would quote a date that is a text.
@@ -392,12 +392,12 @@ class NamePattern(NamedTuple):
     ----------
     text : pattern as written
     units : unit of each field, in their order; empty for a text or a date
-    compiled : regular expression with a group per field
+    regex : regular expression with a group per field
     """
 
     text: str
     units: dict[str, str]
-    compiled: re.Pattern[str]
+    regex: re.Pattern[str]
 
     def match(self, name: str) -> dict[str, str] | None:
         """Match a name with the pattern.
@@ -416,7 +416,7 @@ class NamePattern(NamedTuple):
         >>> parse_name_pattern("{type}-{length mm}-{sample}_force.mat").match("A2-085-1_Force.MAT")
         {'type': 'A2', 'length': '85 mm', 'sample': '1'}
         """
-        match = self.compiled.fullmatch(name) if len(name) <= MAX_PATTERN_LENGTH else None
+        match = self.regex.fullmatch(name) if len(name) <= MAX_PATTERN_LENGTH else None
         if match is None:
             return None
         values = dict(zip(self.units, match.groups(), strict=True))
@@ -429,7 +429,7 @@ class NamePattern(NamedTuple):
         return values
 
     def get_stem(self, name: str) -> str:
-        """Return the part of a file name up to its last field.
+        """Return the part of a file name up to the last field of the pattern.
 
         Parameters
         ----------
@@ -437,14 +437,14 @@ class NamePattern(NamedTuple):
 
         Returns
         -------
-        The part without folders; the complete name of the file if it does not match the pattern.
+        The part without folders; the complete file name if `name` does not match the pattern.
 
         Examples
         --------
         >>> parse_name_pattern("in/{type}-{sample}_force.mat").get_stem("in/A2-1_force.mat")
         'A2-1'
         """
-        match = self.compiled.fullmatch(name)
+        match = self.regex.fullmatch(name)
         return name[: match.end(len(self.units)) if match else None].rpartition("/")[2]
 
 
@@ -526,14 +526,14 @@ class NamePair(Block):
     def find_value_faults(self) -> Iterator[Fault]:
         """Find patterns with different fields, because exports are paired by their fields."""
         fields = {role: ", ".join(sorted(pattern.units)) for role, pattern in self.exports.items()}
-        first_role, expected = next(iter(fields.items()))
-        for role, found in fields.items():
+        first_role, first_text = next(iter(fields.items()))
+        for role, text in fields.items():
             path = ("exports", role)
-            if not found:
+            if not text:
                 yield Fault.of("protocol.no_fields", path)
-            elif found != expected:
+            elif text != first_text:
                 yield Fault.of(
-                    "protocol.other_fields", path, other=first_role, expected=expected, found=found
+                    "protocol.other_fields", path, other=first_role, expected=first_text, found=text
                 )
 
 

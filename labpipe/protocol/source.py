@@ -148,7 +148,7 @@ class PlausibleRange(Block):
 
 
 def _complete_ranges(data: object) -> Any:
-    """Fill in the shipped ranges and ends of ranges that a file leaves out."""
+    """Fill in the shipped ranges and ends of ranges that a file omits."""
     if not isinstance(data, Mapping):
         return data
     shipped_ranges = PLAUSIBLE_RANGES.items()
@@ -170,7 +170,7 @@ def _find_quantity_faults(
 
 
 def _find_range_faults(ends: PlausibleRange, unit: str) -> Iterator[Fault]:
-    """Find ends of a plausible range that are no quantities, negative or reversed."""
+    """Find ends of a plausible range that are no quantities, are negative, or do not increase."""
     yield from _find_quantity_faults(ends.start, unit, "from", "20")
     yield from _find_quantity_faults(ends.stop, unit, "to", "20")
     start, stop = try_parse_quantity(ends.start, unit), try_parse_quantity(ends.stop, unit)
@@ -467,7 +467,7 @@ class _Export(Block):
     part: Text | None = None
     """Specimen or sheet in the export of a load frame, if it has several."""
     optional: bool = False
-    """Whether a test may lack the export; steps and results that need it are then left out."""
+    """Whether a test may lack the export; steps and results that need it are then omitted."""
 
 
 class Source(ChannelSource, _Export):

@@ -172,7 +172,7 @@ class WireRow(Block):
     def find_key_faults(self) -> Iterator[Fault]:
         """Find stress tables together with the numbers that they replace."""
         for table, columns in _REPLACED_COLUMNS.items():
-            filled_columns = ", ".join(x for x in columns if x in self.model_fields_set)
+            filled_columns = ", ".join(name for name in columns if name in self.model_fields_set)
             if getattr(self, table) and filled_columns:
                 yield Fault.of("protocol.table_and_numbers", (table,), found=filled_columns)
 
@@ -371,7 +371,7 @@ _SPEC_DEFAULTS: Final[Mapping[str, Any]] = {
 
 
 def get_spec_field(name: str) -> str:
-    """Return the field of `WireSpec` for a column: its name without the unit."""
+    """Return the field of `WireSpec` for a column: the column name without the unit."""
     unit = WIRE_COLUMNS[name].unit if name in WIRE_COLUMNS else ""
     return name.removesuffix(_COLUMN_UNITS[unit][0])
 
@@ -401,7 +401,7 @@ def find_heading_faults(headings: Sequence[str]) -> Iterator[tuple[int, Fault]]:
 
     Parameters
     ----------
-    headings : headings of its columns
+    headings : headings of the sheet
 
     Yields
     ------
@@ -409,25 +409,25 @@ def find_heading_faults(headings: Sequence[str]) -> Iterator[tuple[int, Fault]]:
     """
     names, columns = list(map(normalise_heading, headings)), WireRow.model_fields
     # Name of the column that is most similar to each heading; empty if none is similar.
-    meant_names = [next(iter(difflib.get_close_matches(name, columns, n=1)), "") for name in names]
-    for index, (name, meant_name) in enumerate(zip(names, meant_names, strict=True)):
+    close_names = [next(iter(difflib.get_close_matches(name, columns, n=1)), "") for name in names]
+    for index, (name, close_name) in enumerate(zip(names, close_names, strict=True)):
         if name not in columns:
             fault = build_choice_fault((), headings[index], columns, "one of the columns")
-            unit = WIRE_COLUMNS[meant_name].unit if meant_name in WIRE_COLUMNS else ""
+            unit = WIRE_COLUMNS[close_name].unit if close_name in WIRE_COLUMNS else ""
             remedy = f"{fault.remedy} Its values are in {unit}." if unit else fault.remedy
             yield index, replace(fault, remedy=remedy)
         elif name in names[:index]:
             yield index, Fault.of("protocol.column_again", column=name)
     for name in _REQUIRED_COLUMNS:
-        if name not in meant_names:
+        if name not in close_names:
             yield 0, Fault.of("protocol.no_column", column=name)
-    if not {*meant_names} & {*STRAND_SIZE_COLUMNS}:
+    if not {*close_names} & {*STRAND_SIZE_COLUMNS}:
         yield 0, Fault.of("protocol.no_column", column="' or '".join(STRAND_SIZE_COLUMNS))
 
 
 INITIAL_SLOPE_RANGES = {"stress_table": (1e9, 1e12), "insulation_table": (1e5, 1e10)}
 """Valid initial slopes of a stress-strain curve (Pa), by the column that names its table; a slope
-outside them is due to a wrong unit."""
+outside its range is due to a wrong unit."""
 
 
 class StressPoint(Block):

@@ -364,8 +364,8 @@ def _build_syntax_error(error: Exception, text: str, file: str) -> ProtocolError
     if mark is not None:
         line, column = mark.line + 1, mark.column + 1
     else:
-        start = text[: getattr(error, "position", 0)]
-        line, column = start.count("\n") + 1, len(start) - start.rfind("\n")
+        prefix = text[: getattr(error, "position", 0)]
+        line, column = prefix.count("\n") + 1, len(prefix) - prefix.rfind("\n")
     problem = getattr(error, "problem", None) or getattr(error, "reason", "") or "too many levels"
     context = getattr(error, "context", None) or ""
     place, reason = f"line {line}, column {column}", f"{problem} {context}".strip()

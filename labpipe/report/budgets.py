@@ -41,7 +41,7 @@ class BudgetBar(NamedTuple):
 
 
 def has_budget_bar(name: str) -> bool:
-    """Return whether a result is of the first cycle, and not of a slip, the clocks or a limit."""
+    """Return whether a result describes the specimen, in the first cycle or in no cycle."""
     return wording.is_main(name) and wording.is_first_cycle(name)
 
 
@@ -51,7 +51,7 @@ def make_budget_bar(
     interval: Interval | None,
     display: Mapping[str, str],
 ) -> BudgetBar:
-    """Make the bar of a number; its text is half the width of the interval.
+    """Make the bar of a number. The text of the bar is half the width of the interval.
 
     Parameters
     ----------
@@ -61,12 +61,12 @@ def make_budget_bar(
     interval : interval of the number, SI; None without an interval
     display : display unit of each quantity, keyed by quantity
     """
-    text, scale = "", wording.choose_scale(number.name, number.unit, display)
+    bar_text, scale = "", wording.choose_scale(number.name, number.unit, display)
     if interval is not None:
         half_width = 0.5 * abs(scale.factor) * (interval.upper - interval.lower)
-        half_text = wording.format_number(half_width, None, digits=2).value
-        text = f"\u00b1 {half_text} {scale.unit}".strip()
-    return BudgetBar(wording.format_label(number.name.partition(".")[0]), shares, text)
+        half_width_text = wording.format_number(half_width, None, digits=2).value
+        bar_text = f"\u00b1 {half_width_text} {scale.unit}".strip()
+    return BudgetBar(wording.format_label(number.name.partition(".")[0]), shares, bar_text)
 
 
 def make_budget_plot(bars: Sequence[BudgetBar]) -> Plot:
@@ -125,7 +125,7 @@ def get_cause_colour(cause: str) -> str:
 
 
 def sort_shares(bar_shares: Sequence[Mapping[str, float]]) -> list[dict[str, float]]:
-    """Sort the shares of bars in the order of the legend, and add up those of small causes.
+    """Sort the shares of bars in the order of the legend, and add up the shares of small causes.
 
     Parameters
     ----------
@@ -150,7 +150,7 @@ def sort_shares(bar_shares: Sequence[Mapping[str, float]]) -> list[dict[str, flo
 
 
 def list_drawn_causes(bar_shares: Sequence[Mapping[str, float]]) -> list[str]:
-    """List the causes that bars show, in the order of the legend; `SMALL_CAUSES` is last.
+    """List the causes in the bars, in the order of the legend; `SMALL_CAUSES` is last.
 
     Parameters
     ----------

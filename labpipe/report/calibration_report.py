@@ -90,8 +90,8 @@ def typeset(sentence: str) -> str:
 def format_percent(ratio: float) -> str:
     """Format a ratio in per cent.
 
-    The text has two significant digits below 10 % and three from 10 %, without zeros at the end of
-    a fraction. It is empty if the ratio is not finite.
+    The text has two significant digits below 10 % and three from 10 %, without trailing zeros in
+    the fraction. A ratio that is not finite gives an empty text.
 
     Examples
     --------
@@ -145,7 +145,7 @@ class ValidationGroup:
 
     @property
     def is_reliable(self) -> Flags:
-        """Whether each predicted point is within `doubtful_deflection`, shape (n_points,)."""
+        """Whether each predicted point is within `doubtful_deflection`; empty without one."""
         deflection = np.zeros(0) if self.prediction is None else self.prediction.deflection
         return np.asarray(deflection <= self.doubtful_deflection)
 
@@ -154,7 +154,8 @@ class ValidationGroup:
 class BentShape(ArrayRecord):
     """Shape of a sample at one deflection of its tip.
 
-    The columns of each array are x, along the undeformed wire, and y, towards the pull, m.
+    The columns of each array, in m, are x, along the undeformed wire, and y, in the direction of
+    the pull.
 
     Parameters
     ----------
@@ -231,13 +232,13 @@ def format_intervals(parameter: CalibratedParameter) -> str:
     Returns
     -------
     ``lower to upper``, ``below upper``, ``above lower`` or ``open on both sides``. Separate
-    intervals are joined by ``or``. A missing interval is a dash.
+    intervals are joined by ``or``. Without an interval, the text is a dash.
     """
     interval_texts, last_index = [], len(parameter.intervals) - 1
     for index, interval in enumerate(parameter.intervals):
         nearest_value = min(max(parameter.value, interval.lower), interval.upper)
         number = format_number(nearest_value, interval, PARAMETER_SCALES[parameter.name].factor)
-        texts = {
+        text_by_openness = {
             (False, False): number.interval,
             (True, False): f"below {number.upper}",
             (False, True): f"above {number.lower}",
@@ -245,7 +246,7 @@ def format_intervals(parameter: CalibratedParameter) -> str:
         }
         is_open_below = index == 0 and parameter.is_open_below
         is_open_above = index == last_index and parameter.is_open_above
-        interval_texts.append(texts[is_open_below, is_open_above])
+        interval_texts.append(text_by_openness[is_open_below, is_open_above])
     return " or ".join(interval_texts) or "\u2013"
 
 
@@ -297,7 +298,7 @@ def describe_calibration(calibration: Calibration) -> list[str]:
 
 
 MAX_PANELS = 6
-"""Largest number of panels on a page of measured and predicted, or of external, curves."""
+"""Largest number of panels on a page of the validation or of external curves."""
 
 
 def list_calibration_figures(report: CalibrationReport) -> Iterator[Page]:
@@ -383,7 +384,7 @@ def make_calibration_page(
     gives the parameters with their intervals, and describes the calibration.
     """
     row_heights = (58.0, 34.0, 32.0)  # mm
-    frame_mm = 16.5  # room for the headings and labels of a row
+    label_height = 16.5  # mm, of the headings and the axis labels of a row
     factor_heading = "residuals with each sample's own factor"
     panels = [
         _make_loading_plot(calibration, predictions or {}),
@@ -398,12 +399,12 @@ def make_calibration_page(
     title = f"{calibration.wire}  ·  calibration of the wire model  ·  {sample_count}"
     note = "\n".join([*parameter_texts, *describe_calibration(calibration), residual_note])
     layout: dict[str, Any] = {"layout": "aaaaaa;bbbccc;ddeeff", "heights": row_heights}
-    layout["height"] = sum(row_heights) + frame_mm * len(row_heights)
+    layout["height"] = sum(row_heights) + label_height * len(row_heights)
     return Page("calibration", title, panels, note, **layout)
 
 
 def _choose_length_looks(calibration: Calibration) -> dict[float, dict[str, Any]]:
-    """Choose colour and dash for each free length of the tests, other than those of the model."""
+    """Choose a colour and a dash for each free length that differ from those of the model."""
     lengths = sorted({curve.length for curve in calibration.curves})
     return {length: choose_line_look(index) for index, length in enumerate(lengths, start=1)}
 
@@ -414,12 +415,12 @@ def _make_loading_plot(calibration: Calibration, predictions: Mapping[float, Pre
     The model is drawn at the points of the curve that reaches the largest deflection.
     """
     lines, labels = [], []
-    for length, settings in _choose_length_looks(calibration).items():
+    for length, line_look in _choose_length_looks(calibration).items():
         curves = [curve for curve in calibration.curves if curve.length == length]
         key_text = f"measured, {format_length(length)} ({len(curves)})"
         for curve in curves:
             x, y = curve.deflection, curve.force
-            line_settings = {"label": key_text, **settings}
+            line_settings = {"label": key_text, **line_look}
             lines.append(make_thinned_line("measured_loading", x, y, n_bins=120, **line_settings))
         widest_curve = max(curves, key=lambda curve: float(np.max(curve.deflection)))
         order = np.argsort(widest_curve.deflection)
@@ -427,11 +428,11 @@ def _make_loading_plot(calibration: Calibration, predictions: Mapping[float, Pre
         lines.append(make_line("model_of_sample", deflection, force))
         labels.append(Label(format_length(length), deflection[-1], force[-1], (3.0, 0.0)))
         if length in predictions:
-            model = predictions[length]
-            is_measured = model.deflection <= deflection[-1]
-            band = model.deflection, model.lower_mean, model.upper_mean
-            measured_band = (values[is_measured] for values in band)
-            lines.append(plots.make_area("band_of_mean_sample", *measured_band))
+            prediction = predictions[length]
+            is_drawn = prediction.deflection <= deflection[-1]
+            band = prediction.deflection, prediction.lower_mean, prediction.upper_mean
+            drawn_band = (values[is_drawn] for values in band)
+            lines.append(plots.make_area("band_of_mean_sample", *drawn_band))
     lowest_force = min([0.0, *(float(np.nanmin(line.y)) for line in lines)])
     y_axis = Axis("Force", FORCE_SCALE, low=lowest_force)
     return Plot(_DEFLECTION_AXIS, y_axis, lines, heading="first loadings", labels=labels)
@@ -452,7 +453,7 @@ def make_residual_plot(
     Notes
     -----
     Points are drawn faintly and thinned. A line shows the means of blocks of neighbouring points.
-    There are at least `MIN_RESIDUAL_BLOCKS` blocks, if there are as many points.
+    There are at least `MIN_RESIDUAL_BLOCKS` blocks if there are at least as many points.
     """
     settings_by_length = _choose_length_looks(calibration)
     lines = [plots.make_horizontal_line("no_residual", 0.0)]
@@ -467,7 +468,7 @@ def make_residual_plot(
 
 
 def make_profile_plot(parameter: CalibratedParameter, heading: str = "") -> Plot:
-    """Make the panel of the deviance of a parameter against its value on a logarithmic axis.
+    """Make the panel of the deviance against the value of a parameter, on a logarithmic axis.
 
     Parameters
     ----------
@@ -477,8 +478,9 @@ def make_profile_plot(parameter: CalibratedParameter, heading: str = "") -> Plot
     Notes
     -----
     Dashed lines are the thresholds on both sides of each solution. The 95 % interval is grey; an
-    open interval extends to the end of the panel. A filled triangle is the value, an open triangle
-    another solution. If the parameter has a prior, the deviance due to the prior is also drawn.
+    open interval extends to the end of the panel. A filled triangle marks the value, an open
+    triangle another solution. If the parameter has a prior, the deviance due to the prior is also
+    drawn.
     """
     normal_quantile = 1.959963984540054  # standard normal, at probability 0.975
     if not parameter.profiles:
@@ -493,7 +495,7 @@ def make_profile_plot(parameter: CalibratedParameter, heading: str = "") -> Plot
     middles = np.sqrt(np.array(solutions[1:]) * np.array(solutions[:-1])).tolist()
     borders = [low, *middles, high]
     for profile in parameter.profiles:
-        solution, deviance = _get_minimum(profile)
+        solution, min_deviance = _get_minimum(profile)
         index = solutions.index(solution)
         lines.append(make_line("profile", *interpolate_profile(profile)))
         lines.append(make_line("profile_point", profile.value, profile.deviance))
@@ -501,8 +503,8 @@ def make_profile_plot(parameter: CalibratedParameter, heading: str = "") -> Plot
         lines.append(
             make_line("threshold", [solution, borders[index + 1]], profile.threshold_above)
         )
-        if deviance > 0.0:
-            lines.append(make_line("best_value", solution, deviance, markerfacecolor="white"))
+        if min_deviance > 0.0:
+            lines.append(make_line("best_value", solution, min_deviance, markerfacecolor="white"))
     lines.append(make_line("best_value", parameter.value, 0.0))
     if parameter.conflict is not None:
         values: Floats = np.geomspace(low, high, 200)
@@ -517,7 +519,7 @@ def make_profile_plot(parameter: CalibratedParameter, heading: str = "") -> Plot
 
 def _compute_panel_top(parameter: CalibratedParameter) -> float:
     """Compute the deviance at the top of the panel of a parameter."""
-    threshold_factor = 2.6  # shows the profiles well above their thresholds
+    threshold_factor = 2.6  # top of the panel, relative to the highest threshold
     profiles = parameter.profiles
     return threshold_factor * max(max(p.threshold_below, p.threshold_above) for p in profiles)
 
@@ -541,7 +543,7 @@ def compute_panel_range(parameter: CalibratedParameter) -> tuple[float, float]:
     top of the panel, and the centre of the prior.
     """
     margin_fraction = 0.12  # margin at each end, relative to the range of the logarithms
-    min_log_range = 0.02  # smallest range for which the margin is computed
+    min_log_range = 0.02  # a narrower range has the margin of this range
     values, top = [parameter.value], _compute_panel_top(parameter)
     for profile in parameter.profiles:
         profile_values, deviance = interpolate_profile(profile)
@@ -575,7 +577,7 @@ def interpolate_profile(profile: Profile) -> tuple[Floats, Floats]:
 
 
 def make_validation_page(name: str, groups: Sequence[ValidationGroup]) -> Page:
-    """Make the page of measured and predicted force against deflection, a panel per group.
+    """Make the page of measured and predicted force against deflection, one panel per group.
 
     Parameters
     ----------
@@ -596,7 +598,7 @@ def _make_group_plot(group: ValidationGroup) -> Plot:
 
     The model is drawn lighter where it is doubtful.
     """
-    max_line_length = 48  # letters of the label
+    max_line_length = 48  # characters in a line of the label
     samples, lines = group.samples.values(), list[Line]()
     for sample in samples:
         x, y = sample.displacement, sample.force
@@ -614,7 +616,7 @@ def _make_group_plot(group: ValidationGroup) -> Plot:
 def _make_model_lines(model: Prediction, is_reliable: Flags) -> Iterator[Line]:
     """Yield the curve of the model and its band for one more sample, lighter where doubtful."""
     for rows, opacity in plots.split_doubtful(is_reliable):
-        x, lower, upper = (y[rows] for y in (model.deflection, model.lower, model.upper))
+        x, lower, upper = (values[rows] for values in (model.deflection, model.lower, model.upper))
         band_opacity = _MODEL_BAND_OPACITY * opacity
         yield make_line("model", x, model.force[rows], alpha=opacity)
         yield plots.make_area("band_of_model", x, lower, upper, alpha=band_opacity)
@@ -647,8 +649,8 @@ def describe_agreement(group: ValidationGroup) -> list[str]:
 
     Returns
     -------
-    Number of samples, root mean square error, and fraction of points inside the band. Without a
-    prediction, the number of samples and the reason.
+    Texts on the number of samples, the root mean square error and, if it is finite, the fraction of
+    points inside the band. Without a prediction, texts on the number of samples and the reason.
     """
     texts = [format_count(len(group.samples), "sample")]
     if not np.isfinite(group.band.lower).any():
@@ -691,7 +693,7 @@ def _describe_bands(groups: Sequence[ValidationGroup]) -> str:
     return " ".join(filter(None, sentences))
 
 
-_MARKERS = ("o", "s", "^", "D", "v")
+_CURVE_SYMBOLS = ("o", "s", "^", "D", "v")
 
 
 class ExternalPanel(NamedTuple):
@@ -716,8 +718,8 @@ class ExternalPanel(NamedTuple):
     @property
     def prediction(self) -> Prediction | None:
         """Prediction that reaches the largest deflection; None if there is no prediction."""
-        models = filter(None, (comparison.prediction for comparison in self.comparisons))
-        return max(models, key=lambda model: float(model.deflection[-1]), default=None)
+        predictions = filter(None, (comparison.prediction for comparison in self.comparisons))
+        return max(predictions, key=lambda p: float(p.deflection[-1]), default=None)
 
 
 def group_external_curves(report: CalibrationReport) -> list[Sequence[ExternalPanel]]:
@@ -729,7 +731,7 @@ def group_external_curves(report: CalibrationReport) -> list[Sequence[ExternalPa
 
     Returns
     -------
-    Panels of each page, at most `MAX_PANELS`. Lengths that are equal to 1 µm share a panel.
+    Panels of each page, at most `MAX_PANELS`. Lengths are rounded to 1 µm before they are compared.
     """
     n_decimals = 6  # of a length in m
     comparisons_by_key: dict[tuple[str, float, bool], list[ExternalCurveComparison]] = {}
@@ -760,20 +762,20 @@ def make_external_page(name: str, panels: Sequence[ExternalPanel]) -> Page:
 
 def _make_external_plot(panel: ExternalPanel) -> Plot:
     """Make the panel of tests and model with their bands, and of external curves."""
-    n_marks = 14  # about as many marks on each external curve
+    min_symbols = 14  # on an external curve with at least as many points
     lines = [] if panel.group is None else _make_mean_lines(panel.group.band)
-    model = panel.prediction
-    if model is not None:
-        band = model.deflection, model.lower_mean, model.upper_mean
-        lines.append(make_line("model", model.deflection, model.force))
+    prediction = panel.prediction
+    if prediction is not None:
+        band = prediction.deflection, prediction.lower_mean, prediction.upper_mean
+        lines.append(make_line("model", prediction.deflection, prediction.force))
         lines.append(plots.make_area("band_of_model", *band, alpha=_MODEL_BAND_OPACITY))
     for index, comparison in enumerate(panel.comparisons):
         curve = comparison.curve
         settings: dict[str, Any] = {
             "label": f"external: {curve.name}",
             "color": f"C{1 + index % (N_COLOURS - 1)}",  # the first colour is that of the model
-            "marker": _MARKERS[index % len(_MARKERS)],
-            "markevery": max(1, len(curve.force) // n_marks),
+            "marker": _CURVE_SYMBOLS[index % len(_CURVE_SYMBOLS)],
+            "markevery": max(1, len(curve.force) // min_symbols),
         }
         lines.append(make_line("external_curve", curve.deflection, curve.force, **settings))
     force_axis = _make_force_axis(lines, [line.y for line in lines])
@@ -859,7 +861,7 @@ def make_tables(report: CalibrationReport) -> list[tables.Table]:
 
 
 def _list_match_records(comparison: ExternalCurveComparison) -> Iterator[tables.Record]:
-    """Yield the record of the comparison of an external curve with the tests, then the model."""
+    """Yield the records of an external curve: its match with the tests, then with the model."""
     curve = comparison.curve
     for reference, match in (("tests", comparison.tests), ("model", comparison.model)):
         errors = None if match is None else match.errors
@@ -1017,13 +1019,13 @@ def _list_note_records(report: CalibrationReport) -> list[tables.Record]:
 
 
 def _make_force_records(group: ValidationGroup) -> dict[str, list[tables.Record]]:
-    """Make the records of the points of each curve, keyed by its name in the sheet.
+    """Make the records of the points of each curve, keyed by the curve's name.
 
     The curves are the mean of the samples, the model if there is a prediction, and each sample.
     """
     force_headings = [
-        *(FORCE_SCALE.label(f"force{end}") for end in ("", ", lower", ", upper")),
-        *(FORCE_SCALE.label(f"mean sample, {end}") for end in ("lower", "upper")),
+        *(FORCE_SCALE.label(f"force{suffix}") for suffix in ("", ", lower", ", upper")),
+        *(FORCE_SCALE.label(f"mean sample, {edge}") for edge in ("lower", "upper")),
     ]
     band, model = group.band, group.prediction
     mean_curve = band.displacement, band.mean, band.lower, band.upper

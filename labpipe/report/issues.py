@@ -79,7 +79,7 @@ def find_issues(campaign: Campaign) -> tuple[Issue, ...]:
     reasons are one issue.
     """
     excluded_files = {Kind.UNREADABLE: campaign.failures, Kind.REJECTED: campaign.rejected}
-    order = [*Kind]
+    kind_order = [*Kind]
     issues = [
         Issue(kind, "", (file,), "", reason=reason)
         for kind, reasons in excluded_files.items()
@@ -94,7 +94,7 @@ def find_issues(campaign: Campaign) -> tuple[Issue, ...]:
             issue = Issue(Kind.WARNING, group.name, (), "empty group", reason="", code=reason.code)
             issues.append(replace(issue, reason=wording.make_sentence(reason.message)))
         issues += _list_note_issues(group.name, (), group.notes)
-    return tuple(sorted(issues, key=lambda issue: order.index(issue.kind)))
+    return tuple(sorted(issues, key=lambda issue: kind_order.index(issue.kind)))
 
 
 def _join_codes(reasons: Iterable[Reason]) -> str:
@@ -141,7 +141,7 @@ def _list_sample_issues(group: Group, sample: Sample) -> Iterator[Issue]:
 
 
 def _list_number_issues(group: Group) -> Iterator[Issue]:
-    """Yield the samples that do not enter a mean, unless their number failed, and the outliers."""
+    """Yield the issues of samples outside a mean whose number did not fail, and of outliers."""
     failed_results = {
         (sample.test, result.name)
         for sample in group.samples
@@ -158,8 +158,8 @@ def _list_number_issues(group: Group) -> Iterator[Issue]:
         scale = wording.choose_number_scale(group, number)
         for outlier in number.outliers:
             value_text = wording.format_number(outlier.value, None, scale.factor).value
-            quantity, test_text = f"{value_text} {scale.unit}".strip(), f"(p = {outlier.p:.2g})"
-            reason = f"{quantity} differs from the other samples by {outlier.method} {test_text}."
+            quantity, p_text = f"{value_text} {scale.unit}".strip(), f"(p = {outlier.p:.2g})"
+            reason = f"{quantity} differs from the other samples by {outlier.method} {p_text}."
             tests = (outlier.sample,)
             yield Issue(Kind.OUTLIER, group.name, tests, label, reason=reason, numbers=names)
 
@@ -171,7 +171,7 @@ _REPEATED_CODES = {"doubtful_in_mean", *(f"slip_{decision}" for decision in Slip
 def _list_note_issues(
     group: str, tests: tuple[str, ...], notes: Iterable[QualityNote]
 ) -> Iterator[Issue]:
-    """Yield an issue for the notes with a common code and message.
+    """Yield one issue per combination of code and message in the notes.
 
     Parameters
     ----------
@@ -206,7 +206,7 @@ class Effect(NamedTuple):
     ----------
     size : shift of the mean, relative to half the width of its interval, or relative widening of
         the interval; infinite if no value remains
-    text : description of the effect without a full stop
+    text : sentence on the effect without a full stop
     """
 
     size: float
@@ -297,20 +297,20 @@ def _group_by_cause(issues: Iterable[Issue]) -> list[Cause]:
     """Group issues of the same kind with a common code; all slips have one cause."""
     clusters: list[tuple[Kind, set[str], list[Issue]]] = []
     for issue in issues:
-        text = issue.kind if issue.kind is Kind.SLIP else issue.code
-        codes = {str(code) for code in text.split(", ") if code}
-        for kind, cluster_codes, members in clusters:
+        code_text = issue.kind if issue.kind is Kind.SLIP else issue.code
+        codes = {str(code) for code in code_text.split(", ") if code}
+        for kind, cluster_codes, cluster_issues in clusters:
             if kind is issue.kind and codes & cluster_codes:
                 cluster_codes.update(codes)
-                members.append(issue)
+                cluster_issues.append(issue)
                 break
         else:
             clusters.append((issue.kind, codes, [issue]))
-    return [Cause(tuple(members)) for _, _, members in clusters]
+    return [Cause(tuple(cluster_issues)) for _, _, cluster_issues in clusters]
 
 
 def _find_effect(cause: Cause, groups: Mapping[str, Group]) -> Effect | None:
-    """Find the largest effect of a cause on a number of a group; None if there is none."""
+    """Find the largest effect of a cause on a number of a group; None if no mean is affected."""
     if cause.kind is Kind.UNREADABLE:
         return Effect(inf, format_sentence("report.effect_unreadable"))
     if cause.kind is Kind.REJECTED:
@@ -376,8 +376,8 @@ def _compute_shift(group: Group, number: GroupNumber, tests: set[str], label: st
     shift = float(np.mean([np.mean(values) for values in values_by_spool.values()])) - value
     size = abs(shift) / half_width if half_width > 0.0 else 0.0
     percentage = f"{100.0 * abs(shift / value):.2g} % " if value else ""
-    text = f"without {'it' if len(tests) == 1 else 'them'}, {label} would be {percentage}"
-    text += "higher" if shift > 0.0 else "lower"
+    text = f"{label} would be {percentage}{'higher' if shift > 0.0 else 'lower'}"
+    text += " without this test" if len(tests) == 1 else " without these tests"
     if isnan(half_width) or isnan(size):
         return Effect(0.0, text)
     return Effect(size, f"{text}, {size:.2g} times half its interval")

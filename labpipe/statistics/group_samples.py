@@ -96,11 +96,11 @@ def find_varying_fields(group: Group) -> tuple[str, ...]:
     ----------
     group : group of samples; a varying composition replaces the fields ``wire`` and ``number``
     """
-    names = list_field_names(sample.specimen for sample in group.samples)
-    fields = [name for name in names if name not in group.fields and name != SPOOL]
-    if "composition" in fields:
-        fields = [name for name in fields if name not in {"wire", "number"}]
-    return tuple(fields)
+    all_names = list_field_names(sample.specimen for sample in group.samples)
+    names = [name for name in all_names if name not in group.fields and name != SPOOL]
+    if "composition" in names:
+        names = [name for name in names if name not in {"wire", "number"}]
+    return tuple(names)
 
 
 def find_differing_fields(
@@ -130,29 +130,29 @@ def find_differing_fields(
     if "composition" in varying_fields:
         varying_fields |= {"wire", "number"} - (first.fields.keys() & second.fields.keys())
     names = dict.fromkeys((*first.fields, *second.fields))
-    values = {
+    all_texts = {
         name: (first.fields.get(name, NOT_STATED), second.fields.get(name, NOT_STATED))
         for name in names
         if name not in varying_fields and (name != SPOOL or SPOOL in grouping_fields)
     }
     differences = {
         name: texts
-        for name, texts in values.items()
+        for name, texts in all_texts.items()
         if texts[0] != texts[1] and not _have_similar_sizes(first, second, name)
     }
-    dependent_fields = _find_dependent_fields(differences, values, first, second)
+    dependent_fields = _find_dependent_fields(differences, all_texts, first, second)
     return {name: texts for name, texts in differences.items() if name not in dependent_fields}
 
 
 def _have_similar_sizes(first: Group, second: Group, name: str) -> bool:
     """Return whether both groups have a dimension, and its means differ by at most 1 %."""
-    sizes = [_list_sizes(group.samples, name) for group in (first, second)]
-    return all(sizes) and _are_similar([sum(group) / len(group) for group in sizes])
+    size_lists = [_list_sizes(group.samples, name) for group in (first, second)]
+    return all(size_lists) and _are_similar([sum(sizes) / len(sizes) for sizes in size_lists])
 
 
 def _find_dependent_fields(
     differences: Mapping[str, tuple[str, str]],
-    values: Mapping[str, tuple[str, str]],
+    all_texts: Mapping[str, tuple[str, str]],
     first: Group,
     second: Group,
 ) -> set[str]:
@@ -161,7 +161,7 @@ def _find_dependent_fields(
     Parameters
     ----------
     differences : texts of both groups, keyed by the fields that differ
-    values : texts of both groups, keyed by the fields that are compared
+    all_texts : texts of both groups, keyed by the fields that are compared
     first, second : groups that are compared
     """
     dependent_fields: set[str] = set()
@@ -172,7 +172,7 @@ def _find_dependent_fields(
         dependent_fields |= set(SECTION_SIZES)
     if {"wire", "number"} & differences.keys():
         dependent_fields.add("composition")
-    if NONE in values.get("taping", ()):
+    if NONE in all_texts.get("taping", ()):
         dependent_fields.add("tape")
     if "conduit" in differences:
         dependent_fields |= {BORE, *SECTION_SIZES}
@@ -207,7 +207,7 @@ def make_field_sort_key(name: str, text: str) -> tuple[object, ...]:
 
 
 def make_natural_sort_key(text: str) -> tuple[tuple[int, str], ...]:
-    """Make a sort key of a text in which 7 is before 12."""
+    """Make the sort key of a text that sorts numbers by value, such as 7 before 12."""
     segments = split(r"(\d+)", text)
     return tuple((int(x), "") if x.isdecimal() else (0, x) for x in segments)
 
@@ -285,15 +285,15 @@ def _list_candidates(samples: Sequence[Sample]) -> dict[str, list[str]]:
         candidates[name] = _format_clustered_sizes([x.dimensions.get(name) for x in specimens])
     for name in labels:
         texts = [fields.get(name, NOT_STATED) for fields in all_fields]
-        if len(set(texts)) < len(texts):  # a label of each sample does not divide them
+        if len(set(texts)) < len(texts):  # labels that all differ are names of specimens
             candidates[name] = texts
     return candidates
 
 
 def _format_clustered_sizes(sizes: Sequence[float | None]) -> list[str]:
     """Format each size as the mean of its cluster, in mm."""
-    # Nominal sizes differ by a larger fraction (6 % in R 40 of ISO 3, the finest series in use).
-    # Measured sizes of specimens with one nominal size differ by a smaller fraction.
+    # Adjacent nominal sizes differ by more (6 % in R 40 of ISO 3, the finest series in use).
+    # Measured sizes of specimens with one nominal size differ by less.
     min_size_step = 0.05
     clusters: list[list[float]] = []
     for size in sorted({size for size in sizes if size is not None}):
@@ -333,7 +333,7 @@ def name_samples(samples: Sequence[Sample]) -> list[str]:
 
 
 def make_sample_notes(samples: Sequence[Sample]) -> Iterator[QualityNote]:
-    """Make notes on a group without samples, of one sample, and with repeated or unlike samples.
+    """Make notes on a group that is empty, has one sample, or has repeated or unlike samples.
 
     Parameters
     ----------
@@ -400,19 +400,19 @@ def make_number_notes(numbers: Sequence[GroupNumber]) -> Iterator[QualityNote]:
     ----------
     numbers : results of one group
     """
-    doubtful_numbers = []
+    texts = []
     for number in numbers:
         values = number.values.items()
         if tests := [test for test, result in values if result.status is Status.DOUBTFUL]:
-            doubtful_numbers.append(f"{number.name} ({', '.join(tests)})")
-    if names := "; ".join(doubtful_numbers):
+            texts.append(f"{number.name} ({', '.join(tests)})")
+    if names := "; ".join(texts):
         yield QualityNote.of("statistics.doubtful_in_mean", "group", names=names)
     if names := "; ".join(number.name for number in numbers if not _is_outlier_tested(number)):
         yield QualityNote.of("statistics.outliers_not_tested", "group", names=names)
 
 
 def _is_outlier_tested(number: GroupNumber) -> bool:
-    """Return whether a result has two more values than spools, or no value at all."""
+    """Return whether a result has at least two more values than spools, or no value at all."""
     spool_means = number.mean.spool_means
     return sum(mean.n for mean in spool_means.values()) >= len(spool_means) + 2 or not number.values
 
@@ -439,22 +439,22 @@ def find_other_methods(samples: Sequence[Sample]) -> dict[str, dict[str, Reason]
                 methods = tests_by_method.setdefault(result.name, {})
                 methods.setdefault(result.method, []).append(test)
                 sources.setdefault(result.name, set()).add(result.made_of)
-    mixed = {name: methods for name, methods in tests_by_method.items() if len(methods) > 1}
-    dependent = {
-        name: mixed[source]
+    mixed_methods = {name: methods for name, methods in tests_by_method.items() if len(methods) > 1}
+    dependent_methods = {
+        name: mixed_methods[source]
         for name, source_names in sources.items()
-        for source in mixed
-        if source in source_names and name not in mixed
+        for source in mixed_methods
+        if source in source_names and name not in mixed_methods
     }
     reasons_by_name: dict[str, dict[str, Reason]] = {}
-    for name, methods in (mixed | dependent).items():
-        usual, _ = max(methods.items(), key=lambda entry: len(entry[1]))
+    for name, methods in (mixed_methods | dependent_methods).items():
+        usual_method, _ = max(methods.items(), key=lambda entry: len(entry[1]))
         reasons_by_name[name] = {
             test: Reason.of(
-                "statistics.made_otherwise", way=method or "no stated method", usual=usual
+                "statistics.made_otherwise", way=method or "no stated method", usual=usual_method
             )
             for method, tests in methods.items()
-            if method != usual
+            if method != usual_method
             for test in tests
         }
     return reasons_by_name
@@ -475,8 +475,8 @@ def make_method_notes(
     Notes ``protocols_differ``, one for each result, and one for slips.
     """
     for name, reasons in exclusions.items():
-        tests, reason = ", ".join(reasons), next(iter(reasons.values())).message
-        note = QualityNote.of("statistics.protocols_differ", name, tests=tests, why=reason)
+        tests, message = ", ".join(reasons), next(iter(reasons.values())).message
+        note = QualityNote.of("statistics.protocols_differ", name, tests=tests, why=message)
         yield replace(note, tests=tuple(reasons))
     tests_by_decision: dict[str, list[str]] = {}
     for sample in samples:
@@ -517,9 +517,9 @@ def describe_values(tests_by_value: Mapping[str, Sequence[str]]) -> str:
     '1 mm (f) and 2 mm (the other 5)'
     """
     max_named_tests = 4
-    rarest_first = sorted(tests_by_value.items(), key=lambda entry: len(entry[1]))
-    clauses = [f"{value or 'not stated'} ({', '.join(tests)})" for value, tests in rarest_first]
-    last_value, last_tests = rarest_first[-1]
+    entries = sorted(tests_by_value.items(), key=lambda entry: len(entry[1]))
+    clauses = [f"{value or 'not stated'} ({', '.join(tests)})" for value, tests in entries]
+    last_value, last_tests = entries[-1]
     if len(last_tests) > max_named_tests:
         clauses[-1] = f"{last_value or 'not stated'} (the other {len(last_tests)})"
     return f"{'; '.join(clauses[:-1])} and {clauses[-1]}"
@@ -527,11 +527,11 @@ def describe_values(tests_by_value: Mapping[str, Sequence[str]]) -> str:
 
 def make_method_caveats(first_number: GroupNumber, second_number: GroupNumber) -> tuple[str, ...]:
     """Return a caveat if a result of two groups was computed by more than one method."""
-    first, second = (
+    first_methods, second_methods = (
         dict.fromkeys(result.method for result in number.values.values())
         for number in (first_number, second_number)
     )
-    if len(first | second) == 1:
+    if len(first_methods | second_methods) == 1:
         return ()
-    facts = {"first": " or ".join(first), "second": " or ".join(second)}
+    facts = {"first": " or ".join(first_methods), "second": " or ".join(second_methods)}
     return (format_sentence("statistics.methods_differ", **facts),)

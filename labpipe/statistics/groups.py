@@ -140,15 +140,15 @@ def average_scaled_loading(
     severity info and codes that end in ``_scaled``. A note on missing peak forces replaces the note
     on missing curves.
     """
-    peaks = dict(zip(name_samples(samples), map(_get_peak_force, samples), strict=True))
-    divisors = {name: peak for name, peak in peaks.items() if peak > 0}
+    peak_forces = dict(zip(name_samples(samples), map(_get_peak_force, samples), strict=True))
+    divisors = {name: peak for name, peak in peak_forces.items() if peak > 0}
     band, notes = average_loading(samples, limits, divisors=divisors)
     scaled_notes = []
     for note in notes:
         if note.code != "no_curve":
             text = format_sentence("statistics.scaled", message=note.message)
             scaled_notes.append(QualityNote(f"{note.code}_scaled", Severity.INFO, "group", text))
-    if tests := ", ".join(name for name in peaks if name not in divisors):
+    if tests := ", ".join(name for name in peak_forces if name not in divisors):
         scaled_notes.append(QualityNote.of("statistics.no_peak_force", "group", tests=tests))
     return band, scaled_notes
 
@@ -225,19 +225,19 @@ def interpolate_curves(
         return CommonCurves(*empty, Reason.of("statistics.no_curves"))
     labels = list(names) or [f"curve {index}" for index in range(1, len(curves) + 1)]
     sorted_curves = [_sort_by_displacement(*curve) for curve in curves]
-    # displacements of each curve at which there is a force
-    ranges = [displacement[~np.isnan(force)] for displacement, force in sorted_curves]
+    # For each curve, the displacements at which there is a force.
+    displacements = [displacement[~np.isnan(force)] for displacement, force in sorted_curves]
     if names_without_data := [
-        name for name, values in zip(labels, ranges, strict=True) if not len(values)
+        name for name, values in zip(labels, displacements, strict=True) if not len(values)
     ]:
         reason = Reason.of("statistics.no_data", names=", ".join(names_without_data))
         return CommonCurves(*empty, reason)
-    starts, stops = (np.array([values[end] for values in ranges]) for end in (0, -1))
+    starts, stops = (np.array([values[end] for values in displacements]) for end in (0, -1))
     last_index, first_index = int(np.argmax(starts)), int(np.argmin(stops))
     start, stop = starts[last_index], stops[first_index]
     if stop <= start:
-        late, early = labels[last_index], labels[first_index]
-        facts = {"late": late, "early": early, "start": 1e3 * start, "stop": 1e3 * stop}
+        late_name, early_name = labels[last_index], labels[first_index]
+        facts = {"late": late_name, "early": early_name, "start": 1e3 * start, "stop": 1e3 * stop}
         reason = Reason.of("statistics.no_overlap", **facts)
         return CommonCurves(*empty, reason)
     grid = np.linspace(start, stop, n_displacements)
@@ -286,7 +286,7 @@ def compute_band(curves: CommonCurves, members: str = "samples") -> Band:
     elif reason is None and n == 2:
         reason = Reason.of("statistics.two_curves", members=members)
     mean = curves.force.sum(axis=0) / max(n, 1)
-    pointwise = simultaneous = np.full(len(displacement), np.nan)
+    pointwise = simultaneous = np.full(len(displacement), np.nan)  # half widths of the bands
     if n > 1 and len(displacement):
         error = curves.force.std(axis=0, ddof=1) / np.sqrt(n)
         pointwise = compute_t_quantile(n - 1) * error
@@ -343,8 +343,8 @@ def _compute_path_length(residuals: Floats) -> float:
     rounding_error = 1e-12  # relative to the largest residual
     norm = np.linalg.norm(residuals, axis=0)
     has_scatter = norm > rounding_error * np.abs(residuals).max(initial=0.0)
-    unit = residuals[:, has_scatter] / norm[has_scatter]
-    cosine = np.clip(np.sum(unit[:, 1:] * unit[:, :-1], axis=0), -1.0, 1.0)
+    unit_residuals = residuals[:, has_scatter] / norm[has_scatter]
+    cosine = np.clip(np.sum(unit_residuals[:, 1:] * unit_residuals[:, :-1], axis=0), -1.0, 1.0)
     return float(np.sum(np.arccos(cosine)))
 
 
@@ -373,9 +373,9 @@ def build_group(
 
     Returns
     -------
-    The group. Its samples are in order of spool, sample and test. It has a number for each result
-    of any sample, in the order of their first occurrence, the mean of the first loading branches,
-    notes, also on exclusions, and the fields with one value in all specimens.
+    The group. Its samples are in order of spool, sample and test. Its numbers are the results of
+    all samples, in the order of first occurrence. It also has the mean of the first loading
+    branches, notes (also on exclusions), and the fields with one value in all specimens.
     """
     samples = tuple(sorted(samples, key=_make_sample_sort_key))
     exclusions = find_other_methods(samples)
@@ -383,10 +383,10 @@ def build_group(
     for result_name in dict.fromkeys(
         result.name for sample in samples for result in sample.results
     ):
-        quantity, excluded = result_name.partition(".")[0], exclusions.get(result_name, {})
+        quantity, reasons = result_name.partition(".")[0], exclusions.get(result_name, {})
         is_signed = quantity in signed_names
         number = average_result(
-            result_name, samples, limits, excluded=excluded, is_signed=is_signed
+            result_name, samples, limits, exclusions=reasons, is_signed=is_signed
         )
         numbers.append(replace(number, is_set_by_rig=quantity in rig_names))
     band, notes = average_loading(samples, limits)
@@ -413,7 +413,7 @@ def average_result(
     samples: Sequence[Sample],
     limits: PoolingLimits = DEFAULT_LIMITS,
     *,
-    excluded: Mapping[str, Reason] | None = None,
+    exclusions: Mapping[str, Reason] | None = None,
     is_signed: bool = False,
 ) -> GroupNumber:
     """Average one result over samples.
@@ -423,7 +423,7 @@ def average_result(
     name : name of the result
     samples : samples with or without the result
     limits : conditions under which spools are pooled
-    excluded : reasons why samples are excluded from the mean, keyed by name of the sample
+    exclusions : reasons why samples are excluded from the mean, keyed by name of the sample
         (`name_samples`)
     is_signed : whether the result can be negative; otherwise intervals are on a log scale
         (`convert_to_log_scale`), if all values and estimates are positive
@@ -433,7 +433,7 @@ def average_result(
     The result over all samples. The mean includes doubtful results, which keep their status in
     `values`. It excludes, each with its reason, failed results, samples without the result
     (``no_result``), values that are not finite (``not_finite``) or in another unit than the first
-    value (``other_unit``), and `excluded`.
+    result (``other_unit``), and `exclusions`.
     """
     results, spools = dict[str, Result | None](), dict[str, str]()
     for key, sample in zip(name_samples(samples), samples, strict=True):
@@ -441,7 +441,7 @@ def average_result(
     units = [result.unit for result in results.values() if result is not None]
     unit = units[0] if units else ""
     reasons = {key: _list_exclusion_reasons(result, name, unit) for key, result in results.items()}
-    for key, reason in (excluded or {}).items():
+    for key, reason in (exclusions or {}).items():
         reasons[key] = reasons[key] or (reason,)
     values = {
         key: result for key, result in results.items() if result is not None and not reasons[key]
@@ -450,14 +450,14 @@ def average_result(
     for key, result in values.items():
         results_by_spool.setdefault(spools[key], []).append(result)
     arrays = {
-        spool: np.array([result.value for result in results], dtype=np.float64)
-        for spool, results in results_by_spool.items()
+        spool: np.array([result.value for result in items], dtype=np.float64)
+        for spool, items in results_by_spool.items()
     }
     mean = add_common_causes(compute_nested_mean(arrays, limits), results_by_spool)
     if not is_signed and are_positive(values.values()):
         mean = convert_to_log_scale(mean)
-    exclusions = {key: items for key, items in reasons.items() if items}
-    return GroupNumber(name, unit, mean, values, exclusions)
+    all_exclusions = {key: items for key, items in reasons.items() if items}
+    return GroupNumber(name, unit, mean, values, all_exclusions)
 
 
 def _list_exclusion_reasons(result: Result | None, name: str, unit: str) -> tuple[Reason, ...]:

@@ -40,11 +40,11 @@ def judge_sample(peak_over_limit: Result) -> SampleVerdict:
     """
     if peak_over_limit.value is None:
         return SampleVerdict(Answer.CANNOT_TELL, Answer.CANNOT_TELL)
-    by_number = Answer.PASS if peak_over_limit.value >= 1.0 else Answer.FAIL
+    value_answer = Answer.PASS if peak_over_limit.value >= 1.0 else Answer.FAIL
     interval = peak_over_limit.interval
     excludes_limit = interval is not None and (interval.lower >= 1.0 or interval.upper < 1.0)
     is_certain = excludes_limit and peak_over_limit.status is Status.OK
-    return SampleVerdict(by_number, by_number if is_certain else Answer.CANNOT_TELL)
+    return SampleVerdict(value_answer, value_answer if is_certain else Answer.CANNOT_TELL)
 
 
 def judge_results(results: Iterable[Result]) -> SampleVerdict | None:
@@ -73,8 +73,8 @@ def compute_tolerance_factor(n: int, coverage: float, confidence: float) -> floa
     >>> round(compute_tolerance_factor(10, 0.90, 0.95), 3)
     2.355
     """
-    shift = float(special.ndtri(coverage)) * sqrt(n)
-    return float(special.nctdtrit(n - 1, shift, confidence)) / sqrt(n)
+    noncentrality = float(special.ndtri(coverage)) * sqrt(n)
+    return float(special.nctdtrit(n - 1, noncentrality, confidence)) / sqrt(n)
 
 
 def count_samples_to_pass(
@@ -161,20 +161,20 @@ def judge_lot(samples: Sequence[Sample], *, coverage: float, confidence: float) 
 
 
 def _add_answer(lot: Lot, fractions: Mapping[str, Result], limits: Collection[float | None]) -> Lot:
-    """Add the answer of a lot, and its reasons.
+    """Add the answer and its reasons to a lot.
 
     Parameters
     ----------
     lot : lot with its verdicts and numbers
-    fractions : peak force divided by its limit for each test, keyed by test
+    fractions : result of each test, keyed by test: peak force divided by the limit
     limits : distinct limits of the tests, N
     """
-    is_certain = {test: fraction.status is Status.OK for test, fraction in fractions.items()}
+    is_ok = {test: fraction.status is Status.OK for test, fraction in fractions.items()}
     verdicts = lot.verdicts.items()
     failing_tests = [test for test, verdict in verdicts if verdict.value_answer is Answer.FAIL]
-    certain_failures = [test for test in failing_tests if is_certain[test]]
+    certain_failures = [test for test in failing_tests if is_ok[test]]
     unknown_tests = [test for test, fraction in fractions.items() if fraction.value is None]
-    unknown_tests += [test for test in failing_tests if not is_certain[test]]
+    unknown_tests += [test for test in failing_tests if not is_ok[test]]
     answer = Answer.CANNOT_TELL
     if certain_failures:
         answer, tests = Answer.FAIL, ", ".join(certain_failures)
@@ -187,25 +187,25 @@ def _add_answer(lot: Lot, fractions: Mapping[str, Result], limits: Collection[fl
         reason = Reason.of("statistics.lot_of_one")
     else:
         answer, reason = _judge_scatter(lot)
-    doubtful = [test for test in fractions if not is_certain[test] and test not in unknown_tests]
-    caveat = Reason.of("statistics.lot_doubtful", tests=", ".join(doubtful))
-    return replace(lot, answer=answer, reasons=(reason, caveat) if doubtful else (reason,))
+    doubtful_tests = [test for test in fractions if not is_ok[test] and test not in unknown_tests]
+    caveat = Reason.of("statistics.lot_doubtful", tests=", ".join(doubtful_tests))
+    return replace(lot, answer=answer, reasons=(reason, caveat) if doubtful_tests else (reason,))
 
 
 def _judge_scatter(lot: Lot) -> tuple[Answer, Reason]:
     """Judge a lot of which all samples pass, by its tolerance bounds."""
     bound, coverage = lot.format_fraction(lot.tolerance_bound), format_percent(lot.coverage)
-    required = {"coverage": coverage, "confidence": format_percent(lot.confidence)}
+    requirements = {"coverage": coverage, "confidence": format_percent(lot.confidence)}
     if lot.tolerance_bound >= 1.0:
-        return Answer.PASS, Reason.of("statistics.lot_passes", bound=bound, **required)
+        return Answer.PASS, Reason.of("statistics.lot_passes", bound=bound, **requirements)
     upper_factor = compute_tolerance_factor(lot.n, lot.coverage, 1.0 - lot.confidence)
     if lot.mean - upper_factor * lot.deviation < 1.0:
-        return Answer.FAIL, Reason.of("statistics.lot_fails", **required)
-    reached = {"bound": bound, "coverage": coverage}
+        return Answer.FAIL, Reason.of("statistics.lot_fails", **requirements)
+    bound_facts = {"bound": bound, "coverage": coverage}
     if lot.n_needed is None:
-        return Answer.CANNOT_TELL, Reason.of("statistics.lot_never_passes", **reached)
+        return Answer.CANNOT_TELL, Reason.of("statistics.lot_never_passes", **bound_facts)
     needed = lot.n_needed
-    return Answer.CANNOT_TELL, Reason.of("statistics.lot_needs_more", **reached, needed=needed)
+    return Answer.CANNOT_TELL, Reason.of("statistics.lot_needs_more", **bound_facts, needed=needed)
 
 
 def format_percent(fraction: float) -> str:

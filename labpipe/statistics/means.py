@@ -88,7 +88,7 @@ def compute_nested_mean(
     means = {name: compute_mean(array, "sample") for name, array in values_by_spool.items()}
     if len(values_by_spool) < 2:
         decision = _describe_one_spool(sample_mean.n)
-        return NestedMean(sample_mean, True, decision, means, sample_mean.deviation)
+        return NestedMean(sample_mean, True, decision, means, within_spools=sample_mean.deviation)
     scatter = estimate_spool_scatter(values, limits.confidence)
     p = compute_spools_p(values)
     is_pooled = bool(p >= limits.min_p and scatter.max_spool_share < limits.max_spool_share)
@@ -146,8 +146,8 @@ def _describe_spool_variance(scatter: SpoolScatter, limits: PoolingLimits) -> tu
     if scatter.between_spools == 0.0:
         sentence = format_sentence("statistics.spools_alike", max_percent=max_percent)
     limit, confidence = 100.0 * limits.max_spool_share, 100.0 * limits.confidence
-    needed = {"limit_percent": limit, "confidence_percent": confidence}
-    return sentence, format_sentence("statistics.share_needed", **needed)
+    limit_facts = {"limit_percent": limit, "confidence_percent": confidence}
+    return sentence, format_sentence("statistics.share_needed", **limit_facts)
 
 
 def _describe_test(p: float, counts: tuple[int, ...], limits: PoolingLimits) -> str:
@@ -243,7 +243,7 @@ def estimate_spool_scatter(spools: Sequence[Floats], confidence: float) -> Spool
     Parameters
     ----------
     spools : values of the samples of each spool, two spools or more, none empty, without NaN
-    confidence : one-sided confidence level of the upper limit of the fraction between spools
+    confidence : one-sided confidence level of `SpoolScatter.max_spool_share`
 
     Returns
     -------
@@ -303,19 +303,19 @@ def compute_spools_p(spools: Sequence[Floats]) -> float:
     ----------
     .. [1] Scholz and Stephens, J. Am. Stat. Assoc. 82 (1987) 918.
     """
-    from scipy import stats  # imported here, because it takes a third of a second
+    from scipy import stats  # imported here, because the import takes a third of a second
 
     counts = [len(values) for values in spools]
     if len(counts) < 2 or min(counts) < 2 or np.ptp(np.concatenate(spools)) == 0.0:
         return float("nan")
-    exact = stats.PermutationMethod(n_resamples=_MAX_PARTITIONS)
+    exact_method = stats.PermutationMethod(n_resamples=_MAX_PARTITIONS)
     with warnings.catch_warnings():
         # SciPy warns at the ends of the table, which the docstring states.
         warnings.filterwarnings("ignore", message="p-value (capped|floored)", category=UserWarning)
         outcome = stats.anderson_ksamp(
             spools,
             variant="midrank",
-            method=exact if _count_partitions(counts) <= _MAX_PARTITIONS else None,
+            method=exact_method if _count_partitions(counts) <= _MAX_PARTITIONS else None,
         )
     return float(outcome.pvalue)
 
@@ -385,17 +385,17 @@ def summarise_budget(group_result: GroupNumber) -> GroupBudget:
         if result.largest_cause is not None
     ]
     causes = sort_causes(chain(*shares_by_test))
-    medians = {cause: median(test.get(cause, 0.0) for test in shares_by_test) for cause in causes}
+    medians = {cause: median(item.get(cause, 0.0) for item in shares_by_test) for cause in causes}
     total = sum(medians.values())
     test_shares = {cause: share / total for cause, share in medians.items() if share > 0.0}
     mean = group_result.mean.chosen
     if mean.interval is None or not mean.interval.upper > mean.interval.lower:
         return GroupBudget(test_shares, {})
-    normal_factor = Interval.make_normal(0.0, 1.0).upper / mean.half_width
-    common = {row.cause: (normal_factor * row.change) ** 2 for row in mean.common if row.change}
-    scatter = 1.0 - (normal_factor * combine_changes(mean.common)) ** 2
-    mean_shares = {SCATTER: scatter, **{cause: common[cause] for cause in sort_causes(common)}}
-    return GroupBudget(test_shares, mean_shares)
+    factor = Interval.make_normal(0.0, 1.0).upper / mean.half_width
+    common_shares = {row.cause: (factor * row.change) ** 2 for row in mean.common if row.change}
+    scatter = 1.0 - (factor * combine_changes(mean.common)) ** 2
+    sorted_shares = {cause: common_shares[cause] for cause in sort_causes(common_shares)}
+    return GroupBudget(test_shares, {SCATTER: scatter, **sorted_shares})
 
 
 def sort_causes(causes: Iterable[str]) -> list[str]:
@@ -455,8 +455,8 @@ def _list_errors(result: Result) -> _Errors:
     """Return the errors of a result that do not contribute to the scatter, keyed by cause."""
     value = 0.0 if result.value is None else result.value
     estimate = value if result.estimate is None else result.estimate
-    common = {row.cause: row.change for row in result.budget if row.is_common}
-    return {_BIAS: value - estimate, **common}
+    common_changes = {row.cause: row.change for row in result.budget if row.is_common}
+    return {_BIAS: value - estimate, **common_changes}
 
 
 def _average_errors(rows: Sequence[_Errors]) -> _Errors:
@@ -479,18 +479,18 @@ def _shift_interval(mean: MeanInterval, errors: _Errors) -> MeanInterval:
     return replace(mean, interval=interval, estimate=estimate, common=common)
 
 
-def combine_changes(common: Sequence[Contribution]) -> float:
+def combine_changes(contributions: Sequence[Contribution]) -> float:
     """Combine the changes by independent causes into one standard uncertainty."""
-    return hypot(*(contribution.change for contribution in common))
+    return hypot(*(contribution.change for contribution in contributions))
 
 
-def widen_interval(interval: Interval, common: Sequence[Contribution]) -> Interval:
+def widen_interval(interval: Interval, contributions: Sequence[Contribution]) -> Interval:
     """Widen the t interval of a mean by common causes.
 
     Parameters
     ----------
     interval : interval from Student's t-distribution
-    common : change of the mean by each common cause
+    contributions : change of the mean by each common cause
 
     Returns
     -------
@@ -506,7 +506,7 @@ def widen_interval(interval: Interval, common: Sequence[Contribution]) -> Interv
     coverage.
     """
     middle = 0.5 * (interval.lower + interval.upper)
-    common_half_width = Interval.make_normal(0.0, combine_changes(common)).upper
+    common_half_width = Interval.make_normal(0.0, combine_changes(contributions)).upper
     if not common_half_width:
         return interval
     half_width = hypot(0.5 * (interval.upper - interval.lower), common_half_width)

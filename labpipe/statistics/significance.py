@@ -74,7 +74,7 @@ def compute_contrast(
     ----------
     first, second : means of independent values; their standard deviations may differ
     margin : largest difference without practical importance, as a fraction of the first mean
-    is_log : whether the scale is logarithmic; if None, it is so if both intervals are on a log
+    is_log : whether the scale is logarithmic; None for a log scale if both intervals are on a log
         scale
 
     Returns
@@ -173,9 +173,9 @@ def _compute_tail_probability(distance: float, contrast: Contrast) -> float:
     if common_error == 0.0:
         return float(special.stdtr(degrees, -distance / error))
 
-    def compute_excess(deviations: float) -> float:
-        quantile = special.stdtrit(degrees, float(special.ndtr(-deviations)))
-        return float(np.hypot(quantile * error, deviations * common_error)) - distance
+    def compute_excess(n_deviations: float) -> float:
+        quantile = special.stdtrit(degrees, float(special.ndtr(-n_deviations)))
+        return float(np.hypot(quantile * error, n_deviations * common_error)) - distance
 
     if compute_excess(max_deviations) <= 0.0:
         return 0.0
@@ -315,7 +315,7 @@ def _format_p(p: float) -> str:
 
 
 def _describe_margin(contrast: Contrast) -> str:
-    """Describe the margin: on a log scale, as a percentage of the first mean."""
+    """Return the margin as a percentage of the first mean, or ``the margin`` on a linear scale."""
     is_percentage = contrast.is_log and contrast.margin is not None
     return f"{100 * expm1(contrast.margin or 0.0):.3g} %" if is_percentage else "the margin"
 
@@ -340,8 +340,8 @@ def count_needed_samples(contrast: Contrast, tail_probability: float = ALPHA) ->
     deviations = [e * sqrt(n) for e, n in zip(contrast.errors, contrast.counts, strict=True)]
     for n in range(max(contrast.counts) + 1, max_advised_count + 1):
         errors = deviations[0] / sqrt(n), deviations[1] / sqrt(n)
-        larger_groups = replace(contrast, errors=errors, counts=(n, n))
-        if compute_half_width(larger_groups, tail_probability) <= 0.5 * contrast.margin:
+        larger_contrast = replace(contrast, errors=errors, counts=(n, n))
+        if compute_half_width(larger_contrast, tail_probability) <= 0.5 * contrast.margin:
             return n
     return None
 
@@ -390,15 +390,15 @@ def correct_p_values(p_values: Sequence[float], level: float = 0.05) -> list[Cor
     """
     indices = sorted((i for i, p in enumerate(p_values) if not isnan(p)), key=p_values.__getitem__)
     n_tests = len(indices)
-    corrected = [CorrectedP(nan, max(1, n_tests), n_tests)] * len(p_values)
+    corrected_p_values = [CorrectedP(nan, max(1, n_tests), n_tests)] * len(p_values)
     adjusted_p, divisor, is_significant = 0.0, max(1, n_tests), True
     for rank, i in enumerate(indices):
         n_remaining = n_tests - rank
         adjusted_p = max(adjusted_p, min(1.0, n_remaining * p_values[i]))
         divisor = n_remaining if is_significant else divisor
         is_significant = is_significant and adjusted_p < level
-        corrected[i] = CorrectedP(adjusted_p, divisor, n_tests)
-    return corrected
+        corrected_p_values[i] = CorrectedP(adjusted_p, divisor, n_tests)
+    return corrected_p_values
 
 
 @dataclass(frozen=True, slots=True)
@@ -462,7 +462,7 @@ class OutlierTest:
 def run_outlier_test(
     values: Mapping[str, float], spools: Mapping[str, str], *, max_outliers: int | None = None
 ) -> OutlierTest:
-    """Test whether the most extreme values are farther from the mean of their spool than by chance.
+    """Test whether the most extreme values are too far from the mean of their spool for chance.
 
     Parameters
     ----------
@@ -481,19 +481,19 @@ def run_outlier_test(
     -----
     The residual of each sample from the mean of its spool is compared with the scatter of the
     other samples within their spools by Student's t with N - spools - 1 degrees of freedom. The
-    p-value is N times the two-sided tail probability, but at most 1. In one spool this is Grubbs'
-    test (Technometrics 11 (1969) 1). For several outliers, the test is repeated without the most
-    extreme value, and all values up to the last significant value are marked, so that two outliers
-    cannot mask each other. This is the generalised ESD test (Rosner, Technometrics 25 (1983) 165),
-    which is meant for 15 samples or more.
+    p-value is N, the number of values, times the two-sided tail probability, but at most 1. In one
+    spool this is Grubbs' test (Technometrics 11 (1969) 1). For several outliers, the test is
+    repeated without the most extreme value, and all values up to the last significant value are
+    marked, so that two outliers cannot mask each other. This is the generalised ESD test (Rosner,
+    Technometrics 25 (1983) 165), which is meant for 15 samples or more.
     """
     names = [name for name, value in values.items() if not np.isnan(value)]
     tested_values = np.array([values[name] for name in names])
-    spool_index = np.unique([spools[name] for name in names], return_inverse=True)[1]
+    spool_ids = np.unique([spools[name] for name in names], return_inverse=True)[1]
     max_steps = max(1, len(names) // 10) if max_outliers is None else max_outliers
     method = "generalised ESD test" if max_steps > 1 else "Grubbs' test"
-    method += " within spools" if len(set(spool_index.tolist())) > 1 else ""
-    steps = _list_steps(tested_values, spool_index, max_steps)
+    method += " within spools" if len(set(spool_ids.tolist())) > 1 else ""
+    steps = _list_steps(tested_values, spool_ids, max_steps)
     return OutlierTest(names, tested_values.tolist(), steps, method)
 
 
@@ -521,9 +521,9 @@ def mark_outliers(groups: Sequence[Group], level: float = 0.05) -> list[Group]:
         len(test.steps) * min((step.p_value for step in test.steps), default=nan)
         for test in chain(*outlier_tests)
     ]
-    corrected, marked_groups = iter(correct_p_values(p_values, level)), list[Group]()
+    family, marked_groups = iter(correct_p_values(p_values, level)), list[Group]()
     for group, tests in zip(groups, outlier_tests, strict=True):
-        max_p_values = [level / next(corrected).divisor / max(1, len(test.steps)) for test in tests]
+        max_p_values = [level / next(family).divisor / max(1, len(test.steps)) for test in tests]
         numbers = tuple(
             replace(number, outliers=test.select_outliers(max_p_value))
             for number, test, max_p_value in zip(group.numbers, tests, max_p_values, strict=True)
@@ -542,42 +542,42 @@ def _test_result(group: Group, number: GroupNumber) -> OutlierTest:
     return run_outlier_test(values, dict(zip(name_samples(group.samples), spools, strict=True)))
 
 
-def _list_steps(values: Floats, spool_index: NDArray[np.intp], max_steps: int) -> list[_TestStep]:
+def _list_steps(values: Floats, spool_ids: NDArray[np.intp], max_steps: int) -> list[_TestStep]:
     """List the steps of an outlier test; each step removes the most extreme remaining value."""
     max_tied_ratio = 1.001  # p-values of equally extreme values differ by rounding
     indices = np.arange(len(values))
     steps: list[_TestStep] = []
     for _ in range(max_steps):
-        p_values = _compute_p_values(values[indices], spool_index[indices])
+        p_values = _compute_p_values(values[indices], spool_ids[indices])
         if p_values is None:
             break
-        extreme = int(np.argmin(p_values))
-        tied_rows = np.flatnonzero(p_values <= max_tied_ratio * p_values[extreme])
-        tied_indices = tuple(int(indices[row]) for row in tied_rows if row != extreme)
-        steps.append(_TestStep(int(indices[extreme]), float(p_values[extreme]), tied_indices))
-        indices = np.delete(indices, extreme)
+        min_row = int(np.argmin(p_values))
+        tied_rows = np.flatnonzero(p_values <= max_tied_ratio * p_values[min_row])
+        tied_indices = tuple(int(indices[row]) for row in tied_rows if row != min_row)
+        steps.append(_TestStep(int(indices[min_row]), float(p_values[min_row]), tied_indices))
+        indices = np.delete(indices, min_row)
     return steps
 
 
-def _compute_p_values(values: Floats, spool_index: NDArray[np.intp]) -> Floats | None:
+def _compute_p_values(values: Floats, spool_ids: NDArray[np.intp]) -> Floats | None:
     """Compute the p-value of each value with Bonferroni's correction for the number of values.
 
     Return None if there are too few values, or if the values within each spool are equal.
     """
     rounding_error = 1e-12  # of a sum of values, relative to the largest value
     min_remaining_fraction = 1e-15  # prevents a division by zero
-    spools, spool_index = np.unique(spool_index, return_inverse=True)
+    spools, spool_ids = np.unique(spool_ids, return_inverse=True)
     degrees_of_freedom = len(values) - len(spools) - 1
     if degrees_of_freedom < 1:
         return None
-    counts = np.bincount(spool_index)
-    means = np.bincount(spool_index, weights=values) / counts
-    residual = values - means[spool_index]
+    counts = np.bincount(spool_ids)
+    means = np.bincount(spool_ids, weights=values) / counts
+    residual = values - means[spool_ids]
     sum_of_squares = float(residual @ residual)
     if sum_of_squares <= (rounding_error * float(np.abs(values).max())) ** 2:
         return None
     # Removing a value from a spool of n reduces the sum of squares by residual^2 / (1 - 1 / n).
-    variance_factor = 1.0 - 1.0 / counts[spool_index]
+    variance_factor = 1.0 - 1.0 / counts[spool_ids]
     reduction = np.nan_to_num(divide(residual**2, variance_factor))
     remaining_fraction = np.maximum(1.0 - reduction / sum_of_squares, min_remaining_fraction)
     t = np.sqrt(reduction * degrees_of_freedom / (remaining_fraction * sum_of_squares))

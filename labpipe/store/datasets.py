@@ -63,7 +63,7 @@ def read_text(owner: Any, name: str) -> str:
     KeyError
         If there is no such attribute.
     OSError, TypeError, ValueError
-        If it is not a single text of variable length in UTF-8.
+        If the attribute is not a single text of variable length in UTF-8.
     """
     return bytes(_read_attribute_values(owner, name, _STRING_IN_MEMORY, object).item()).decode()
 
@@ -82,7 +82,7 @@ def read_number(owner: Any, name: str) -> float:
 def _read_attribute_values(owner: Any, name: str, type_in_memory: Any, dtype: Any) -> NDArray[Any]:
     """Read an attribute into an array, converted to an HDF5 type and its NumPy type.
 
-    The low-level call takes half the time of `owner.attrs`; a report reads hundreds of thousands.
+    The low-level call takes half the time of `owner.attrs`. A report reads many attributes.
     """
     attribute = h5a.open(owner.id, name.encode())
     values: NDArray[Any] = np.empty(attribute.shape, dtype)
@@ -228,8 +228,8 @@ class GroupWriter:
         if isinstance(values, tuple):
             # All programs read UTF-8 of fixed width, but Octave only if it is declared as ASCII.
             # h5dump requires a final zero. Texts of one byte would be characters for netCDF.
-            encoded = [text.encode() for text in values]
-            values = np.array(encoded, dtype=f"S{max([1, *map(len, encoded)]) + 1}")
+            encoded_texts = [text.encode() for text in values]
+            values = np.array(encoded_texts, dtype=f"S{max([1, *map(len, encoded_texts)]) + 1}")
         data_type = h5t.py_create(values.dtype)
         if isinstance(data_type, h5t.TypeStringID):
             data_type.set_strpad(h5t.STR_NULLTERM)
@@ -268,7 +268,7 @@ class GroupWriter:
         which contains the labels of `AXIS_LABELS`, or indices from 0.
         """
         scales = choose_scales({name: spec for name, (_, spec) in self.datasets.items()})
-        opened_scales: dict[str, Any] = {}
+        scale_datasets: dict[str, Any] = {}
         for name, (dataset, spec) in list(self.datasets.items()):
             if name in scales.values():
                 continue  # a scale cannot have a scale
@@ -277,10 +277,10 @@ class GroupWriter:
                 n_same = spec.axes[:index].count(axis)
                 # xarray requires a unique name for each axis of a dataset.
                 unique_name = f"{scale}_{n_same + 1}" if n_same else scale
-                if unique_name not in opened_scales:
+                if unique_name not in scale_datasets:
                     size = dataset.shape[index]
-                    opened_scales[unique_name] = self._make_scale(unique_name, scale, axis, size)
-                self.attach_scale(dataset, index, opened_scales[unique_name])
+                    scale_datasets[unique_name] = self._make_scale(unique_name, scale, axis, size)
+                self.attach_scale(dataset, index, scale_datasets[unique_name])
 
     def _make_scale(self, name: str, scale: str, axis: str, size: int) -> Any:
         """Return a dimension scale, or create it if it does not exist."""

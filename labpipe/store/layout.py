@@ -52,7 +52,7 @@ class DatasetSpec:
     Parameters
     ----------
     axes : names of the axes
-    unit : SI unit; None if it is only known when a dataset is written
+    unit : SI unit; None if the unit is stored with each dataset
     dtype : NumPy name of the number type; ``text`` for strings
     unit_field : name of the field of the record that contains the unit; empty if no field does
     """
@@ -144,13 +144,13 @@ def list_attributes(record_type: Any) -> Mapping[str, AttributeSpec]:
     stored_names -= {spec.unit_field for spec in list_datasets(record_type).values()}
     attributes: dict[str, AttributeSpec] = {}
     for name, (field_type, axes, unit) in _list_annotations(record_type):
-        members = get_args(field_type) if isinstance(field_type, UnionType) else (field_type,)
-        stored_type = next(member for member in members if member is not NoneType)
+        union_members = get_args(field_type) if isinstance(field_type, UnionType) else (field_type,)
+        stored_type = next(member for member in union_members if member is not NoneType)
         is_tuple = get_origin(stored_type) is tuple and not axes
         item_type = get_args(stored_type)[0] if is_tuple else stored_type
         is_attribute = isinstance(item_type, type) and issubclass(item_type, _ATTRIBUTE_TYPES)
         if is_attribute and name in stored_names:
-            attributes[name] = AttributeSpec(stored_type, unit, NoneType in members)
+            attributes[name] = AttributeSpec(stored_type, unit, NoneType in union_members)
     return attributes
 
 

@@ -121,7 +121,7 @@ def _write_specimen(target: GroupWriter, specimen: Specimen) -> None:
 
 
 def _write_bundle(target: GroupWriter, bundle: Bundle) -> None:
-    """Write a bundle of wires, with NaN for sizes that are not stated."""
+    """Write a bundle of wires, with NaN for a diameter or bore that is not stated."""
     write_attributes(target, bundle, skip=("conduit_bore",))
     target.group.attrs["conduit_bore"] = _none_to_nan(bundle.conduit_bore)
     target.group.attrs["conduit_bore_unit"] = "m"
@@ -188,7 +188,7 @@ def _write_recording(target: GroupWriter, recording: Recording) -> None:
 
     Parameters
     ----------
-    target : group of the recording, which so far contains only the attributes of the exports
+    target : group of the recording, in which no dataset exists yet
     recording : recording with markers, clocks, channels, notes and metadata
     """
     write_attributes(target, recording)
@@ -197,13 +197,13 @@ def _write_recording(target: GroupWriter, recording: Recording) -> None:
     if recording.markers is not None:
         _write_markers(target, recording.markers)
     has_one_clock = len(recording.clocks) == 1
-    clocks = [("time" if has_one_clock else f"time_{x.name}", x) for x in recording.clocks]
+    clocks = [("time" if has_one_clock else f"time_{c.name}", c) for c in recording.clocks]
     time_scales = _write_series(target, "clocks", clocks)
     if recording.markers is not None and "time" not in target.group:
         target.group["time"] = target.group["markers"]["time"]
-    reserved = ("time", "markers", "rigid_bodies", "notes")
+    reserved_names = ("time", "markers", "rigid_bodies", "notes")
     channels = [(channel.name, channel) for channel in recording.channels]
-    datasets = _write_series(target, "channels", channels, reserved)
+    datasets = _write_series(target, "channels", channels, reserved_names)
     scales = {clock.name: scale for (_, clock), scale in zip(clocks, time_scales, strict=True)}
     for channel, dataset in zip(recording.channels, datasets, strict=True):
         target.attach_scale(dataset, 0, scales[channel.clock])
@@ -213,7 +213,7 @@ def _write_series(
     target: GroupWriter,
     list_name: str,
     series: Iterable[tuple[str, Clock | Channel | Series]],
-    reserved: Sequence[str] = (),
+    reserved_names: Sequence[str] = (),
 ) -> list[Any]:
     """Write records with one array and texts as datasets, and return the datasets.
 
@@ -222,12 +222,12 @@ def _write_series(
     target : group of the datasets
     list_name : name of the attribute that lists the names of the datasets
     series : name and record of each dataset; the name is changed if it is not valid or in use
-    reserved : names that no dataset may have
+    reserved_names : names that no dataset may have
     """
     datasets = []
     for name, record in series:
         ((field, spec),) = list_datasets(type(record)).items()
-        link_name = make_link_name(name, [*target.group, *reserved])
+        link_name = make_link_name(name, [*target.group, *reserved_names])
         unit = UNSTATED_UNIT if record.unit is None else record.unit
         dataset = target.write_array(link_name, getattr(record, field), spec, unit)
         for attribute, text_field in _SERIES_TEXTS[type(record)].items():
@@ -290,7 +290,7 @@ def _read_recording(group: Any) -> Recording:
 
 
 def _require_equal_lengths(recording: Recording) -> None:
-    """Raise ValueError if the length of a channel or body differs from that of its times."""
+    """Raise ValueError if a channel or body has another length than its times."""
     pairs = [
         (channel.name, channel.values, recording.get_clock(channel.clock).time)
         for channel in recording.channels
@@ -375,8 +375,8 @@ def _read_aligned(root: Any) -> Aligned | None:
 def _write_curve(target: GroupWriter, result: TestResult, curve: Curve) -> None:
     """Write the curve of a test, with its branches, and the slips and fitted lines of the test."""
     write_arrays(target, curve)
-    for name, numbers in zip(("branch", "cycle"), curve.assign_samples(), strict=True):
-        target.write_array(name, numbers, _SAMPLE_NUMBER)
+    for name, sample_numbers in zip(("branch", "cycle"), curve.assign_samples(), strict=True):
+        target.write_array(name, sample_numbers, _SAMPLE_NUMBER)
     target.attach_scales()
     write_table(target, "branches", Branch, curve.branches, curve.time_unit)
     _write_optional_table(target, "slips", Slip, result.slips)
@@ -604,9 +604,9 @@ def read_reported_test(
     """
     result, shapes, law = read_test(root), None, None
     if "shape" in root:
-        group, datasets = root["shape"], list_datasets(Shape)
-        frames, deflection = choose_frames(result, read_array(group, "time", datasets["time"]))
-        positions = read_array_rows(group, "positions", datasets["positions"], frames)
+        group, specs = root["shape"], list_datasets(Shape)
+        frames, deflection = choose_frames(result, read_array(group, "time", specs["time"]))
+        positions = read_array_rows(group, "positions", specs["positions"], frames)
         shapes = FigureShapes(deflection, positions[:, :, :2])
     if (group := root.get("bending/law")) is not None:
         law = FigureLaw(**read_arrays(group, MeasuredLaw, list_datasets(FigureLaw)))

@@ -60,10 +60,10 @@ def replace_file(path: Path) -> Iterator[Path]:
             temporary_path.unlink(missing_ok=True)
 
 
-_NEW = ".labpipe.new"
-_COMMITTED = ".labpipe.commit"
-_OBSOLETE = ".labpipe.old"
-TEMPORARY_FOLDERS = (_NEW, _COMMITTED, _OBSOLETE)
+_NEW_FOLDER = ".labpipe.new"
+_COMMITTED_FOLDER = ".labpipe.commit"
+_OBSOLETE_FOLDER = ".labpipe.old"
+TEMPORARY_FOLDERS = (_NEW_FOLDER, _COMMITTED_FOLDER, _OBSOLETE_FOLDER)
 """Names of temporary folders, in which a killed process may leave incomplete results."""
 _FILES, _BACKUPS, _REMOVED_NAMES = "files", "aside", "gone"
 
@@ -75,7 +75,7 @@ def replace_files(folder: Path, *, earlier_files: Iterable[str] = ()) -> Iterato
     Parameters
     ----------
     folder : folder of files that belong together, such as a result and its figures; files with
-        other names are kept. No other process may write in it meanwhile (`lock`)
+        other names are kept. The caller must lock the folder (`lock`)
     earlier_files : relative paths, with slashes, of files of earlier results, which are removed
         unless a new file replaces them
 
@@ -96,10 +96,10 @@ def replace_files(folder: Path, *, earlier_files: Iterable[str] = ()) -> Iterato
     rename and before the last move, `is_unfinished` is true, and `finish_moves` or the next writer
     moves the other files.
     """
-    new_folder = folder / _NEW
+    new_folder = folder / _NEW_FOLDER
     with map_errors(folder):
         finish_moves(folder)
-        for leftover_folder in (new_folder, folder / _OBSOLETE):
+        for leftover_folder in (new_folder, folder / _OBSOLETE_FOLDER):
             if leftover_folder.exists():  # a process was killed
                 shutil.rmtree(leftover_folder)
         new_folder.mkdir()
@@ -107,19 +107,19 @@ def replace_files(folder: Path, *, earlier_files: Iterable[str] = ()) -> Iterato
     try:
         yield new_folder / _FILES
         with map_errors(folder):
-            _commit(folder, earlier_files)
+            _commit_files(folder, earlier_files)
     finally:
         shutil.rmtree(new_folder, ignore_errors=True)
 
 
 def is_unfinished(folder: Path) -> bool:
     """Return whether files are being replaced, or were when a process was killed."""
-    return (folder / _COMMITTED).is_dir() and not (folder / _COMMITTED).is_symlink()
+    return (folder / _COMMITTED_FOLDER).is_dir() and not (folder / _COMMITTED_FOLDER).is_symlink()
 
 
 def exists_or_is_staged(path: Path) -> bool:
     """Return whether a file exists, or will exist after `finish_moves`."""
-    return path.is_file() or (path.parent / _COMMITTED / _FILES / path.name).is_file()
+    return path.is_file() or (path.parent / _COMMITTED_FOLDER / _FILES / path.name).is_file()
 
 
 def finish_moves(folder: Path) -> bool:
@@ -127,7 +127,7 @@ def finish_moves(folder: Path) -> bool:
 
     Parameters
     ----------
-    folder : folder in which no other process may write meanwhile
+    folder : folder that the caller has locked (`lock`)
 
     Returns
     -------
@@ -143,15 +143,15 @@ def finish_moves(folder: Path) -> bool:
     moves = _list_moves(folder)
     for move in moves:
         move.apply()
-    _clean_up(folder, moves)
+    _remove_backups(folder, moves)
     return True
 
 
-def _commit(folder: Path, earlier_files: Iterable[str]) -> None:
+def _commit_files(folder: Path, earlier_files: Iterable[str]) -> None:
     """Make the new files valid and move them into the folder, or undo the moves after an error."""
-    new_folder = folder / _NEW
+    new_folder = folder / _NEW_FOLDER
     files = _list_files(new_folder / _FILES)
-    outdated_names = [x for x in earlier_files if x not in files and (folder / x).is_file()]
+    outdated_names = [p for p in earlier_files if p not in files and (folder / p).is_file()]
     (new_folder / _REMOVED_NAMES).write_text("\n".join(outdated_names), encoding="utf-8")
     _check_destinations(folder, files)
     paths = list(new_folder.rglob("*"))
@@ -161,17 +161,17 @@ def _commit(folder: Path, earlier_files: Iterable[str]) -> None:
         _flush_folder(subfolder)
     moves: list[_Move] = []
     try:
-        new_folder.rename(folder / _COMMITTED)
+        new_folder.rename(folder / _COMMITTED_FOLDER)
         _flush_folder(folder)
         moves = _list_moves(folder)
         for move in moves:
             move.apply()
-        _clean_up(folder, moves)
+        _remove_backups(folder, moves)
     except BaseException:
         if is_unfinished(folder):
             for move in reversed(moves):
                 move.undo()
-            (folder / _COMMITTED).rename(new_folder)
+            (folder / _COMMITTED_FOLDER).rename(new_folder)
         raise
 
 
@@ -204,7 +204,7 @@ class _Move(NamedTuple):
 
 def _list_moves(folder: Path) -> list[_Move]:
     """List the moves of removed files, then of new files, with result files last."""
-    committed_folder = folder / _COMMITTED
+    committed_folder = folder / _COMMITTED_FOLDER
     names = (committed_folder / _REMOVED_NAMES).read_text(encoding="utf-8").splitlines()
     names += sorted(_list_files(committed_folder / _FILES), key=lambda name: name.endswith(".h5"))
     _check_destinations(folder, names)
@@ -214,14 +214,14 @@ def _list_moves(folder: Path) -> list[_Move]:
     ]
 
 
-def _clean_up(folder: Path, moves: Iterable[_Move]) -> None:
-    """Flush the moves to the disk, then remove the earlier files."""
+def _remove_backups(folder: Path, moves: Iterable[_Move]) -> None:
+    """Flush the moves to the disk, then remove the backups of earlier files."""
     for parent in {move.destination.parent for move in moves} | {folder}:
         if parent.is_dir():
             _flush_folder(parent)
-    shutil.rmtree(folder / _OBSOLETE, ignore_errors=True)
-    (folder / _COMMITTED).rename(folder / _OBSOLETE)
-    shutil.rmtree(folder / _OBSOLETE, ignore_errors=True)
+    shutil.rmtree(folder / _OBSOLETE_FOLDER, ignore_errors=True)
+    (folder / _COMMITTED_FOLDER).rename(folder / _OBSOLETE_FOLDER)
+    shutil.rmtree(folder / _OBSOLETE_FOLDER, ignore_errors=True)
 
 
 def _list_files(folder: Path) -> list[str]:
@@ -295,8 +295,8 @@ def lock(folder: Path, *, timeout: float = 0.0) -> Iterator[None]:
 
     Notes
     -----
-    The operating system locks an open file. The lock ends with its process, so that no lock of a
-    killed process remains.
+    The operating system locks an open file. The lock ends when its process ends, even if the
+    process is killed.
     """
     path = folder / LOCK_FILE
     with map_errors(folder):
@@ -309,7 +309,7 @@ def lock(folder: Path, *, timeout: float = 0.0) -> Iterator[None]:
 
 
 def _acquire_lock(path: Path, deadline: float) -> int:
-    """Open the lock file and lock it; repeat this if its previous owner removed it meanwhile."""
+    """Open and lock the lock file; try again if its previous owner has removed the file."""
     while True:
         handle = os.open(path, os.O_RDWR | os.O_CREAT | _NO_FOLLOW, 0o666)
         if not _try_lock(handle):

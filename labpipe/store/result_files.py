@@ -49,9 +49,9 @@ def write_result(result: TestResult, path: Path) -> None:
     becomes full. The file needs about as much memory as space on the disk.
     """
     image, arrays = _build_image(result)
-    with replace_file(path) as temporary:
-        temporary.write_bytes(image)
-        _verify(temporary, path, image, arrays)
+    with replace_file(path) as temporary_file:
+        temporary_file.write_bytes(image)
+        _verify_file(temporary_file, path, image, arrays)
 
 
 def _build_image(result: TestResult) -> tuple[bytes, dict[str, NDArray[Any]]]:
@@ -66,15 +66,15 @@ def _build_image(result: TestResult) -> tuple[bytes, dict[str, NDArray[Any]]]:
         return root.id.get_file_image(), target.arrays
 
 
-def _verify(temporary: Path, path: Path, image: bytes, arrays: dict[str, NDArray[Any]]) -> None:
+def _verify_file(file: Path, path: Path, image: bytes, arrays: dict[str, NDArray[Any]]) -> None:
     """Raise an error if bytes of a file, or chunks of an array read by HDF5, are not as written.
 
-    An array in several groups has the same chunks in each, so that it is read only once.
+    An array that several groups contain is compared only once, because its chunks are the same.
     """
-    is_identical = temporary.read_bytes() == image
+    is_identical = file.read_bytes() == image
     if is_identical:
         try:
-            with h5py.File(temporary, "r") as root:
+            with h5py.File(file, "r") as root:
                 names = {locate_array(array): name for name, array in arrays.items()}.values()
                 is_identical = all(has_same_content(root[name], arrays[name]) for name in names)
         except OSError:  # HDF5 reports a wrong checksum
@@ -125,7 +125,7 @@ def read_outcome(path: Path) -> TestResult:
         return read_test(root)
 
 
-def read_reported(
+def read_report_parts(
     path: Path, choose_frames: FrameChoice
 ) -> tuple[TestResult, FigureShapes | None, FigureLaw | None]:
     """Read the parts of a result file that a report shows.
@@ -248,8 +248,8 @@ def _describe_file(path: Path) -> str:
     if not path.exists():
         return "nothing"
     with path.open("rb") as file:  # raises if the file is not readable
-        start = file.read(1)
-    return "a file that is not HDF5" if start else "an empty file"
+        first_byte = file.read(1)
+    return "a file that is not HDF5" if first_byte else "an empty file"
 
 
 def _check_schema(path: Path, root: Any) -> None:

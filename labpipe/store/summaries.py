@@ -73,8 +73,8 @@ def write_summary(result: TestResult, path: Path) -> None:
         If the file cannot be written.
     """
     text = json.dumps(build_summary(result), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-    with replace_file(path) as temporary:
-        temporary.write_bytes(text.encode())
+    with replace_file(path) as temporary_file:
+        temporary_file.write_bytes(text.encode())
 
 
 def to_json(value: Any) -> Any:
@@ -98,16 +98,17 @@ def to_json(value: Any) -> Any:
     return str(value) if isinstance(value, str | date) else value
 
 
-def select_json(record: object, *names: str, **renamed: str) -> dict[str, Any]:
+def select_json(record: object, *names: str, **renamed_attributes: str) -> dict[str, Any]:
     """Convert some attributes of a record to types of JSON, as `to_json` does.
 
     Parameters
     ----------
     record : object with the attributes
     names : names of attributes, which are also the names of their entries
-    renamed : names of attributes whose entries have other names, keyed by name of the entry
+    renamed_attributes : names of attributes whose entries have other names, keyed by name of the
+        entry
     """
-    attributes = {name: name for name in names} | renamed
+    attributes = {name: name for name in names} | renamed_attributes
     return {entry: to_json(getattr(record, name)) for entry, name in attributes.items()}
 
 
@@ -116,12 +117,12 @@ def _build_specimen(specimen: Specimen) -> dict[str, object]:
     content = to_json(specimen)
     bundle = specimen.bundle
     bundle_totals = {"composition": bundle.composition, "number": bundle.number} if bundle else {}
-    optional = {"bundle": bundle_totals | (content["bundle"] or {}), "labels": content["labels"]}
-    optional["observed"] = content["observed"]
+    extras = {"bundle": bundle_totals | (content["bundle"] or {}), "labels": content["labels"]}
+    extras["observed"] = content["observed"]
     return {
         **{name: content[name] for name in ("type", "spool", "sample")},
         **content["dimensions"],
-        **{name: entry for name, entry in optional.items() if entry},
+        **{name: entry for name, entry in extras.items() if entry},
     }
 
 
@@ -270,8 +271,8 @@ def write_failure(failure: FailedTest, folder: Path) -> None:
     StoreError
         If the file cannot be written, or another labpipe process works in the folder.
     """
-    head = {"schema": FAILURE_SCHEMA, "labpipe": __version__}
-    content = head | asdict(failure) | {"inputs": _build_inputs(failure.inputs)}
+    versions = {"schema": FAILURE_SCHEMA, "labpipe": __version__}
+    content = versions | asdict(failure) | {"inputs": _build_inputs(failure.inputs)}
     text = json.dumps(content, indent=2, ensure_ascii=False)
-    with lock(folder), replace_file(folder / FAILURE_FILE) as temporary:
-        temporary.write_bytes(f"{text}\n".encode("utf-8", "backslashreplace"))
+    with lock(folder), replace_file(folder / FAILURE_FILE) as temporary_file:
+        temporary_file.write_bytes(f"{text}\n".encode("utf-8", "backslashreplace"))

@@ -55,7 +55,7 @@ class Spoiled(Task):
     def __getattribute__(self, name: str) -> Any:
         """End where `process` asks for a field, and not where a task is handed on."""
         if name == "figures" and sys._getframe(1).f_code.co_name == "process":
-            _end_as_said(self.sheet.parent / "end")
+            _end_as_said(self.source.parent / "end")
         return super().__getattribute__(name)
 
 

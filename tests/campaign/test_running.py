@@ -51,7 +51,7 @@ def test_run_processes_new_and_changed_tests_only(campaign: LabCampaign) -> None
     assert set(states(campaign).values()) == {PENDING}
     ran = campaign.run()
     assert campaign.stand_in.processed == ["T1", "T2", "T3"]
-    assert ran.processed == ["T1", "T2", "T3"]
+    assert ran.processed_folders == ["T1", "T2", "T3"]
     rows = read_overview(campaign.folders).rows
     assert {name: row.state for name, row in rows.items()} == expected
     assert (rows["T3"].code, rows["T3"].reason[:5]) == ("unreadable_export", "a unr")

@@ -18,7 +18,7 @@ import pytest
 from labpipe.campaign.reporting import WrittenReport
 from labpipe.cli import EXIT_ERROR, EXIT_OK, EXIT_SOME_FAILED
 from labpipe.cli.demo import CAMPAIGNS, DEMO_TESTS, WIRE_SECTION
-from labpipe.cli.report import print_left_out
+from labpipe.cli.report import print_left_out_tests
 from labpipe.records.group import Campaign
 from labpipe.virtual_lab import Campaign as VirtualCampaign
 from tests.approved import Approve
@@ -213,9 +213,9 @@ def test_harness_prints_results_and_folder(run: Run, tmp_path: Path) -> None:
 def test_statuses_of_a_report() -> None:
     fine, troubled = build_group("tube", six_samples()), build_group("tube", troubled_samples())
     left_out = {"a/result.h5": "a/result.h5: expected this, found that. Do so."}
-    assert print_left_out(reported(fine)) == 0
-    assert print_left_out(reported(troubled)) == 1
-    assert print_left_out(reported(troubled, failures=left_out)) == 2
+    assert print_left_out_tests(reported(fine)) == 0
+    assert print_left_out_tests(reported(troubled)) == 1
+    assert print_left_out_tests(reported(troubled, failures=left_out)) == 2
 
 
 @pytest.mark.usefixtures("campaign")

@@ -17,7 +17,7 @@ from labpipe.cli.calibrate import format_calibration
 from labpipe.cli.model import format_wire_models
 from labpipe.cli.process import format_test
 from labpipe.cli.report import format_report
-from labpipe.cli.terminal import show_completed
+from labpipe.cli.terminal import show_completion
 from labpipe.mechanics.studies.bundle_bounds import Conduit, ModelledBundle
 from labpipe.mechanics.studies.calibration_file import CalibrationStudy
 from labpipe.mechanics.studies.first_loadings import FirstLoading
@@ -100,7 +100,7 @@ def test_digits_follow_the_interval(
 
 def test_progress_in_a_pipe(capsys: pytest.CaptureFixture[str]) -> None:
     """A line for each test that ended."""
-    with show_completed("test") as (begin_all, say):
+    with show_completion("test") as (begin_all, say):
         begin_all(2)
         say("B: ok")
         say("A: failed")

@@ -99,7 +99,7 @@ def test_a_rejected_test_is_named_and_ranked_as_decided() -> None:
     assert (doubtful.kind, cause.kind) == (Kind.DOUBTFUL, Kind.REJECTED)
     assert (cause.subject, cause.sentence) == ("x/result.h5", "it slipped")
     assert cause.effect is not None
-    assert cause.effect.text == "not in any mean, by decision"
+    assert cause.effect.text == "A decision excludes it from all means"
 
 
 def test_the_largest_effect_comes_first_and_the_unknown_last() -> None:
@@ -117,7 +117,7 @@ def test_tests_that_a_note_of_the_group_names_are_left_out_for_its_effect() -> N
     note = warning("protocols_differ", "align", "set otherwise from test to test", "c")
     (cause,) = find_causes(campaign_of(group_of(TEN, (), note)))[0]
     assert cause.effect is not None
-    assert cause.effect.text.startswith("without it, Stiffness of A would be 12 % lower")
+    assert cause.effect.text.startswith("Stiffness of A would be 12 % lower without this test")
     assert cause.subject == "c (A)"
     assert cause.sentence == "Processed differently from other tests of their group: align."
 
@@ -146,12 +146,12 @@ WIDER = (stats.t.ppf(0.975, 2) / sqrt(3)) / (stats.t.ppf(0.975, 3) / 2)
     [
         # mean 12; without 15 it is 10.5, 12.5 % lower
         ((10, 11, 15), "c", 1.5 / HALF,
-         "without it, Stiffness of A would be 12 % lower, 0.23 times half its interval"),
-        ((10, 11), "ab", None, "all values of Stiffness of A"),
+         "Stiffness of A would be 12 % lower without this test, 0.23 times half its interval"),
+        ((10, 11), "ab", None, "All values of Stiffness of A are affected"),
         ((10, 11, 12, None), "", WIDER - 1.0,
-         "mean of 3 of 4 values of Stiffness of A, interval about 1.6 times as wide"),
-        ((10, None), "", None, "one value of Stiffness of A, without an interval"),
-        ((None, None), "", inf, "no value of Stiffness of A"),
+         "Stiffness of A is the mean of 3 of 4 values, with an interval about 1.6 times as wide"),
+        ((10, None), "", None, "One value of Stiffness of A is left, without an interval"),
+        ((None, None), "", inf, "No value of Stiffness of A is left"),
     ],
 )  # fmt: skip
 def test_what_a_cause_does_to_a_mean(

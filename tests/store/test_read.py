@@ -20,7 +20,7 @@ from labpipe.store.parts import RawTest
 from labpipe.store.result_files import (
     read_outcome,
     read_raw,
-    read_reported,
+    read_report_parts,
     read_result,
     read_stages,
     write_result,
@@ -71,7 +71,7 @@ def test_what_a_report_draws_is_part_of_the_result(tmp_path: Path) -> None:
     path, frames = tmp_path / "result.h5", np.array([0, 3, 5])
     result = replace(build_result(half_cycle=1.0), bending=some_bending())
     write_result(result, path)
-    outcome, shapes, drawn_law = read_reported(path, lambda _, time: (frames, time[frames]))
+    outcome, shapes, drawn_law = read_report_parts(path, lambda _, time: (frames, time[frames]))
     assert differences(read_outcome(path), outcome) == []
     assert shapes is not None
     assert result.shape is not None

@@ -91,7 +91,7 @@ def raising(error: BaseException) -> Callable[..., None]:
     [
         (Path, "write_bytes", raising(FULL), StoreError, "expected room on the disk, found a full"),
         (os, "fsync", raising(FULL), StoreError, "expected room on the disk, found a full"),
-        (result_files, "_verify", raising(KeyboardInterrupt()), KeyboardInterrupt, None),
+        (result_files, "_verify_file", raising(KeyboardInterrupt()), KeyboardInterrupt, None),
         (
             Path,
             "read_bytes",

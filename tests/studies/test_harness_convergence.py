@@ -10,7 +10,7 @@ from labpipe.mechanics.rod.path import RodPath
 from labpipe.mechanics.rod.statics import follow
 from labpipe.mechanics.studies.harness_line import PreparedLine
 from labpipe.mechanics.studies.harness_numbers import (
-    MAX_CHANGE,
+    MAX_ERROR,
     Doubt,
     compute_numbers,
     depends_on_history,
@@ -79,7 +79,7 @@ def test_it_speaks_of_all_numbers_that_are_off() -> None:
         prepared = led_round(steps)
         _, numbers = walk(prepared, 5 * steps)
         names = ("force.foot", "moment.foot", "energy_lost", "kept_curvature")
-        errors = {name: abs(numbers[name] / truth[name] - 1.0) / MAX_CHANGE for name in names}
+        errors = {name: abs(numbers[name] / truth[name] - 1.0) / MAX_ERROR for name in names}
         named = number_names(doubt_of(prepared, 5 * steps))
         assert {name for name, share in errors.items() if share > 1.2} <= named, (steps, errors)
 
@@ -115,7 +115,7 @@ def test_numbers_that_more_elements_would_change_are_doubtful() -> None:
         inaccurate = {
             name
             for name, value in compute_numbers(path).items()
-            if name != "lowest_point" and abs(value - truth[name]) > MAX_CHANGE * truth[name]
+            if name != "lowest_point" and abs(value - truth[name]) > MAX_ERROR * truth[name]
         }
         assert inaccurate <= number_names(doubt)
         assert (doubt is None) is (elements == 40)

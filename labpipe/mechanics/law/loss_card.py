@@ -44,7 +44,7 @@ class DahlLaw:
     stiffness : EI, N m^2, stiffness of the spring
     moment : M_0, N m, largest moment of the slider
     decay : tau, 1/m, curvature at which the slider has 63 % of its largest moment
-    error : largest error of the moment, relative to the moment of the law that was fitted
+    error : largest error of the moment, relative to the moment to which the law was fitted
 
     References
     ----------
@@ -94,7 +94,7 @@ def make_loss_card(curvature: Floats, moment: Floats, slider_laws: Sequence[Slid
     max_rows = 80  # number of points to which the three parameters of a Dahl law are fitted
     curvature, moment = curvature[1:], moment[1:]
     secants = moment / curvature
-    low, high = float(secants.min()), float(secants.max())
+    min_secant, max_secant = float(secants.min()), float(secants.max())
     rows = np.unique(np.linspace(0.0, len(curvature) - 1.0, max_rows).round().astype(np.int64))
     best_law = min(slider_laws, key=lambda law: law.error)
     node_law = fit_directions(best_law, N_DIRECTIONS)
@@ -102,8 +102,8 @@ def make_loss_card(curvature: Floats, moment: Floats, slider_laws: Sequence[Slid
     return LossCard(
         min_curvature=float(curvature[0]),
         max_curvature=float(curvature[-1]),
-        stiffness=2.0 * low * high / (low + high),
-        stiffness_error=(high - low) / (high + low),
+        stiffness=2.0 * min_secant * max_secant / (min_secant + max_secant),
+        stiffness_error=(max_secant - min_secant) / (max_secant + min_secant),
         dahl_law=fit_dahl(curvature[rows], moment[rows]),
         slider_errors=tuple((len(law.slider_stiffnesses), law.error) for law in slider_laws),
         direction_errors=tuple((law.n_directions, law.error) for law in (node_law, mean_law)),
@@ -136,18 +136,18 @@ def fit_dahl(curvature: Floats, moment: Floats) -> DahlLaw:
         slider_part = -decay[:, None] * np.expm1(-curvature / decay[:, None]) / moment
         # Axes: stiffness ratio, decay, curvature. The moment is that of a spring with EI = 1.
         moment_ratio = compliance + ratio[:, None, None] * slider_part
-        lowest, highest = moment_ratio.min(axis=2), moment_ratio.max(axis=2)
-        errors = (highest - lowest) / (highest + lowest)
+        min_ratio, max_ratio = moment_ratio.min(axis=2), moment_ratio.max(axis=2)
+        errors = (max_ratio - min_ratio) / (max_ratio + min_ratio)
         row, column = np.unravel_index(np.argmin(errors), errors.shape)
         best_point = np.array([[grid[row, 0]], [grid[column, 1]]])
         ends = best_point + narrowing * (ends - ends.mean(axis=1, keepdims=True))
-    stiffness, tau = 2.0 / (lowest + highest)[row, column], decay[column]
+    stiffness, tau = 2.0 / (min_ratio + max_ratio)[row, column], decay[column]
     parameters = stiffness, stiffness * ratio[row] * tau, tau, errors[row, column]
     return DahlLaw(*map(float, parameters))
 
 
 DEFAULT_SLIDERS = SLIDER_COUNTS[-1]
-"""Default of the largest number of sliders; fewer give errors above 2 % of residual curvature."""
+"""Default largest number of sliders; with fewer, the residual curvature errs by more than 2 %."""
 
 
 @lru_cache(maxsize=4)  # tables are hashed by identity
@@ -269,13 +269,13 @@ def fit_equivalent_material(
 
 
 def _fit_bounded_slopes(columns: Floats, target: Floats) -> Floats:
-    """Return the slopes from 0 to `max_slope`, relative to the modulus, of a least-squares fit."""
+    """Fit slopes from 0 to `max_slope`, relative to the modulus, by least squares."""
     max_slope = 0.999  # a slope of 1 leaves no plastic strain
     iterations_per_slope = 20  # the default of `lsq_linear`, 1, stops some searches early
-    limit = iterations_per_slope * columns.shape[1]
-    slopes = nnls(columns, target, maxiter=limit)[0]
+    max_steps = iterations_per_slope * columns.shape[1]
+    slopes = nnls(columns, target, maxiter=max_steps)[0]
     if np.any(slopes > max_slope):
-        slopes = lsq_linear(columns, target, (0.0, max_slope), method="bvls", max_iter=limit).x
+        slopes = lsq_linear(columns, target, (0.0, max_slope), method="bvls", max_iter=max_steps).x
     return np.asarray(slopes)
 
 

@@ -278,8 +278,8 @@ def make_stick_slip_law(
     moment = stick_moment + np.linspace(0.0, 1.0, n_plays + 1) ** 2 * (last_moment - stick_moment)
     power = ((moment - stick_moment) / reference_moment) ** (1.0 / hardening)
     curvature = moment / stick_stiffness + reference_moment / slip_stiffness * power
-    slopes = np.diff(curvature) / np.diff(moment)
-    compliances = np.diff(slopes, prepend=1.0 / stick_stiffness)
+    segment_compliances = np.diff(curvature) / np.diff(moment)
+    compliances = np.diff(segment_compliances, prepend=1.0 / stick_stiffness)
     return PlayLaw(stick_stiffness, moment[:-1], np.maximum(compliances, 0.0))
 
 
@@ -417,10 +417,10 @@ class LoadingTable:
             half_change = 0.5 * (moment - rest_moment)
             compliance_difference = self.bend(rest_moment)[1] - self.bend(half_change)[1]
             half_sensitivities = self.compute_sensitivities(half_change)
-            after_reversal = self.compute_sensitivities(rest_moment)[:, None, :]
-            after_reversal = after_reversal + 2.0 * half_sensitivities
-            after_reversal = after_reversal + compliance_difference * rest_sensitivity[:, None, :]
-            sensitivities = np.where(is_reversed, after_reversal, sensitivities)
+            reversed_part = self.compute_sensitivities(rest_moment)[:, None, :]
+            reversed_part = reversed_part + 2.0 * half_sensitivities
+            reversed_part = reversed_part + compliance_difference * rest_sensitivity[:, None, :]
+            sensitivities = np.where(is_reversed, reversed_part, sensitivities)
         return sensitivities
 
     @staticmethod

@@ -106,10 +106,10 @@ class GrowingSlider(ArrayRecord):
     def __post_init__(self) -> None:
         ArrayRecord.__post_init__(self)
         require_positive("stiffness", self.stiffness)
-        slid = self.slid_curvatures
-        holds = len(slid) >= 2 and slid[0] == 0.0 and np.all(np.diff(slid) > 0.0)
+        curvatures = self.slid_curvatures
+        holds = len(curvatures) >= 2 and curvatures[0] == 0.0 and np.all(np.diff(curvatures) > 0.0)
         # Messages name the keys of JSON files from which a slider may be read.
-        require("slid", slid.tolist(), "from zero and increasing", holds=bool(holds))
+        require("slid", curvatures.tolist(), "from zero and increasing", holds=bool(holds))
         holds = self.limits[0] > 0.0 and np.all(np.diff(self.limits) >= 0.0)
         require("limits", self.limits.tolist(), "positive and not decreasing", holds=bool(holds))
 
@@ -133,7 +133,7 @@ class GrowingSlider(ArrayRecord):
     def compute_first_loading(self, curvature: Floats) -> Floats:
         """Return the moment of first loading, N m, at curvatures >= 0 of any shape, 1/m."""
         trial_moment = self.stiffness * curvature
-        growth, _ = self._grow(trial_moment, np.zeros_like(trial_moment))
+        growth, _ = self._find_growth(trial_moment, np.zeros_like(trial_moment))
         return np.asarray(trial_moment - self.stiffness * growth)
 
     def slide(self, curvature: Floats, history: Floats) -> SliderResponse:
@@ -147,7 +147,7 @@ class GrowingSlider(ArrayRecord):
         """
         trial_moment = self.stiffness * (curvature - history[:, 0])
         magnitude = np.sqrt(np.vecdot(trial_moment, trial_moment))
-        growth, tangent = self._grow(magnitude, history[:, 1, 0])
+        growth, tangent = self._find_growth(magnitude, history[:, 1, 0])
         divisor = np.where(magnitude > 0.0, magnitude, 1.0)
         direction = trial_moment / divisor[:, None]
         lateral_stiffness = self.stiffness * (1.0 - self.stiffness * growth / divisor)
@@ -160,7 +160,7 @@ class GrowingSlider(ArrayRecord):
         moment = self.stiffness * (curvature - new_history[:, 0])
         return SliderResponse(moment, stiffness, new_history)
 
-    def _grow(self, trial_moment: Floats, slid_curvature: Floats) -> tuple[Floats, Floats]:
+    def _find_growth(self, trial_moment: Floats, slid_curvature: Floats) -> tuple[Floats, Floats]:
         """Return the increase of q, 1/m, and the stiffness along the trial moment, N m^2.
 
         The new q solves g(q) = L(q) + S q = trial_moment + S slid_curvature. If this q is not
@@ -168,10 +168,10 @@ class GrowingSlider(ArrayRecord):
         S (1 - S dq/dg).
         """
         sums, slopes = self._sums_and_slopes
-        total = trial_moment + self.stiffness * slid_curvature
-        segment = sums[1:-1].searchsorted(total, side="right")
+        new_sum = trial_moment + self.stiffness * slid_curvature
+        segment = sums[1:-1].searchsorted(new_sum, side="right")
         slope = slopes[segment]
-        solution = self.slid_curvatures[segment] + slope * (total - sums[segment])
+        solution = self.slid_curvatures[segment] + slope * (new_sum - sums[segment])
         growth = np.maximum(solution - slid_curvature, 0.0)
         tangent = self.stiffness * np.where(growth > 0.0, 1.0 - self.stiffness * slope, 1.0)
         return growth, tangent
@@ -308,14 +308,14 @@ def get_current_sliders(law: SliderLaw, history: Floats) -> CurrentSliders:
     history : shape (..., n, 2), 1/m, as in `SliderResponse`
     """
     n_sliders = len(law.slider_stiffnesses)
-    slip_curvatures = [np.broadcast_to(law.slip_curvatures, (*history.shape[:-2], n_sliders))]
+    slip_arrays = [np.broadcast_to(law.slip_curvatures, (*history.shape[:-2], n_sliders))]
     rest_indices = [*range(n_sliders), *range(n_sliders, history.shape[-2], 2)]
     for index, slider in enumerate(law.growing_sliders):
         limit = slider.compute_limit(history[..., n_sliders + 2 * index + 1, 0])
-        slip_curvatures.append((limit / slider.stiffness)[..., None])
+        slip_arrays.append((limit / slider.stiffness)[..., None])
     stiffnesses = np.append(law.slider_stiffnesses, [x.stiffness for x in law.growing_sliders])
-    slips = np.concatenate(slip_curvatures, axis=-1)
-    return CurrentSliders(stiffnesses, slips, history[..., rest_indices, :])
+    slip_curvatures = np.concatenate(slip_arrays, axis=-1)
+    return CurrentSliders(stiffnesses, slip_curvatures, history[..., rest_indices, :])
 
 
 def compute_first_loading(law: SliderLaw, curvature: Floats) -> Floats:
@@ -383,14 +383,14 @@ def slide_vector(law: SliderLaw, curvature: Floats, history: Floats) -> SliderRe
     that sticks has the stiffness K_j in every direction. The update is exact if the curvature
     changes along b. Other changes require small steps.
     """
-    slips = law.slip_curvatures
+    slip_curvatures = law.slip_curvatures
     trial_curvature = curvature[:, None, :] - history[:, : len(law.slider_stiffnesses)]
     magnitude = np.sqrt(np.vecdot(trial_curvature, trial_curvature))
-    elastic_fraction = slips / np.maximum(magnitude, slips)
+    elastic_fraction = slip_curvatures / np.maximum(magnitude, slip_curvatures)
     slider_curvature = trial_curvature * elastic_fraction[..., None]
     moment = law.spring_stiffness * curvature + law.slider_stiffnesses @ slider_curvature
     # The unit vector b / |b| of a slider that slides; zero for a slider that sticks.
-    direction = ((magnitude > slips) / slips)[..., None] * slider_curvature
+    direction = ((magnitude > slip_curvatures) / slip_curvatures)[..., None] * slider_curvature
     secants = law.slider_stiffnesses * elastic_fraction
     isotropic_stiffness = law.spring_stiffness + secants.sum(axis=1)
     stiffness = isotropic_stiffness[:, None, None] * np.eye(curvature.shape[1])
@@ -754,9 +754,9 @@ def _reduce_slips(slips: Floats, stiffnesses: Floats) -> Floats:
     stiff_slips = slips[stiffnesses > 0.0]
     if len(stiff_slips) < len(slips):
         return np.asarray(stiff_slips)
-    closest = int(np.argmin(np.diff(np.log(slips))))
-    middle = np.sqrt(slips[closest] * slips[closest + 1])
-    return np.concatenate([slips[:closest], [middle], slips[closest + 2 :]])
+    row = int(np.argmin(np.diff(np.log(slips))))
+    merged_slip = np.sqrt(slips[row] * slips[row + 1])
+    return np.concatenate([slips[:row], [merged_slip], slips[row + 2 :]])
 
 
 def _compute_components(law: DirectionalLaw, curvature: Floats) -> tuple[Floats, Floats]:

@@ -76,13 +76,13 @@ def thin_law(curvature: Floats, moment: Floats, *, max_points: int) -> ThinnedLa
 
 
 def _require_law(curvature: Floats, moment: Floats, max_points: int) -> None:
-    """Raise the errors of `thin_law`."""
+    """Raise ValueError if an argument of `thin_law` is outside its range."""
     require("max_points", max_points, ">= 2", holds=max_points >= 2)
     lengths = len(curvature), len(moment)
     require("numbers of points", lengths, "equal and >= 2", holds=1 < lengths[0] == lengths[1])
     holds = bool(curvature[0] == moment[0] == 0.0 and np.isfinite(moment).all())
-    first = float(curvature[0]), float(moment[0])
-    require("first point", first, "(0, 0), and all moments finite", holds=holds)
+    first_point = float(curvature[0]), float(moment[0])
+    require("first point", first_point, "(0, 0), and all moments finite", holds=holds)
     require_rising("curvature", curvature[1:])
     if np.any(np.diff(moment) <= 0.0):
         kappa = curvature[int(np.argmax(np.diff(moment) <= 0.0)) + 1]
@@ -101,13 +101,13 @@ def find_hull(curvature: Floats, moment: Floats, *, min_slope_drop: float = 1e-6
     slopes = np.diff(moment) / np.diff(curvature)
     if np.all(slopes[1:] < slopes[:-1] * (1.0 - min_slope_drop)):
         return np.arange(len(moment))
-    x, y = curvature.tolist(), moment.tolist()  # indexing a list is faster than an array
+    x, y = curvature.tolist(), moment.tolist()  # indexing a list is faster than indexing an array
     corners: list[int] = [0]
     for point in range(1, len(x)):
         while len(corners) > 1:
-            previous, last = corners[-2], corners[-1]
-            slope_in = (y[last] - y[previous]) / (x[last] - x[previous])
-            slope_out = (y[point] - y[last]) / (x[point] - x[last])
+            start, corner = corners[-2], corners[-1]
+            slope_in = (y[corner] - y[start]) / (x[corner] - x[start])
+            slope_out = (y[point] - y[corner]) / (x[point] - x[corner])
             if slope_out < slope_in * (1.0 - min_slope_drop):
                 break
             corners.pop()
@@ -132,10 +132,10 @@ def require_concave(curvature: Floats, moment: Floats, hull: Ints) -> None:
     hull_moment = np.interp(curvature[1:], curvature[hull], moment[hull])
     excess = hull_moment / moment[1:] - 1.0
     if np.any(excess > max_excess):
-        worst = int(np.argmax(excess))
+        row = int(np.argmax(excess))
         message = (
-            f"the law stiffens at curvature={curvature[worst + 1]:.6g} 1/m: its concave hull is "
-            f"{100.0 * excess[worst]:.2g} % above it; expected at most {100.0 * max_excess:.0f} %"
+            f"the law stiffens at curvature={curvature[row + 1]:.6g} 1/m: its concave hull is "
+            f"{100.0 * excess[row]:.2g} % above it; expected at most {100.0 * max_excess:.0f} %"
         )
         raise ValueError(message)
 
@@ -165,7 +165,8 @@ def make_concave_law(curvature: Floats, moment: Floats) -> PlayLaw:
 def _choose_corners(x: Floats, y: Floats, max_points: int) -> Ints:
     """Return the indices of at most `max_points` corners with the smallest error.
 
-    The smallest error is between `low`, which needs more points, and `high`, that of `best`.
+    The smallest error is between `low`, an error that needs more points, and `high`, the error of
+    `best`.
     """
     end_width = 1e-6  # relative width of the interval at which the search ends
     bisection_width = 0.02  # relative width of the interval at which the bisection ends

@@ -139,7 +139,7 @@ class Balance:
     ----------
     residual : shape (unknowns,), in N for positions, N m for stretches and turns, m for forces
     tangent_values : shape (entries,), entries of the tangent in the order of `Assembly.pattern`
-    inputs : history before the step, and drag
+    inputs : history before the step, and drag or None
     symmetric_values : shape (entries,), entries of the tangent without the increase of friction
         with pressure
     cells : response of the cells
@@ -163,14 +163,14 @@ class Balance:
 
 
 class Assembly:
-    """Line with its supports, of which residual and tangent are assembled.
+    """Equilibrium equations of a line with its supports.
 
     Parameters
     ----------
     line : line with its elements
     supports : cells and held nodes of the line
     planes : planes that the axis of the line may touch
-    strings : nodes and lengths, m, of the strings
+    strings : nodes and lengths, m, of the strings, shape (strings,) each
     n_rings : number of rings
     force : N, magnitude of the forces on the whole line
 
@@ -192,8 +192,8 @@ class Assembly:
         n_rings: int,
         force: float,
     ) -> None:
-        # The indentation under the total force is relative to the length of an element. Stiffer
-        # contacts amplify rounding errors.
+        # The indentation under the total force is relative to the length of the shortest
+        # element. Stiffer contacts amplify rounding errors.
         contact_indentation = 1e-6
         position_rounding = 2e-15  # relative to the length of the line
         # In the tangent, an element stretches by this fraction under the total force. The tangent
@@ -243,7 +243,7 @@ class Assembly:
         history: LineHistory,
         drag: ArtificialDrag | None = None,
     ) -> Balance:
-        """Compute residual and tangent of a shape.
+        """Compute the residual and the tangent of a shape.
 
         Parameters
         ----------
@@ -252,9 +252,9 @@ class Assembly:
         history : history before the step
         drag : artificial drag; None without drag
         """
-        # A small drag in the tangent makes it regular even if the line is free to move.
+        # A small drag makes the tangent regular even if the line is free to move.
         min_drag = 1e-10
-        translation_drag = 1e-2  # relative to the drag against bending
+        rigid_motion_ratio = 1e-2  # relative to the drag against bending
         lengths = self.line.lengths * (1.0 + shape.stretches)
         cells = self._bend_cells(shape, imposed, history, drag)
         rotations = to_matrices(shape.frames)
@@ -275,18 +275,18 @@ class Assembly:
         ring_blocks = self._add_ring_forces(ring_contacts, position_residual, position_stiffness)
         chords = shape.positions[1:] - shape.positions[:-1]
         gaps = chords - lengths[:, None] * directions.unit_vectors
-        stretch_residual, stretch_stiffness, stretch_force_values = self._compute_stretch_residuals(
+        stretch_residual, stretch_stiffness, force_derivatives = self._compute_stretch_residuals(
             shape, directions, cells
         )
         residual = join_unknowns(position_residual, stretch_residual, turn_residual, gaps)
-        drag_factor = min_drag if drag is None else translation_drag * drag.ratio
+        drag_factor = min_drag if drag is None else rigid_motion_ratio * drag.ratio
         turn_stiffness += drag_factor * self._turn_drag
         position_stiffness += drag_factor * self._node_drag
         if drag is not None:
             residual += drag_factor * self.unit_drag * self.compute_change(drag.shape, shape)
         mirrored_blocks = [
             self._chord_signs,
-            stretch_force_values.ravel(),
+            force_derivatives.ravel(),
             (-lengths[:, None, None] * directions.turn_derivatives).ravel(),
             (directions.moments / (1.0 + shape.stretches)[:, None]).ravel(),
             cells.stiffnesses[self._inner_cells, 3:, :3].ravel(),
@@ -318,14 +318,14 @@ class Assembly:
             ring_contacts=ring_contacts,
         )
 
-    def compute_change(self, start: Shape, end: Shape) -> Floats:
+    def compute_change(self, start_shape: Shape, end_shape: Shape) -> Floats:
         """Compute the change of positions and turns between two shapes, as change of all unknowns.
 
         The change of stretches and forces is set to zero.
         """
-        turns = to_rotation_vectors(multiply(conjugate(start.frames), end.frames))
+        turns = to_rotation_vectors(multiply(conjugate(start_shape.frames), end_shape.frames))
         zeros = np.zeros(self.n)
-        return join_unknowns(end.positions - start.positions, zeros, turns, 0.0 * turns)
+        return join_unknowns(end_shape.positions - start_shape.positions, zeros, turns, 0.0 * turns)
 
     def apply_change(self, shape: Shape, change: Floats) -> Shape:
         """Add a change of the unknowns to a shape."""
@@ -345,7 +345,7 @@ class Assembly:
         held_moves: Floats,
         clamp_turns: Floats,
     ) -> Floats:
-        """Compute the right side of a Newton step in which held nodes and clamps also move.
+        """Compute the right-hand side of a Newton step in which held nodes and clamps also move.
 
         Parameters
         ----------
@@ -366,7 +366,7 @@ class Assembly:
             clamp_directions = compute_clamp_directions(supports, imposed.clamp_frames)
             clamp_changes = sum_at_nodes(elements, cross(space_turns, clamp_directions), self.n)
             changes = np.matvec(balance.directions.clamp_derivatives, clamp_changes)
-            _, _, turns, forces = split_unknowns(right_side)  # views of the right side
+            _, _, turns, forces = split_unknowns(right_side)  # views of `right_side`
             turns -= self._sum_at_elements(moments.reshape(-1, 2, 3))
             forces += (self.line.lengths * (1.0 + shape.stretches))[:, None] * changes
         return right_side
@@ -416,8 +416,8 @@ class Assembly:
     ) -> tuple[Floats, Floats, tuple[PlaneContact, ...], Floats]:
         """Sum the forces at the nodes, except those of rings.
 
-        Returns residuals and diagonal blocks of the tangent for the positions, the contacts of the
-        planes, and the forces of the strings.
+        The results are the residuals and the diagonal blocks of the tangent for the positions, the
+        contacts of the planes, and the forces of the strings.
         """
         max_relative_gap = 1e-9  # largest gap of a touching node / length of an element
         residual = -imposed.forces
@@ -459,19 +459,19 @@ class Assembly:
         distances = (1, 2)
         ring_blocks = [np.zeros((self.n + 1 - distance, 3, 3)) for distance in distances]
         for contact in ring_contacts:
-            first = contact.first_node
-            residual[first : first + 3] -= contact.weights[:, None] * contact.force
+            first_node = contact.first_node
+            residual[first_node : first_node + 3] -= contact.weights[:, None] * contact.force
             for i in range(3):
-                tangent[first + i] += contact.stiffness[i, :, i, :]
+                tangent[first_node + i] += contact.stiffness[i, :, i, :]
                 for blocks, distance in zip(ring_blocks, distances, strict=True):
                     if i + distance < 3:
-                        blocks[first + i] += contact.stiffness[i, :, i + distance, :]
+                        blocks[first_node + i] += contact.stiffness[i, :, i + distance, :]
         return [blocks.ravel() for blocks in ring_blocks]
 
     def _compute_stretch_residuals(
         self, shape: Shape, directions: Directions, cells: BentCells
     ) -> tuple[Floats, Floats, Floats]:
-        """Compute residuals of the stretches, and derivatives with respect to stretch and force."""
+        """Compute residuals of stretches, and their derivatives to stretches and forces."""
         lengths = self.line.lengths
         if self.is_rigid:
             return np.zeros(self.n), np.zeros(self.n), np.zeros((self.n, 3))
@@ -483,13 +483,11 @@ class Assembly:
         return residual, stiffness, -lengths[:, None] * directions.unit_vectors
 
     def _compute_coupling_values(self, cells: BentCells) -> Floats:
-        """Compute the entries of the tangent between stretches and turns."""
+        """Compute the entries of the tangent that couple stretches and turns."""
         if not self._is_coupled:
             return np.zeros(0)
         twists = self._coupled_turns[:, :, None] * cells.turn_maps[:, :, 2].reshape(-1, 2, 3)
         return (self._couplings[:, :, None, None] * twists[:, None]).ravel()
-
-    # ---- indices and magnitudes of the unknowns -----------------------------------------------
 
     def _build_pattern(self) -> tuple[Ints, Ints]:
         """List rows and columns of the tangent: blocks, their mirror images, diagonal blocks."""

@@ -118,7 +118,7 @@ class BandedMatrix:
         Parameters
         ----------
         values : shape (entries,), entries of the matrix
-        right_side : shape (unknowns,), right side; for a fixed unknown, its change
+        right_side : shape (unknowns,), right-hand side; for a fixed unknown, its change
         """
         sums = np.bincount(self._entries, values * self._weights, minlength=self._depth * self.size)
         sums[self._fixed_entries] = 1.0

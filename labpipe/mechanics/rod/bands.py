@@ -4,8 +4,8 @@ The path is solved for the best inputs, and with every cause changed by plus and
 that covers 95 % of its draws, limited to 0.1 to 2 units of the cause. The response to a cause is
 the parabola through these three solutions, continued linearly. The effects of the causes are added.
 If one cause dominates and its amount is within the limits, the response is exact at the ends of the
-band. Thousands of draws require only two matrix products. Quantiles of Student's t, of mixtures of
-it, and of the largest values along the line need no further approximation.
+band. Thousands of draws require only two matrix products. Quantiles of Student's t, of its
+mixtures, and of the largest values along the line are computed without further approximation.
 
 Bands are pointwise: each component at each node lies inside its band in 95 of 100 lines. A complete
 shape lies inside its bands in fewer lines. The band of the smallest bend radius is that of the
@@ -57,7 +57,7 @@ class InputDistribution(ArrayRecord):
 
     Parameters
     ----------
-    names : names of the inputs, each once
+    names : names of the inputs, without duplicates
     causes : name of the cause of each column of `steps`; a cause may have several columns
     centre : shape (names,), best values in the units of the inputs
     steps : shape (names, causes), change of each input per unit of each cause
@@ -71,7 +71,7 @@ class InputDistribution(ArrayRecord):
     amounts: Annotated[Floats, "draws", "causes"]
 
     def to_inputs(self, amounts: Floats | None = None) -> dict[str, float]:
-        """Return the inputs for amounts of the causes, shape (causes,); without them, the best."""
+        """Return the inputs for amounts of the causes, shape (causes,), or the best for None."""
         values = self.centre if amounts is None else self.centre + self.steps @ amounts
         return dict(zip(self.names, values.tolist(), strict=True))
 
@@ -86,7 +86,7 @@ def build_t_distribution(
     n_draws: int = N_DRAWS,
     seed: int = 0,
 ) -> InputDistribution:
-    """Build the distribution of an input, Student's t, from its standard deviation.
+    """Build a Student's t distribution of an input from its standard deviation.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ def build_t_distribution(
     deviation : standard deviation in the unit of the input, positive
     centre : best value in the unit of the input
     freedom : degrees of freedom of the deviation; infinite for the normal distribution
-    cause : name of the cause; by default that of the input
+    cause : name of the cause; if empty, the name of the input
     n_draws : number of draws, which are the quantiles at evenly spaced probabilities
     seed : seed of the order of the draws, together with name and cause. The order must differ
         between the distributions of a line; different names ensure this
@@ -102,7 +102,7 @@ def build_t_distribution(
     Raises
     ------
     ValueError
-        If deviation or degrees of freedom are not positive.
+        If the deviation is not positive and finite, or `freedom` is not positive.
     """
     if not (np.isfinite(deviation) and deviation > 0.0 and freedom > 0.0):
         facts = {"name": name, "deviation": deviation, "freedom": freedom}
@@ -228,16 +228,16 @@ def join_distributions(distributions: Iterable[InputDistribution]) -> InputDistr
     distributions : distributions with equal numbers of draws. For an input that is in several of
         them, changes and best values are added
     """
-    items = tuple(distributions)
-    names = tuple(dict.fromkeys(name for item in items for name in item.names))
-    counts = [len(item.causes) for item in items]
+    parts = tuple(distributions)
+    names = tuple(dict.fromkeys(name for part in parts for name in part.names))
+    counts = [len(part.causes) for part in parts]
     centre, steps = np.zeros(len(names)), np.zeros((len(names), sum(counts)))
-    for item, stop in zip(items, np.cumsum(counts), strict=True):
-        rows = np.array([names.index(name) for name in item.names], dtype=np.int64)
-        centre[rows] += item.centre
-        steps[rows, stop - len(item.causes) : stop] = item.steps
-    causes = tuple(cause for item in items for cause in item.causes)
-    amounts = np.hstack([item.amounts for item in items])
+    for part, stop in zip(parts, np.cumsum(counts), strict=True):
+        rows = np.array([names.index(name) for name in part.names], dtype=np.int64)
+        centre[rows] += part.centre
+        steps[rows, stop - len(part.causes) : stop] = part.steps
+    causes = tuple(cause for part in parts for cause in part.causes)
+    amounts = np.hstack([part.amounts for part in parts])
     return InputDistribution(names, causes, centre, steps, amounts=amounts)
 
 
@@ -246,7 +246,7 @@ def _compute_steps(covariance: Floats) -> Floats:
 
     Axes without variance are omitted. A step with a component above `_MAX_LOG_STEP` is shortened.
     """
-    # The variance is relative to the largest one; the component avoids a division by zero.
+    # `min_variance` is relative to the largest one. `min_component` avoids a division by zero.
     min_variance, min_component = 1e-12, 1e-12
     variances, axes = np.linalg.eigh(covariance)
     has_variance = variances > min_variance * max(float(variances[-1]), 1e-300)
@@ -276,7 +276,7 @@ class Response:
         ...). An amount x of a cause changes the field by a x + b x^2. Beyond `max_amounts`, the
         field changes along the tangent of this parabola
     one_sided_causes : causes without an equilibrium for one sign of the amount; the response is
-        linear through the other solution
+        linear through the solution for the other sign
     unsolved_causes : causes without an equilibrium for either sign, which do not change the band
     """
 
@@ -298,8 +298,9 @@ class Response:
     def _compute_changes(self, name: str, mask: Flags) -> Floats:
         """Compute the changes of a field by selected causes in all draws, shape (draws, values)."""
         amounts, max_amounts = self.distribution.amounts[:, mask], self.max_amounts[mask]
-        clipped = np.clip(amounts, -max_amounts, max_amounts)
-        squares = clipped * (2.0 * amounts - clipped)  # linear in the amounts beyond the largest
+        clipped_amounts = np.clip(amounts, -max_amounts, max_amounts)
+        # Beyond `max_amounts`, these values are linear in the amounts.
+        squares = clipped_amounts * (2.0 * amounts - clipped_amounts)
         shape = (len(self.distribution.causes), self.best_fields[name].size)
         linear = self.linear_coefficients[name].reshape(shape)[mask]
         quadratic = self.quadratic_coefficients[name].reshape(shape)[mask]
@@ -347,19 +348,19 @@ def compute_response(
         return None
     amounts = np.quantile(np.abs(distribution.amounts), 1.0 - 2.0 * TAIL_PROBABILITY, axis=0)
     amounts = np.clip(amounts, min_amount, max_amount)
-    pairs = []  # fields with plus and with minus the amount of each cause
+    solved_pairs = []  # fields with plus and with minus the amount of each cause
     for row in np.diag(amounts):
-        pairs.append([solve_fields(distribution.to_inputs(x)) for x in (row, -row)])
+        solved_pairs.append([solve_fields(distribution.to_inputs(x)) for x in (row, -row)])
     linear, quadratic = {}, {}
     for name, best_value in best_fields.items():
         linear[name], quadratic[name] = np.zeros((2, len(amounts), *best_value.shape))
-        for cause, ((plus, minus), amount) in enumerate(zip(pairs, amounts, strict=True)):
+        for cause, ((plus, minus), amount) in enumerate(zip(solved_pairs, amounts, strict=True)):
             increments = [] if plus is None else [plus[name] - best_value]
             increments += [] if minus is None else [best_value - minus[name]]
             if increments:  # with one solution only, the quadratic coefficient becomes zero
                 linear[name][cause] = 0.5 * (increments[0] + increments[-1]) / amount
                 quadratic[name][cause] = 0.5 * (increments[0] - increments[-1]) / amount**2
-    n_unsolved, faulty_causes = np.array([pair.count(None) for pair in pairs]), {}
+    n_unsolved, faulty_causes = np.array([pair.count(None) for pair in solved_pairs]), {}
     for field, count in (("one_sided_causes", 1), ("unsolved_causes", 2)):
         names = np.array(distribution.causes)[n_unsolved == count].tolist()
         faulty_causes[field] = tuple(dict.fromkeys(names))
@@ -411,7 +412,7 @@ def compute_band(
 
 
 def join_bands(values_and_draws: Iterable[tuple[Floats, Floats]]) -> Band:
-    """Join the pointwise 95 % bands of several distributions in their envelope.
+    """Compute the envelope of the pointwise 95 % bands of several distributions.
 
     Parameters
     ----------
@@ -508,8 +509,8 @@ def predict_line_bands(
 
     Parameters
     ----------
-    solvers : function that solves the line for inputs, for each distribution, because each solution
-        of a calibration has its own slip curvatures. A function is called 1 + 2 x causes times
+    solvers : for each distribution, a function that solves the line for inputs. Each solution of a
+        calibration has its own slip curvatures. A function is called 1 + 2 x causes times
     distributions : distributions of the inputs, one for each solution of a calibration, the best
         first
     steps : indices of the steps for which bands are computed; negative indices count from the end
@@ -522,8 +523,8 @@ def predict_line_bands(
     The envelope of the bands of all distributions; None if the line cannot be solved for the best
     inputs of a distribution. The notes are ``beyond_tested`` if the line is bent beyond the tests,
     ``one_sided`` if the line has no equilibrium for one sign of the amount of a cause, ``silent``
-    if it has none for either sign, so that the band excludes the cause, and ``jumps`` if the line
-    jumps at steps other than for the best inputs.
+    if it has none for either sign, so that the band excludes the cause, and ``jumps`` if changed
+    inputs make the line jump at other steps than the best inputs do.
 
     Raises
     ------
@@ -575,17 +576,17 @@ def _compute_smallest_radius(curvature_vectors: Floats) -> Floats:
 
 def _compute_step_bands(responses: Sequence[Response], step: int) -> StateBands:
     """Compute the bands of the quantities of a line at one step, from 0."""
-    position, force, moment, curvature = (f"{name} {step}" for name in _STEP_FIELDS)
-    fields = {"positions": position, "reaction_forces": force, "smallest_bend_radius": curvature}
+    node_key, force_key, moment_key, bend_key = (f"{name} {step}" for name in _STEP_FIELDS)
+    keys = {"positions": node_key, "reaction_forces": force_key, "smallest_bend_radius": bend_key}
     compute_fractions = responses[0].compute_variance_fractions
     return StateBands(
         step=step,
-        positions=compute_band(responses, position),
-        curvature=compute_band(responses, curvature, compute_node_curvature),
-        smallest_bend_radius=compute_band(responses, curvature, _compute_smallest_radius),
-        reaction_forces=compute_band(responses, force),
-        reaction_moments=compute_band(responses, moment),
-        variance_fractions={name: compute_fractions(field) for name, field in fields.items()},
+        positions=compute_band(responses, node_key),
+        curvature=compute_band(responses, bend_key, compute_node_curvature),
+        smallest_bend_radius=compute_band(responses, bend_key, _compute_smallest_radius),
+        reaction_forces=compute_band(responses, force_key),
+        reaction_moments=compute_band(responses, moment_key),
+        variance_fractions={name: compute_fractions(key) for name, key in keys.items()},
     )
 
 
@@ -615,14 +616,14 @@ def _find_equilibrium_notes(responses: Sequence[Response]) -> Iterator[QualityNo
 
 
 def _find_jump_notes(path_groups: Sequence[Sequence[RodPath]]) -> Iterator[QualityNote]:
-    """Yield a note if the line jumps at steps other than for the best inputs of a distribution.
+    """Yield a note if the line jumps at other steps for changed inputs than for the best inputs.
 
     Each group has the paths of one distribution, that of the best inputs first. Jumps at step 0 are
     ignored.
     """
     for paths in path_groups:
-        texts = [", ".join(str(step) for step in path.jump_steps if step > 0) for path in paths]
-        if changed_texts := [text for text in texts if text != texts[0]]:
-            steps, other = texts[0] or "none", changed_texts[0] or "none"
+        jumps = [", ".join(str(step) for step in path.jump_steps if step > 0) for path in paths]
+        if changed_texts := [text for text in jumps if text != jumps[0]]:
+            steps, other = jumps[0] or "none", changed_texts[0] or "none"
             yield QualityNote.of("mechanics.rod.jumps", "", steps=steps, other=other)
             return

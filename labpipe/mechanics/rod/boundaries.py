@@ -4,9 +4,10 @@ A path has a row for the start and one for each step, shape (steps + 1, ...). A 
 vector, is constant. Between two steps positions and forces are interpolated linearly, and frames
 rotate at a constant rate. Forces keep their direction in space.
 
-Planes and strings are stiff springs, which deform slightly so that Newton's method has a solution.
-Friction depends on the history, as in sliders. A stiff spring connects a node to the point of the
-plane at which it sticks. If its force exceeds the friction, the point moves with the node.
+Planes and strings are modelled as stiff springs, which deform slightly so that Newton's method has
+a solution. Friction depends on the history, as in sliders. A stiff spring connects a node to the
+point of the plane at which the node sticks. If the force of this spring exceeds the friction limit,
+the point moves with the node.
 
 A ring acts on a smooth curve instead of the elements, so that the line slides smoothly past nodes.
 The curve is the quadratic spline that is tangent to every element at its middle. The two half
@@ -52,10 +53,10 @@ def _read_path(name: str, values: object, width: int) -> Floats:
 def _read_direction(name: str, values: object) -> Floats:
     """Return a constant vector as a read-only unit vector; refuse a path and a zero vector."""
     vector = _read_path(name, values, 3)
-    size = float(np.linalg.norm(vector[0]))
-    is_direction = len(vector) == 1 and size > 0.0
+    norm = float(np.linalg.norm(vector[0]))
+    is_direction = len(vector) == 1 and norm > 0.0
     require(name, np.asarray(values).tolist(), "a direction, not zero", holds=is_direction)
-    unit_vector: Floats = vector[0] / size
+    unit_vector: Floats = vector[0] / norm
     unit_vector.flags.writeable = False
     return unit_vector
 
@@ -116,7 +117,7 @@ class Ring:
     Raises
     ------
     ValueError
-        If a vector has another shape or is not finite.
+        If a vector has another shape or is not finite, or the direction is zero.
     """
 
     position: Floats
@@ -284,7 +285,7 @@ class PlaneContact:
 
 
 def compute_plane_contact(
-    plane: Plane, stiffness: float, positions: Floats, points: Floats, *, max_gap: float
+    plane: Plane, stiffness: float, positions: Floats, previous_points: Floats, *, max_gap: float
 ) -> PlaneContact:
     """Compute the contact of nodes with a plane.
 
@@ -293,7 +294,7 @@ def compute_plane_contact(
     plane : plane that the nodes may touch
     stiffness : N/m, stiffness of the contact of a node
     positions : shape (nodes, 3), m, positions of the nodes
-    points : shape (nodes, 3), m, points at which the nodes stuck before the step
+    previous_points : shape (nodes, 3), m, points at which the nodes stuck before the step
     max_gap : m, gap up to which a node counts as touching, without force
     """
     normal = plane.normal
@@ -303,7 +304,7 @@ def compute_plane_contact(
     tangent = np.where(is_touching, stiffness, 0.0)[:, None, None] * np.outer(normal, normal)
     forces = pressure[:, None] * normal
     projection = _IDENTITY - np.outer(normal, normal)
-    offset = (positions - points) @ projection
+    offset = (positions - previous_points) @ projection
     distance = np.linalg.norm(offset, axis=1)
     max_offset = plane.friction * pressure / stiffness
     is_sliding = distance > max_offset
@@ -353,7 +354,7 @@ def compute_string_forces(
 
 
 def sum_at_nodes(nodes: Ints, values: Floats, n_nodes: int) -> Floats:
-    """Sum values, shape (n, ...), of equal node or element numbers, shape (n_nodes, ...)."""
+    """Sum the values, shape (n, ...), of each node or element, shape (n_nodes, ...)."""
     sums = np.zeros((n_nodes, *values.shape[1:]))
     np.add.at(sums, nodes, values)
     return sums
@@ -393,17 +394,17 @@ def compute_ring_contact(
     stiffness : N/m, stiffness of the contact
     """
     u = find_nearest_parameter(positions, ring, previous_u)
-    first_node, b, first_derivatives, second_derivatives = _compute_weights(u, len(positions))
+    first_node, weights, first_derivatives, second_derivatives = _compute_weights(u, len(positions))
     nodes = positions[first_node : first_node + 3]
-    offset = b @ nodes - ring
-    slope, bend = first_derivatives @ nodes, second_derivatives @ nodes
-    mixed = b[:, None] * slope + first_derivatives[:, None] * offset
+    offset = weights @ nodes - ring
+    slope, slope_change = first_derivatives @ nodes, second_derivatives @ nodes
+    mixed = weights[:, None] * slope + first_derivatives[:, None] * offset
     # This is the second derivative of half the squared distance with respect to u, kept positive.
-    convexity = slope @ slope + max(float(offset @ bend), -0.5 * float(slope @ slope))
-    tangent = np.einsum("i,j,xy->ixjy", b, b, _IDENTITY)
+    convexity = slope @ slope + max(float(offset @ slope_change), -0.5 * float(slope @ slope))
+    tangent = np.einsum("i,j,xy->ixjy", weights, weights, _IDENTITY)
     if 0.0 < u < len(positions) - 1:
         tangent -= np.einsum("ix,jy->ixjy", mixed, mixed) / convexity
-    return RingContact(u, first_node, b, -stiffness * offset, stiffness=stiffness * tangent)
+    return RingContact(u, first_node, weights, -stiffness * offset, stiffness=stiffness * tangent)
 
 
 def evaluate_curve(positions: Floats, u: float) -> Floats:
@@ -413,7 +414,7 @@ def evaluate_curve(positions: Floats, u: float) -> Floats:
 
 
 def _compute_weights(u: float, n_nodes: int) -> tuple[int, Floats, Floats, Floats]:
-    """Compute the first of three nodes, and their weights with first and second derivatives."""
+    """Compute the first of three nodes, their weights, and the derivatives of the weights."""
     node = int(np.clip(np.floor(u + 0.5), 1, n_nodes - 2))
     t = u - node + 0.5
     zeros = np.zeros(3)
@@ -423,8 +424,8 @@ def _compute_weights(u: float, n_nodes: int) -> tuple[int, Floats, Floats, Float
     if t > 1.0:
         v = u - node
         return node - 1, np.array([0.0, 1.0 - v, v]), np.array([0.0, -1.0, 1.0]), zeros
-    b = np.array([0.5 * (1.0 - t) ** 2, 0.5 + t * (1.0 - t), 0.5 * t**2])
-    return node - 1, b, np.array([t - 1.0, 1.0 - 2.0 * t, t]), np.array([1.0, -2.0, 1.0])
+    weights = np.array([0.5 * (1.0 - t) ** 2, 0.5 + t * (1.0 - t), 0.5 * t**2])
+    return node - 1, weights, np.array([t - 1.0, 1.0 - 2.0 * t, t]), np.array([1.0, -2.0, 1.0])
 
 
 def find_nearest_parameter(positions: Floats, ring: Floats, previous_u: float) -> float:
@@ -432,19 +433,19 @@ def find_nearest_parameter(positions: Floats, ring: Floats, previous_u: float) -
     n_candidates, max_iterations = 25, 30
     max_distance = 1.5  # from the previous parameter, nodes
     max_change, tolerance = 0.1, 1e-14  # of the parameter in an iteration, and at convergence
-    end = float(len(positions) - 1)
-    lower, upper = max(previous_u - max_distance, 0.0), min(previous_u + max_distance, end)
+    last_u = float(len(positions) - 1)
+    lower, upper = max(previous_u - max_distance, 0.0), min(previous_u + max_distance, last_u)
     candidates = np.linspace(lower, upper, n_candidates)
     distances = [float(np.sum((evaluate_curve(positions, u) - ring) ** 2)) for u in candidates]
     u = float(candidates[int(np.argmin(distances))])
     for _ in range(max_iterations):
-        first_node, b, first_derivatives, second_derivatives = _compute_weights(u, len(positions))
-        nodes = positions[first_node : first_node + 3]
-        offset = b @ nodes - ring
-        slope, bend = first_derivatives @ nodes, second_derivatives @ nodes
-        convexity = slope @ slope + max(float(offset @ bend), -0.5 * float(slope @ slope))
+        node, weights, first_derivatives, second_derivatives = _compute_weights(u, len(positions))
+        nodes = positions[node : node + 3]
+        offset = weights @ nodes - ring
+        slope, slope_change = first_derivatives @ nodes, second_derivatives @ nodes
+        convexity = slope @ slope + max(float(offset @ slope_change), -0.5 * float(slope @ slope))
         change = float(np.clip(-(offset @ slope) / convexity, -max_change, max_change))
-        u = float(np.clip(u + change, 0.0, end))
+        u = float(np.clip(u + change, 0.0, last_u))
         if abs(change) < tolerance:
             break
     return u

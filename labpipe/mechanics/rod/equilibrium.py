@@ -2,11 +2,11 @@
 
 An equilibrium under held nodes and dead loads is stable if the second variation of the energy is
 positive for all changes that satisfy the stretch conditions. Equivalently, the tangent without
-their multipliers, but with a stiff penalty on these conditions, is positive definite. This is
-decided by a banded Cholesky factorisation. The penalty is 1e6 times EI / L^2 or the largest force
-in the line. Modes are stable down to a stiffness of -3e-4 times `Assembly.drag`, so that the error
-of critical loads is about 1e-4. Sliders that slid in the step are assumed to continue in the same
-direction. The increase of friction with pressure, which has no potential, is neglected.
+the multipliers, but with a stiff penalty on these conditions, is positive definite. This is decided
+by a banded Cholesky factorisation. The penalty is 1e6 times the larger of EI / L^2 and the largest
+force in the line. Modes are stable down to a stiffness of -3e-4 times `Assembly.unit_drag`, so that
+the error of critical loads is about 1e-4. Sliders that slid in the step are assumed to continue in
+the same direction. The increase of friction with pressure, which has no potential, is neglected.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ def find_equilibrium(
     max_turn = 0.7  # rad, of an element in one iteration
     max_move = 0.35  # of a node in one iteration, relative to the length of the line
     min_fraction = 0.1  # of an iteration step; shorter steps do not converge
-    shape, nodes = start.shape, assembly.supports.held_nodes
+    shape, held_nodes = start.shape, assembly.supports.held_nodes
     # Held nodes and clamps move with the first iteration step, or the fraction of it that is taken.
     origin = start.imposed
     imposed = replace(
@@ -106,7 +106,7 @@ def find_equilibrium(
         balance = assembly.compute_balance(shape, imposed, guess, drag)
     smallest_turn, n_idle_iterations = math.inf, 0
     for _ in range(max_iterations):
-        held_moves = target.held_positions - shape.positions[nodes]
+        held_moves = target.held_positions - shape.positions[held_nodes]
         clamp_turns = np.zeros((len(target.clamp_frames), 3))
         if imposed is not target:
             rotations = multiply(conjugate(imposed.clamp_frames), target.clamp_frames)
@@ -157,13 +157,13 @@ def _is_balanced(
     assembly: Assembly, balance: Balance, shape: Shape, relative_change: float
 ) -> bool:
     """Return whether a shape is in balance, given the relative change of the last iteration."""
-    # The balance is relative to force, moment and length of the whole line. With a tolerance of
+    # Residuals are relative to force, moment and length of the whole line. With a tolerance of
     # 1e-7, a taut clamped line has a spurious tension.
     balance_tolerance = 1e-10
     # If rounding limits the balance, the search ends after a small change, in lengths or rad.
     step_tolerance, rounding_tolerance = 1e-11, 1e-5
-    # The tension is relative to the forces on the line. With a larger one, the shape is mostly
-    # rounding error.
+    # The tension is relative to the forces on the line. With a larger tension, the shape is
+    # mostly rounding error.
     max_relative_tension = 1e4
     length = assembly.line.length
     tension = float(np.max(np.abs(shape.forces)))
@@ -249,22 +249,22 @@ class StabilityCheck:
             factors = self._factorise(balance, shape, drag)
         if factors is None:
             return None
-        index = np.arange(self.size)
-        is_bending = np.isin(index % FORCE, (TURN, TURN + 1))
-        asymmetric_load = np.cos(1.0 + 2.4 * index) * is_bending
+        indices = np.arange(self.size)
+        is_bending = np.isin(indices % FORCE, (TURN, TURN + 1))
+        asymmetric_load = np.cos(1.0 + 2.4 * indices) * is_bending
         asymmetric_load /= np.sqrt(np.sum(asymmetric_load**2))
         scaled_load = load[self._unknowns] * self._scale * ~self._is_fixed
-        size = float(np.sqrt(np.sum(scaled_load**2)))
+        norm = float(np.sqrt(np.sum(scaled_load**2)))
         mode = asymmetric_load * ~self._is_fixed
-        if size > 0.0:
-            mode = scaled_load / size + asymmetry * mode
+        if norm > 0.0:
+            mode = scaled_load / norm + asymmetry * mode
         for _ in range(n_iterations):
             mode, _ = lapack.dpbtrs(factors, mode, lower=True)
             mode = self._mass * mode
-            size = float(np.sqrt(np.sum(mode**2)))
-            if size == 0.0:
+            norm = float(np.sqrt(np.sum(mode**2)))
+            if norm == 0.0:
                 return None
-            mode /= size
+            mode /= norm
         mode, _ = lapack.dpbtrs(factors, mode, lower=True)
         change = np.zeros(self._assembly.indices.n_unknowns)
         change[self._unknowns] = mode * self._scale

@@ -62,12 +62,12 @@ class Section:
         if not self.law.first_stiffness > 0.0:
             raise ValueError(format_sentence("mechanics.rod.no_stiffness"))
         require_positive("torsional_stiffness", self.torsional_stiffness)
-        axial, coupling = self.axial_stiffness, self.coupling
-        require("axial_stiffness", axial, "> 0", holds=axial > 0.0)
+        axial_stiffness, coupling = self.axial_stiffness, self.coupling
+        require("axial_stiffness", axial_stiffness, "> 0", holds=axial_stiffness > 0.0)
         require_not_negative("mass_per_length", self.mass_per_length)
         require_not_negative("diameter", self.diameter)
         condition = "finite and of magnitude below sqrt(axial_stiffness * torsional_stiffness)"
-        is_definite = abs(coupling) < np.sqrt(axial * self.torsional_stiffness)
+        is_definite = abs(coupling) < np.sqrt(axial_stiffness * self.torsional_stiffness)
         require("coupling", coupling, condition, holds=np.isfinite(coupling) and is_definite)
 
 
@@ -100,12 +100,12 @@ class Line(ArrayRecord):
     def rest_curvature_at_nodes(self) -> Floats:
         """Return the curvature at rest at all nodes, 1/m, shape (n + 1, 3).
 
-        At an end, it is that of the neighbouring node. For a line of one element, it is zero.
+        At an end, the value is that of the neighbouring node. A line of one element has zeros.
         """
-        inner = self.rest_curvature
-        if not len(inner):
+        inner_curvature = self.rest_curvature
+        if not len(inner_curvature):
             return np.zeros((len(self.positions), 3))
-        return np.concatenate([inner[:1], inner, inner[-1:]])
+        return np.concatenate([inner_curvature[:1], inner_curvature, inner_curvature[-1:]])
 
     def compute_clamp_frame(self, node: int) -> Floats:
         """Compute the frame of a clamp that holds a node of the initial line, shape (4,).
@@ -174,10 +174,8 @@ def build_line(
     edges = np.diff(positions, axis=0)
     lengths = np.linalg.norm(edges, axis=1)
     if len(faulty_edges := np.flatnonzero(~(lengths > 0.0))):
-        first = int(faulty_edges[0])
-        raise ValueError(
-            format_sentence("mechanics.rod.same_points", first=first, second=first + 1)
-        )
+        node = int(faulty_edges[0])
+        raise ValueError(format_sentence("mechanics.rod.same_points", first=node, second=node + 1))
     directions = edges / lengths[:, None]
     frame_list = [build_frame(directions[0], np.asarray(up))]
     for rotation in compute_shortest_rotations(directions[:-1], directions[1:]):

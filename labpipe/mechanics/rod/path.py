@@ -1,4 +1,4 @@
-"""Record the quasi-static path of a line: its states, lost energy, and whether it can continue."""
+"""Record the quasi-static path of a line and its lost energy; check whether it can continue."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class RodState(ArrayRecord):
         before it; a tension is along d3
     moments : shape (n + 1, 2, 3), N m, in space axes, moment that the line after a cell exerts on
         the line before it. The second axis is the side of the node, before and after it; the sides
-        differ at a clamp. It is zero before the first and after the last node
+        differ at a clamp. The moment is zero before the first and after the last node
     curvatures : shape (n + 1, 2, 3), 1/m, curvatures minus those at rest, on both sides of every
         node: two bending components and the twist in the mean frame. At a clamp they are means over
         half an element
@@ -183,15 +183,15 @@ def _extrapolate_to_clamps(supports: Supports, curvatures: Floats) -> Floats:
     the length of its element from the clamp. The extrapolation is linear through that point and the
     next cell.
     """
-    extrapolated, lengths = curvatures.copy(), supports.lengths
+    node_curvatures, lengths = curvatures.copy(), supports.lengths
     n = supports.n_nodes - 1
-    for frames, offset in zip(supports.sides.T[::-1], (-1, 1), strict=True):
-        cells = np.flatnonzero(frames >= n)  # half cells with a clamp on that side
+    for frame_indices, offset in zip(supports.sides.T[::-1], (-1, 1), strict=True):
+        cells = np.flatnonzero(frame_indices >= n)  # half cells with a clamp on that side
         cells = cells[(cells + offset >= 0) & (cells + offset < len(lengths))]
         distance = CLAMP_WEIGHT * 2.0 * lengths[cells]
         factor = distance / (lengths[cells] + 0.5 * lengths[cells + offset] - distance)
-        extrapolated[cells] += factor[:, None] * (curvatures[cells] - curvatures[cells + offset])
-    return extrapolated
+        node_curvatures[cells] += factor[:, None] * (curvatures[cells] - curvatures[cells + offset])
+    return node_curvatures
 
 
 def _compute_moments(assembly: Assembly, equilibrium: Equilibrium) -> Floats:
@@ -225,12 +225,12 @@ def compute_lost_energy(assembly: Assembly, start_rests: Floats, end_rests: Floa
     law = assembly.line.section.law
     start, end = (get_current_sliders(law, rests) for rests in (start_rests, end_rests))
     distances = np.linalg.norm(end.rest_curvatures - start.rest_curvatures, axis=2)
-    slips = 0.5 * (start.slip_curvatures + end.slip_curvatures)
-    return float(assembly.supports.lengths @ (distances * slips) @ start.stiffnesses)
+    slip_curvatures = 0.5 * (start.slip_curvatures + end.slip_curvatures)
+    return float(assembly.supports.lengths @ (distances * slip_curvatures) @ start.stiffnesses)
 
 
 _LENGTH_ROUNDING = 1e-9
-"""Tolerance of lengths, relative to a length."""
+"""Rounding tolerance of lengths, relative to the length."""
 
 
 class NoEquilibriumError(Exception):
@@ -252,7 +252,7 @@ class NoEquilibriumError(Exception):
 
 
 def check_reach(schedule: Schedule, grips: tuple[int, ...], step: int) -> None:
-    """Refuse held nodes that are too far apart for an inextensible line, or make the line taut.
+    """Refuse held nodes too far apart for an inextensible line, or that make it taut under loads.
 
     A taut line has no equilibrium under transverse loads, and its tension under axial loads is not
     determined.
@@ -299,11 +299,16 @@ def check_reach(schedule: Schedule, grips: tuple[int, ...], step: int) -> None:
 
 
 def check_planes(schedule: Schedule, grips: tuple[int, ...], step: int) -> None:
-    """Refuse a grip that holds the axis of the line nearer to a plane than its radius.
+    """Refuse a grip that holds the axis of the line nearer to a plane than the line's radius.
 
     Parameters
     ----------
     schedule, grips, step : as for `check_reach`
+
+    Raises
+    ------
+    NoEquilibriumError
+        If a held node is too near to a plane.
     """
     held_positions = schedule.compute_imposed_values(float(step), grips).held_positions
     line = schedule.line
@@ -336,6 +341,11 @@ def check_line(
     balance : balance of the shape
     step : number of the step
     max_strain : strain beyond which the line counts as torn
+
+    Raises
+    ------
+    NoEquilibriumError
+        If an element is stretched too far, or two elements are folded onto each other.
     """
     max_turn = 3.13  # rad, between two elements
     element = int(np.argmax(shape.stretches))
@@ -365,6 +375,11 @@ def check_rings(schedule: Schedule, balance: Balance, step: int) -> None:
     schedule : paths of the boundaries
     balance : balance of the line, with the contacts of the rings
     step : number of the step
+
+    Raises
+    ------
+    NoEquilibriumError
+        If a ring is at an end of the line.
     """
     for ring, contact in zip(schedule.rings.values(), balance.ring_contacts, strict=True):
         if not 0.0 < contact.parameter < schedule.n:

@@ -1,4 +1,4 @@
-"""Compute with arrays of unit quaternions (w, x, y, z) and rotation vectors.
+"""Multiply and convert arrays of unit quaternions (w, x, y, z) and rotation vectors.
 
 A frame is a unit quaternion that rotates vectors from the material to space. Its third axis d3 is
 the direction of the line. A rotation vector psi (rad) is a rotation by |psi| about psi.
@@ -55,7 +55,7 @@ def skew(vectors: Floats) -> Floats:
 
 
 def from_rotation_vectors(vectors: Floats) -> Floats:
-    """Return quaternions of rotation vectors, rad, shape (..., 3)."""
+    """Return quaternions, shape (..., 4), of rotation vectors, rad, shape (..., 3)."""
     half_angle = 0.5 * np.sqrt(np.vecdot(vectors, vectors))
     frames = np.empty((*vectors.shape[:-1], 4))
     frames[..., 0] = np.cos(half_angle)
@@ -67,8 +67,8 @@ def from_rotation_vectors(vectors: Floats) -> Floats:
 def to_rotation_vectors(frames: Floats) -> Floats:
     """Return rotation vectors of quaternions, rad, of magnitude up to pi, shape (..., 3)."""
     real, imaginary = frames[..., 0], frames[..., 1:]
-    size = np.maximum(np.sqrt(np.vecdot(imaginary, imaginary)), _MIN_SIZE)
-    scale = np.copysign(2.0, real) * np.arctan2(size, np.abs(real)) / size
+    norm = np.maximum(np.sqrt(np.vecdot(imaginary, imaginary)), _MIN_SIZE)
+    scale = np.copysign(2.0, real) * np.arctan2(norm, np.abs(real)) / norm
     return np.asarray(scale[..., None] * imaginary)
 
 
@@ -119,7 +119,8 @@ def compute_shortest_rotations(start: Floats, end: Floats) -> Floats:
     rotations = np.empty((*start.shape[:-1], 4))
     rotations[..., 0] = 1.0 + np.vecdot(start, end)
     rotations[..., 1:] = cross(start, end)
-    is_opposite = rotations[..., 0] < 1e-12
+    max_sum = 1e-12  # 1 + cosine of the angle between vectors that count as opposite
+    is_opposite = rotations[..., 0] < max_sum
     if np.any(is_opposite):
         axes = _IDENTITY[np.argmin(np.abs(start[is_opposite]), axis=-1)]
         rotations[is_opposite, 0] = 0.0

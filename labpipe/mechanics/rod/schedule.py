@@ -75,8 +75,8 @@ class Schedule:
         self.planes = _select(boundaries, Plane)
         self.rings = _select(boundaries, Ring)
         self.loads = _select(boundaries, Load)
-        self.held_nodes = {k: self._count_node(grip) for k, grip in self.grips.items()}
-        string_nodes = [self._count_node(string) for string in self.strings.values()]
+        self.held_nodes = {k: self._find_node(grip) for k, grip in self.grips.items()}
+        string_nodes = [self._find_node(string) for string in self.strings.values()]
         self.string_nodes = np.array(string_nodes, dtype=int)
         parameters = [self._find_ring_parameter(ring) for ring in self.rings.values()]
         self.ring_parameters = np.array(parameters)
@@ -104,10 +104,10 @@ class Schedule:
         for gravity in _select(boundaries, Gravity).values():
             self._forces.append((self._masses, np.vstack([np.zeros(3), gravity.vector])))
         for load in self.loads.values():
-            is_loaded = np.arange(self.n + 1) == self._count_node(load)
+            is_loaded = np.arange(self.n + 1) == self._find_node(load)
             self._forces.append((is_loaded.astype(float), np.vstack([np.zeros(3), load.force])))
 
-    def _count_node(self, boundary: Held | String | Load) -> int:
+    def _find_node(self, boundary: Held | String | Load) -> int:
         """Return the node of a boundary, counted from the start of the line."""
         node, n = boundary.node, self.n
         if not -n - 1 <= node <= n:
@@ -200,10 +200,10 @@ def _interpolate(path: Floats, time: float, *, is_frame: bool = False) -> Floats
 
 def _require_rows(boundaries: tuple[Boundary, ...], n_steps: int) -> None:
     """Refuse paths whose number of rows is neither one nor the number of steps plus one."""
-    expected = n_steps + 1
+    n_rows = n_steps + 1
     for boundary in boundaries:
         for name, path in list_paths(boundary).items():
-            if len(path) not in (1, expected):
+            if len(path) not in (1, n_rows):
                 label = format_boundary(boundaries, boundary)
-                facts = {"boundary": label, "name": name, "rows": len(path), "expected": expected}
+                facts = {"boundary": label, "name": name, "rows": len(path), "expected": n_rows}
                 raise ValueError(format_sentence("mechanics.rod.path_rows", **facts))

@@ -126,8 +126,6 @@ class _PathSolver:
         history = LineHistory(slider_rests, contact_points, self.schedule.ring_parameters)
         self._assemble(self.schedule.list_grips(0), -1.0, shape, history)
 
-    # ---- grips --------------------------------------------------------------------------------
-
     def _assemble(
         self, grips: tuple[int, ...], time: float, shape: Shape, history: LineHistory
     ) -> None:
@@ -152,8 +150,8 @@ class _PathSolver:
         # Without a clamp, both sides of a node form one cell. The rest curvatures of the cell are
         # the weighted mean of both sides, which keeps every slider within its limit.
         supports = self.assembly.supports
-        sides = history.slider_rests[supports.nodes]
-        rests = np.einsum("cs,csjx->cjx", supports.side_weights, sides)
+        side_rests = history.slider_rests[supports.nodes]
+        rests = np.einsum("cs,csjx->cjx", supports.side_weights, side_rests)
         history = replace(history, slider_rests=rests)
         imposed = schedule.compute_imposed_values(time, grips)
         balance = self.assembly.compute_balance(shape, imposed, history)
@@ -177,8 +175,6 @@ class _PathSolver:
         self._accept(time, equilibrium, is_unstable=is_unstable)
         self.jump_energy = jump_energy + self.lost_energy - lost_energy
 
-    # ---- steps --------------------------------------------------------------------------------
-
     def solve_step(self, step: int) -> bool:
         """Solve a step and record its state; return False if no equilibrium is found."""
         self.step = step
@@ -197,12 +193,12 @@ class _PathSolver:
         self._record_state(step)
         return True
 
-    def _advance_to(self, end: float) -> None:
+    def _advance_to(self, end_time: float) -> None:
         """Advance to a time, counted in steps, by fractions of steps that are halved or doubled."""
         min_fraction = 2.0**-12  # of a step
         fraction, is_rejected = 1.0, False
-        while self.equilibrium.imposed.time < end:
-            time = min(end, self.equilibrium.imposed.time + fraction)
+        while self.equilibrium.imposed.time < end_time:
+            time = min(end_time, self.equilibrium.imposed.time + fraction)
             is_smallest = fraction <= min_fraction
             tries_sticking = is_smallest or not is_rejected
             equilibrium = self._find_equilibrium(time, tries_sticking=tries_sticking)
@@ -221,7 +217,7 @@ class _PathSolver:
     def _accept(self, time: float, equilibrium: Equilibrium | None, *, is_unstable: bool) -> None:
         """Accept an equilibrium; relax the line if it is unstable or if there is none."""
         if equilibrium is not None:
-            self._make_present(equilibrium)
+            self._set_equilibrium(equilibrium)
         if equilibrium is None or is_unstable:
             self._relax(time, is_unstable=is_unstable)
 
@@ -251,7 +247,7 @@ class _PathSolver:
         return None
 
     def _is_near(self, equilibrium: Equilibrium) -> bool:
-        """Return whether the line turns by less than the largest allowed angles."""
+        """Return whether all turns since the present equilibrium are within their limits."""
         start, max_turn = self.equilibrium, self.settings.max_turn
         previous_turns = start.balance.cells.rotation_vectors
         cell_turns = equilibrium.balance.cells.rotation_vectors - previous_turns
@@ -261,7 +257,7 @@ class _PathSolver:
         turns = np.linalg.norm(to_rotation_vectors(rotations), axis=1)
         return float(np.max(turns)) < 2.0 * max_turn
 
-    def _make_present(self, equilibrium: Equilibrium) -> None:
+    def _set_equilibrium(self, equilibrium: Equilibrium) -> None:
         """Make an equilibrium the present one, add the lost energy, and check the line."""
         self.equilibrium, balance = equilibrium, equilibrium.balance
         rests = equilibrium.previous_history.slider_rests, equilibrium.history.slider_rests
@@ -269,8 +265,6 @@ class _PathSolver:
         max_strain = self.settings.max_strain
         check_line(self.assembly, equilibrium.shape, balance, self.step, max_strain=max_strain)
         check_rings(self.schedule, balance, self.step)
-
-    # ---- relaxing -----------------------------------------------------------------------------
 
     def _relax(self, time: float, *, is_unstable: bool) -> None:
         """Relax the line to a stable equilibrium at a time.
@@ -280,12 +274,12 @@ class _PathSolver:
         perturbations = (0.0, 1e-3, 1e-2)  # relative to the length of the line, or rad
         if self.step not in self.jump_steps:
             self.jump_steps.append(self.step)
-        start, start_energy = self.equilibrium, self.lost_energy
+        start, start_lost_energy = self.equilibrium, self.lost_energy
         for perturbation in perturbations[1:] if is_unstable else perturbations:
             if self._relax_to_rest(time, perturbation):
-                self.jump_energy += self.lost_energy - start_energy
+                self.jump_energy += self.lost_energy - start_lost_energy
                 return
-            self.equilibrium, self.lost_energy = start, start_energy
+            self.equilibrium, self.lost_energy = start, start_lost_energy
         if not is_unstable:
             forces = np.linalg.norm(start.shape.forces, axis=1)
             element = int(np.argmax(forces))
@@ -307,7 +301,7 @@ class _PathSolver:
         # A mode of two waves is stiffer by (4 pi)^4, so that only a stable line stays at rest.
         min_drag = 1e-8
         max_drag = 1e5
-        rest_drag = 1e-3  # below it, an equilibrium without drag is sought
+        rest_drag = 1e-3  # below this drag, an equilibrium without drag is sought
         usual_factor, factor_after_failure = 0.25, 0.5
         increase_factor = 4.0
         rest_tolerance = 1e-6  # relative to the length of the line
@@ -324,7 +318,7 @@ class _PathSolver:
                 if drag > max_drag:
                     return False
                 continue
-            self._make_present(equilibrium)
+            self._set_equilibrium(equilibrium)
             shape = equilibrium.shape
             drag *= decrease_factor
             decrease_factor = usual_factor
@@ -343,7 +337,7 @@ class _PathSolver:
         equilibrium = self._find_equilibrium(time)
         if equilibrium is None or not self._is_stable(equilibrium):
             return False
-        self._make_present(equilibrium)
+        self._set_equilibrium(equilibrium)
         return True
 
     def _find_dragged_equilibrium(
@@ -358,13 +352,14 @@ class _PathSolver:
             return None
         return equilibrium if self._is_stable(equilibrium) else None
 
-    def _perturb_shape(self, size: float) -> Shape:
+    def _perturb_shape(self, perturbation: float) -> Shape:
         """Perturb the present shape along its softest mode.
 
-        The size is the largest displacement, relative to the length of the line, or turn, rad.
+        The perturbation is the largest displacement, relative to the length of the line, or the
+        largest turn, rad.
         """
         balance, shape = self.equilibrium.balance, self.equilibrium.shape
-        if not size:
+        if not perturbation:
             return shape
         target = self.schedule.compute_imposed_values(float(self.step), self.grips)
         zeros = np.zeros((self.schedule.n, 3))
@@ -374,16 +369,14 @@ class _PathSolver:
             return shape
         displacements, _, turns, _ = split_unknowns(mode)
         mode_size = max(np.max(np.abs(displacements)) / self.line.length, np.max(np.abs(turns)))
-        return self.assembly.apply_change(shape, mode * (size / mode_size))
-
-    # ---- results ------------------------------------------------------------------------------
+        return self.assembly.apply_change(shape, mode * (perturbation / mode_size))
 
     def _has_reason(self, code: str) -> bool:
-        """Return whether a reason has been added."""
+        """Return whether a reason with a code has been added."""
         return any(reason.code == code for reason in self.reasons)
 
     def _record_state(self, step: int) -> None:
-        """Record the state of a step; add a reason if the line is bent beyond its law."""
+        """Record the state of a step; add a reason when the law is first exceeded."""
         state = build_state(self.assembly, self.schedule, self.grips, self.equilibrium, step)
         self.states.append(state)
         self.energies.append((self.lost_energy, self.jump_energy))

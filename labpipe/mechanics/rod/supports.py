@@ -51,7 +51,7 @@ _Cell: TypeAlias = tuple[tuple[int, int], int, tuple[float, float], float]
 CLAMP_WEIGHT = 1.0 / 6.0
 """Weight of a clamp in the direction of an adjacent element; the element has the remaining weight.
 
-The half cell at a clamp has the moment of the node instead of that at its middle, which makes the
+The half cell at a clamp has the moment at the node instead of that at its middle. This makes the
 line too soft. If the direction of the clamp (rotated by the curvature at rest) contributes to that
 of the element, the moment is that of a point farther from the clamp. A weight of one sixth removes
 the second-order errors of angle and deflection for small bending, and reduces them to less than a
@@ -105,7 +105,7 @@ class Supports:
         Shape (n + clamps, ...).
         """
         sums = np.zeros((len(self.own_weights) + len(self.clamps), *values.shape[2:]))
-        for side in (0, 1):  # no frame is twice on the same side
+        for side in (0, 1):  # a frame is at most once on a side
             sums[self.sides[:, side]] += values[:, side]
         return sums
 
@@ -217,25 +217,25 @@ def compute_directions(
     scaled_forces : shape (n, 3), N m, vectors g, force of each element times its length
     """
     elements, own_weights = supports.clamp_pairs[:, 0], supports.own_weights
-    mean = own_weights[:, None] * frames[:, :, 2]
-    np.add.at(mean, elements, clamp_directions)
-    norm = np.sqrt(np.vecdot(mean, mean))[:, None]
-    u = mean / norm
+    mean_director = own_weights[:, None] * frames[:, :, 2]
+    np.add.at(mean_director, elements, clamp_directions)
+    norm = np.sqrt(np.vecdot(mean_director, mean_director))[:, None]
+    u = mean_director / norm
     mean_derivatives = np.zeros_like(frames)
     mean_derivatives[:, :, 0] = -own_weights[:, None] * frames[:, :, 1]
     mean_derivatives[:, :, 1] = own_weights[:, None] * frames[:, :, 0]
-    # The first and second derivatives with respect to the mean are those of -g . mean / |mean|.
+    # The derivatives with respect to the mean director are those of -g . mean / |mean|.
     projection = (_IDENTITY - u[:, :, None] * u[:, None, :]) / norm[:, :, None]
-    p = np.matvec(projection, scaled_forces)
-    outer = u[:, :, None] * p[:, None, :]
+    lateral_forces = np.matvec(projection, scaled_forces)
+    outer = u[:, :, None] * lateral_forces[:, None, :]
     mean_stiffness = outer + outer.mT
     mean_stiffness += np.vecdot(scaled_forces, u)[:, None, None] * projection
     mean_stiffness /= norm[:, :, None]
-    stiffness = own_weights[:, None, None] * _differentiate_twice(np.vecmat(p, frames))
+    stiffness = own_weights[:, None, None] * _differentiate_twice(np.vecmat(lateral_forces, frames))
     stiffness += mean_derivatives.mT @ mean_stiffness @ mean_derivatives
     turn_derivatives = projection @ mean_derivatives
     moments = -np.vecmat(scaled_forces, turn_derivatives)
-    clamp_moments = -cross(clamp_directions, p[elements])
+    clamp_moments = -cross(clamp_directions, lateral_forces[elements])
     clamp_terms = {"clamp_derivatives": projection, "clamp_moments": clamp_moments}
     return Directions(u, turn_derivatives, moments, stiffness, **clamp_terms)
 
@@ -356,10 +356,10 @@ def _compute_tangent_maps(psi: Floats, moments: Floats) -> tuple[Floats, Floats]
     factors, c_slope_over_angle = compute_tangent_factors(np.sqrt(np.vecdot(psi, psi)))
     c = factors[:, None, None]
     outer = psi[:, :, None] * psi[:, None, :]
-    square, product = np.vecdot(psi, psi)[:, None], np.vecdot(psi, moments)[:, None]
-    tangent_maps = _IDENTITY + 0.5 * skew(psi) + c * (outer - square[:, None] * _IDENTITY)
-    mixed = psi[:, :, None] * moments[:, None, :]
-    double_cross = product * psi - square * moments  # psi x (psi x m)
-    derivatives = c * (product[:, None] * _IDENTITY + mixed - 2.0 * mixed.mT)
+    squared_angle, dot_product = np.vecdot(psi, psi)[:, None], np.vecdot(psi, moments)[:, None]
+    tangent_maps = _IDENTITY + 0.5 * skew(psi) + c * (outer - squared_angle[:, None] * _IDENTITY)
+    outer_moments = psi[:, :, None] * moments[:, None, :]
+    double_cross = dot_product * psi - squared_angle * moments  # psi x (psi x m)
+    derivatives = c * (dot_product[:, None] * _IDENTITY + outer_moments - 2.0 * outer_moments.mT)
     derivatives += (c_slope_over_angle[:, None] * double_cross)[:, :, None] * psi[:, None, :]
     return tangent_maps, derivatives

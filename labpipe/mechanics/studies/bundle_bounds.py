@@ -149,7 +149,7 @@ def _get_mean_stiffness(group: Group) -> BoundedStiffness:
 
 
 def _add_bounds(stiffness: BoundedStiffness, model: _BundleOutcome) -> BoundedStiffness:
-    """Add bounds and composite degree to a measured stiffness, or the reasons without a model."""
+    """Add bounds and composite degree to a stiffness, or the reasons why there is no model."""
     if isinstance(model, tuple):
         return replace(stiffness, reasons=model)
     bounds = {name: getattr(model, name) for name in ("low", "free", "high", "principal")}
@@ -158,11 +158,11 @@ def _add_bounds(stiffness: BoundedStiffness, model: _BundleOutcome) -> BoundedSt
         return stiffness
     if not model.high > model.low:
         return replace(stiffness, reasons=(Reason.of("mechanics.studies.one_bound"),))
-    to_degree = partial(compute_composite_degree, low=model.low, high=model.high)
+    get_degree = partial(compute_composite_degree, low=model.low, high=model.high)
     interval = stiffness.interval
     if interval is not None:
-        interval = Interval(to_degree(interval.lower), to_degree(interval.upper), interval.level)
-    return replace(stiffness, degree=to_degree(stiffness.value), degree_interval=interval)
+        interval = Interval(get_degree(interval.lower), get_degree(interval.upper), interval.level)
+    return replace(stiffness, degree=get_degree(stiffness.value), degree_interval=interval)
 
 
 BUNDLE_FILE = "bundle.json"
@@ -281,7 +281,7 @@ def model_bundle(
             modelled = replace(modelled, no_friction=str(error))
     earlier_files, pages = [], []
     if figures:
-        earlier_files = [f"{FIGURES_FOLDER}/{name}.png" for name in (BUNDLE_FIGURE, LOOP_FIGURE)]
+        earlier_files = [f"{FIGURES_FOLDER}/{stem}.png" for stem in (BUNDLE_FIGURE, LOOP_FIGURE)]
         pages = [make_bundle_page(model)]
     if figures and modelled.friction is not None:
         pages.append(make_loop_page(name, modelled.friction))
@@ -291,7 +291,7 @@ def model_bundle(
 
 
 def _read_bundle(target: str, arrangement: str | None) -> tuple[str, Bundle, TestResult | None]:
-    """Read the name and the bundle of a processed test, a test sheet or a text, and any test."""
+    """Read the name and the bundle of a test, a test sheet or a text, and the test if it is one."""
     path, test = Path(target), None
     with suppress(OSError):  # a text may be too long for a file name
         if path.is_dir():
@@ -344,6 +344,7 @@ _FRICTION_FIELDS = (
     *("composite_share", "slip_curvature", "slide_curvature", "held", "held_lower", "held_upper"),
     *("error_fitted", "error_held_out", "loss", "predicted_loss", "predicted", "is_held_out"),
 )
+"""Fields of `FrictionFit` in ``bundle.json``."""
 
 
 def build_json(modelled: ModelledBundle) -> dict[str, object]:
@@ -375,7 +376,7 @@ def build_json(modelled: ModelledBundle) -> dict[str, object]:
 
 
 def extract_loop(test: TestResult) -> BundleLoop:
-    """Extract the cycles of a processed test, as those of a cantilever.
+    """Extract the cycles of a processed test, and convert them to those of a cantilever.
 
     Parameters
     ----------
@@ -389,7 +390,7 @@ def extract_loop(test: TestResult) -> BundleLoop:
     Raises
     ------
     ValueError
-        If the test has no curve, no kink, or neither length nor span.
+        If the test has no branches, no kink, or neither length nor span.
     """
     min_relative_deflection = 1e-3  # smaller deflections are within the error of the zero
     curve, dimensions = test.curve, test.specimen.dimensions

@@ -224,10 +224,10 @@ def read_calibration(path: Path) -> StoredCalibration:
 def _parse_calibration(content: dict[str, Any]) -> StoredCalibration:
     """Parse the content of ``calibration.json``."""
     solutions = tuple(_parse_solution(entry) for entry in content["solutions"])
-    share, entry = None, content.get("isotropic_share")
-    if entry is not None and not entry["is_creep"]:
-        interval = Interval(float(entry["lower"]), float(entry["upper"]))
-        share = float(entry["value"]), interval.standard_error
+    share, share_entry = None, content.get("isotropic_share")
+    if share_entry is not None and not share_entry["is_creep"]:
+        interval = Interval(float(share_entry["lower"]), float(share_entry["upper"]))
+        share = float(share_entry["value"]), interval.standard_error
     if not solutions:
         message = "no solution"
         raise ValueError(message)

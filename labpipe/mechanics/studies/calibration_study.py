@@ -98,39 +98,39 @@ def calibrate_tests(
         If a file has faults, no test can be used, two tests have the same name, the wire to
         calibrate is ambiguous, or the calibration fails. Earlier results are then unchanged.
     """
-    settings = load_calibration_plan(plan) if plan is not None else CalibrationPlan(version=1)
+    plan_content = load_calibration_plan(plan) if plan is not None else CalibrationPlan(version=1)
     wires = find_wire_sheet() if wires is None else wires
     sheet = read_wire_sheet(wires)
     specs = {spec.name: spec for spec in sheet.specs}
-    curves = read_external_curves(settings, plan, sheet)
+    external_curves = read_external_curves(plan_content, plan, sheet)
     files = find_results(targets)
     loadings, reasons_by_file = read_first_loadings(
-        files, min_points=settings.points, max_deflection=settings.up_to, report_name=say
+        files, min_points=plan_content.points, max_deflection=plan_content.up_to, report_name=say
     )
     if not loadings:
         raise ProcessingError("\n".join(reasons_by_file.values()))
     refuse_duplicates([(loading.curve.test, loading.file) for loading in loadings], "name")
     loadings, copy_reasons = drop_copies(loadings)
-    name = choose_wire(loadings, settings, plan)
+    wire_name = choose_wire(loadings, plan_content, plan)
     for loading in loadings:
         sheet.find_wire(loading.curve.wire, f"test {loading.curve.test}, specimen.type")
     tested_wires = sorted({loading.curve.wire for loading in loadings})
-    needed_wires = sorted({*tested_wires, *(curve.wire for curve in curves)})
+    needed_wires = sorted({*tested_wires, *(curve.wire for curve in external_curves)})
     models = {wire: build_sheet_wire(specs[wire], wires) for wire in needed_wires}
-    weight_notes = [*make_sheet_weight_notes(loadings, name, models[name].self_weight)]
+    weight_notes = [*make_sheet_weight_notes(loadings, wire_name, models[wire_name].self_weight)]
     loadings = [
         set_self_weight(loading, models[loading.curve.wire].self_weight) for loading in loadings
     ]
-    loadings_of_wire = [loading for loading in loadings if loading.curve.wire == name]
+    loadings_of_wire = [loading for loading in loadings if loading.curve.wire == wire_name]
     measured_curves = [loading.curve for loading in loadings_of_wire]
     say("calibration")
-    stress_tables = [curve.table for curve in sheet.curves[name].values()]
-    calibration = _calibrate(models[name], loadings_of_wire, settings, stress_tables)
-    isotropic_share = _calibrate_share(specs[name], calibration, loadings_of_wire)
+    table_names = [curve.table for curve in sheet.curves[wire_name].values()]
+    calibration = _calibrate(models[wire_name], loadings_of_wire, plan_content, table_names)
+    isotropic_share = _calibrate_share(specs[wire_name], calibration, loadings_of_wire)
     groups = compare_tests(calibration, models, loadings)
     notes = [
         *calibration.notes,
-        *_make_share_notes(specs[name], isotropic_share),
+        *_make_share_notes(specs[wire_name], isotropic_share),
         *weight_notes,
         *make_insulation_notes(calibration, models, specs, loadings),
         *make_misfit_notes(groups),
@@ -144,18 +144,18 @@ def calibrate_tests(
         files=(),
         comparisons=tuple(
             compare_external_curves(
-                curves, calibration, models, groups, loadings_of_wire + loadings
+                external_curves, calibration, models, groups, loadings_of_wire + loadings
             )
         ),
         tested_curvature=find_tested_curvature(
-            models[name], calibration.solutions[0].values, measured_curves
+            models[wire_name], calibration.solutions[0].values, measured_curves
         ),
-        stress_tables=sheet.curves[name],
+        stress_tables=sheet.curves[wire_name],
     )
     if figures:
-        wire = build_sheet_wire(apply_calibration(specs[name], calibration), wires)
+        model = build_sheet_wire(apply_calibration(specs[wire_name], calibration), wires)
         curve, file = measured_curves[0], loadings_of_wire[0].file
-        shapes = compare_shapes(file, wire, curve.length, curve.rig, float(curve.deflection.max()))
+        shapes = compare_shapes(file, model, curve.length, curve.rig, float(curve.deflection.max()))
         study = replace(study, shapes={curve.test: shapes} if shapes else {})
     wire_tables = [
         tabulate_wire(apply_calibration(specs[wire], calibration)) for wire in tested_wires
@@ -377,12 +377,13 @@ def _calibrate_share(
 def _make_share_notes(
     spec: WireSpec, isotropic_share: IsotropicShare | None
 ) -> Iterator[QualityNote]:
-    """Yield notes on a missing or doubtful isotropic share, and on a stress table that is short."""
+    """Yield notes on a missing or doubtful isotropic share, and on a too short stress table."""
     if isotropic_share is None:
         yield QualityNote.of("mechanics.studies.share_not_calibrated", spec.name)
     elif isotropic_share.is_creep:
         yield QualityNote.of("mechanics.studies.share_by_creep", spec.name)
     if spec.stress_table is not None:
+        # The curvature, 1/m, at which the strain of the strands reaches the end of the table.
         table_end = 2.0 * spec.stress_table[0][-1] / max(spec.strand_diameters)
         max_curvature = find_law_range(spec)[0]
         if table_end < LOOP_RANGE * max_curvature:

@@ -2,8 +2,8 @@
 
 Systematic errors do not average out over the points as noise does. An error of the force zero
 shifts the curve in force. Errors of the deflection zero and of the clock shift the curve in
-deflection. An error of the fitted shape is proportional to the deflection. Here it counts as the
-same in all tests of a rig.
+deflection. An error of the fitted shape is proportional to the deflection. This error counts as
+the same in all tests of a rig.
 """
 
 from __future__ import annotations
@@ -51,8 +51,8 @@ def estimate_force_zero_error(protocol: Protocol, curve: Curve, loading: Branch)
     """
     rest_rows = slice(0, loading.start)
     force_channel = protocol.curve and protocol.curve.force
-    zeros = (step for step in protocol.steps if isinstance(step, Zero))
-    duration = next((step.over for step in zeros if step.channel == force_channel), None)
+    zero_steps = (step for step in protocol.steps if isinstance(step, Zero))
+    duration = next((step.over for step in zero_steps if step.channel == force_channel), None)
     return estimate_zero_error(curve.time[rest_rows], curve.force[rest_rows], duration)
 
 
@@ -76,12 +76,12 @@ def estimate_offset_error(
     """
     rest_rows, loading_rows = slice(0, loading.start), slice(loading.start, loading.stop)
     # The deflection is zeroed over the duration of the step `SpecimenFrame`.
-    frames = (step for step in protocol.steps if isinstance(step, SpecimenFrame))
-    duration = next((step.over for step in frames), None)
+    frame_steps = (step for step in protocol.steps if isinstance(step, SpecimenFrame))
+    duration = next((step.over for step in frame_steps), None)
     rest_deflection = curve.displacement[rest_rows]
     zero_error = estimate_zero_error(curve.time[rest_rows], rest_deflection, duration)
-    fit = None if result.aligned is None else result.aligned.clock_fit
-    clock_error = 0.0 if fit is None else fit.offset_interval.standard_error
+    clock_fit = None if result.aligned is None else result.aligned.clock_fit
+    clock_error = 0.0 if clock_fit is None else clock_fit.offset_interval.standard_error
     finite_rows = np.flatnonzero(np.isfinite(curve.displacement[loading_rows]))
     if len(finite_rows) < 2 or not np.isfinite(clock_error):
         return zero_error
@@ -191,8 +191,8 @@ def read_first_loadings(
     Parameters
     ----------
     files : result.h5 files
-    min_points : minimum number of points of a curve, of which each is a mean of consecutive
-        samples; a curve of more samples has fewer than twice as many points
+    min_points : minimum number of points of a curve, each a mean of consecutive samples;
+        a curve of more samples has fewer than twice as many points
     max_deflection : largest deflection that is used, m. The limit is at most `MAX_DEFLECTION` times
         the free length; None for this limit
     report_name : function that is called with the name of each test before it is read
@@ -320,7 +320,7 @@ def extract_cycle_measures(
     first_peak, second_peak = (results.get(f"peak_displacement.{cycle}") for cycle in (1, 2))
     if first_peak is None or not first_peak.value:
         return None, ()
-    # value and standard error, keyed by name
+    # The value and the standard error of each measure, keyed by its name.
     measures: dict[str, tuple[float, float]] = {}
     for name, key in ((RESIDUAL, "residual_displacement.1"), (ENERGY, "energy.1")):
         item = results.get(key)
@@ -474,7 +474,7 @@ def _find_first_branch(result: TestResult) -> tuple[Curve, Branch]:
     Raises
     ------
     NotUsableError
-        If the test has no curve or no first loading, or if its first peak failed; if force or
+        If the test has no curve or no first loading, if its first peak failed, or if force or
         deflection has no zero at rest.
 
     Notes

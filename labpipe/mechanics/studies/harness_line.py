@@ -144,10 +144,10 @@ def _compute_unit_curls(line: Line, spool: Spool | None) -> Floats:
     Curvature of each curl, shape (2 curls, 2 axes), 1/m.
     """
     axes = to_matrices(line.frames[0])
-    side = np.array([1.0, 0.0])
+    t = np.array([1.0, 0.0])  # components along d1 and d2
     if spool is not None:
-        side = (_compute_spool_normal(spool, axes[:, 2]) @ axes)[:2]
-    return np.array([[-side[1], side[0]], [-side[0], -side[1]]])  # d3 x t, and -t
+        t = (_compute_spool_normal(spool, axes[:, 2]) @ axes)[:2]
+    return np.array([[-t[1], t[0]], [-t[0], -t[1]]])  # d3 x t, and -t
 
 
 def _compute_stations(harness: HarnessFile) -> Floats:
@@ -240,7 +240,7 @@ def _build_gravity(harness: HarnessFile) -> Floats:
 
     If the line is held at two or more positions, the acceleration increases over the first fifth of
     the steps, because an inextensible line that starts taut has no equilibrium under its full
-    weight.
+    weight. Otherwise one acceleration is returned, which is that of all steps.
     """
     acceleration = np.array(harness.gravity)
     if sum(isinstance(boundary, Holder) for boundary in harness.boundaries) < 2:
@@ -366,7 +366,7 @@ def read_material(harness: HarnessFile, file: Path, wires: Path | None = None) -
         material = _read_slider_file_material(block, resolve_file_name(block.sliders, file))
     else:
         material = _build_linear_material(block)
-    # name of the input, standard deviation, cause
+    # Each row has the name of the input, its standard deviation and the cause.
     deviations = [(LOG_MOMENT_FACTOR, block.stiffness_uncertainty or 0.0, "stiffness as stated")]
     if harness.line.spool is not None:
         spread = harness.line.spool.spread
@@ -512,12 +512,12 @@ def make_section_function(spec: WireSpec, values: Mapping[str, float]) -> Sectio
         strand_slider = None
         if share > 0.0:
             strand_slider = make_strand_slider(wire.section.layers, corners[1:], factor=chord_ratio)
-        matrix = compute_stretch_torsion(wire.section)
+        stretch_torsion = compute_stretch_torsion(wire.section)
         section = Section(
             law,
-            torsional_stiffness=matrix.torsional_stiffness,
-            axial_stiffness=matrix.axial_stiffness,
-            coupling=matrix.coupling,
+            torsional_stiffness=stretch_torsion.torsional_stiffness,
+            axial_stiffness=stretch_torsion.axial_stiffness,
+            coupling=stretch_torsion.coupling,
             mass_per_length=wire.mass_per_length,
             diameter=spec.wire_diameter,
         )

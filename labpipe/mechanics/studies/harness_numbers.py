@@ -8,8 +8,8 @@ computed from the extrapolated fields in the same way as from a solved line.
 Sliders and friction depend on the loading path, which is linear within a step. The error of the
 steps decreases at least linearly with their size. This error is therefore bounded by the change
 from a solution with half as many steps. When the number of steps is halved, steps at corners of a
-path are kept. If more than three quarters of the steps would be kept, their number is doubled
-instead. The error of the elements decreases with the square of their length. This error is
+path are kept. If more than three quarters of the steps would be kept, the number of steps is
+doubled instead. The error of the elements decreases with the square of their length. This error is
 estimated as a third of the change from a solution with half as many elements.
 """
 
@@ -43,7 +43,7 @@ LOST_ENERGY, RESIDUAL_CURVATURE = "energy_lost", "kept_curvature"
 FORCE, MOMENT, SPRINGBACK = "force.", "moment.", "springback."
 """Names of numbers, and beginnings of names that end with the name of a boundary."""
 SUPPORTS = rod.Held | rod.Ring | rod.String | rod.Plane
-"""Boundaries that carry a force."""
+"""Types of boundaries that exert a reaction force."""
 _UNITS_BY_PREFIX = {
     RADIUS: "m",
     LOWEST_POINT: "m",
@@ -108,8 +108,8 @@ def evaluate_numbers(get_field: Callable[[str], Floats], path: RodPath) -> dict[
             vectors[f"{FORCE}{boundary.name}"] = forces[..., index, :]
         if isinstance(boundary, rod.Held) and boundary.frame is not None:
             vectors[f"{MOMENT}{boundary.name}"] = moments[..., index, :]
-    for support, release in list_releases(path):
-        displacements = positions - get_field(f"positions {release - 1}")
+    for support, release_step in list_releases(path):
+        displacements = positions - get_field(f"positions {release_step - 1}")
         vectors[f"{SPRINGBACK}{support.name}"] = displacements[..., support.node, :]
     curvatures = [
         _compute_max_norm(get_field(f"curvature_vectors {step}")) for step in range(last_step + 1)
@@ -131,7 +131,7 @@ def _compute_max_norm(vectors: Floats) -> Floats:
 
 
 def compute_heights(positions: Floats, path: RodPath) -> Floats:
-    """Compute the heights of nodes opposite to gravity, or along z without gravity.
+    """Compute the heights of nodes in the direction opposite to gravity, or along z without it.
 
     Parameters
     ----------
@@ -142,17 +142,17 @@ def compute_heights(positions: Floats, path: RodPath) -> Floats:
     -------
     Heights, shape (..., n + 1), m.
     """
-    gravities = [load.vector[-1] for load in path.boundaries if isinstance(load, rod.Gravity)]
-    return np.asarray(positions @ (-normalise(gravities[0]) if gravities else [0.0, 0.0, 1.0]))
+    vectors = [item.vector[-1] for item in path.boundaries if isinstance(item, rod.Gravity)]
+    return np.asarray(positions @ (-normalise(vectors[0]) if vectors else [0.0, 0.0, 1.0]))
 
 
-def compute_released_curvature(law: SliderLaw, rests: Floats) -> Floats:
+def compute_released_curvature(law: SliderLaw, slider_rests: Floats) -> Floats:
     """Compute the curvature of each station at zero moment, after a release.
 
     Parameters
     ----------
     law : law of all stations
-    rests : shape (..., n, 2), history of the sliders, 1/m; see `SliderResponse`
+    slider_rests : shape (..., n, 2), history of the sliders, 1/m; see `SliderResponse`
 
     Returns
     -------
@@ -164,25 +164,25 @@ def compute_released_curvature(law: SliderLaw, rests: Floats) -> Floats:
     EI_0 kappa + sum of w_j (kappa - a_j) = 0 with w_j = K_j min(1, kappa_j / |kappa - a_j|). Here
     EI_0 is the stiffness of the spring. K_j, kappa_j and a_j are the stiffness, the slip curvature
     and the history of slider j. In Weiszfeld's iteration, w_j is computed from the curvature of the
-    previous iteration, which decreases a convex energy. The first iteration assumes that no slider
-    slides. Without sliders, the curvature is 0. The limit of a growing slider does not grow during
-    release.
+    previous iteration. Each iteration decreases a convex energy. The first iteration assumes that
+    no slider slides. Without sliders, the curvature is 0. The slip curvature of a growing slider is
+    assumed not to grow during release.
     """
-    max_iterations, relative_tolerance = 1000, 1e-9
-    curvature = np.zeros((*rests.shape[:-2], 2))
-    sliders = get_current_sliders(law, rests)
-    slips, rest_curvatures = sliders.slip_curvatures, sliders.rest_curvatures
+    max_iterations, tolerance = 1000, 1e-9  # tolerance relative to the largest curvature
+    curvature = np.zeros((*slider_rests.shape[:-2], 2))
+    sliders = get_current_sliders(law, slider_rests)
+    slip_curvatures, rest_curvatures = sliders.slip_curvatures, sliders.rest_curvatures
     if not len(sliders.stiffnesses):
         return curvature
-    weights = np.broadcast_to(sliders.stiffnesses, slips.shape)
+    weights = np.broadcast_to(sliders.stiffnesses, slip_curvatures.shape)
     for _ in range(max_iterations):
-        total = law.spring_stiffness + weights.sum(axis=-1)
-        previous = curvature
-        curvature = np.einsum("...j,...jx->...x", weights, rest_curvatures) / total[..., None]
-        if np.max(np.abs(curvature - previous)) <= relative_tolerance * np.max(np.abs(curvature)):
+        stiffness = law.spring_stiffness + weights.sum(axis=-1)
+        previous_curvature = curvature
+        curvature = np.einsum("...j,...jx->...x", weights, rest_curvatures) / stiffness[..., None]
+        if np.max(np.abs(curvature - previous_curvature)) <= tolerance * np.max(np.abs(curvature)):
             break
-        strains = np.linalg.norm(curvature[..., None, :] - rest_curvatures, axis=-1)
-        weights = sliders.stiffnesses * slips / np.maximum(strains, slips)
+        distances = np.linalg.norm(curvature[..., None, :] - rest_curvatures, axis=-1)
+        weights = sliders.stiffnesses * slip_curvatures / np.maximum(distances, slip_curvatures)
     return curvature
 
 
@@ -211,7 +211,7 @@ def compute_curvature(state: RodState) -> Floats:
 
 
 def compute_radius(curvature: Floats) -> Floats:
-    """Compute the bend radius, m; it is infinite up to a curvature of 1e-6 1/m.
+    """Compute the bend radius, m, which is infinite for a curvature of at most 1e-6 1/m.
 
     Parameters
     ----------
@@ -271,7 +271,7 @@ def choose_bend_limit(harness: HarnessFile, material: Material) -> BendLimit:
 
 
 def find_sharpest_bend(path: RodPath, steps: Sequence[int]) -> Bend:
-    """Find the sharpest bend of a line in given steps. Its radius is NaN for a failed line.
+    """Find the sharpest bend of a line in given steps. For a failed line, the radius is NaN.
 
     Parameters
     ----------
@@ -280,13 +280,13 @@ def find_sharpest_bend(path: RodPath, steps: Sequence[int]) -> Bend:
     """
     if path.status is Status.FAILED:
         return Bend(math.nan, -1, math.nan)
-    row, node, curvature = find_largest([compute_curvature(path.states[step]) for step in steps])
+    row, node, curvature = find_maximum([compute_curvature(path.states[step]) for step in steps])
     radius = float(compute_radius(np.array(curvature)))
     return Bend(radius, steps[row], float(path.line.stations[node]))
 
 
-def find_largest(values_by_step: Sequence[Floats]) -> tuple[int, int, float]:
-    """Return row, column and value of the largest of the values in all steps.
+def find_maximum(values_by_step: Sequence[Floats]) -> tuple[int, int, float]:
+    """Find the largest value in all steps, and return its row, its column and the value.
 
     Parameters
     ----------
@@ -342,7 +342,7 @@ def get_unit(name: str) -> str:
 def _describe_numbers(path: RodPath) -> dict[str, str]:
     """Return remarks on the places and steps of numbers, keyed by the names of the numbers."""
     law, stations, steps = path.line.section.law, path.line.stations, range(len(path.states))
-    final_bend, sharpest_bend = (find_sharpest_bend(path, rows) for rows in (steps[-1:], steps))
+    final_bend, sharpest_bend = (find_sharpest_bend(path, part) for part in (steps[-1:], steps))
     lowest_node = int(np.argmin(compute_heights(path.last.positions, path)))
     remarks = {
         RADIUS: format_position(final_bend.arc_length),
@@ -353,10 +353,10 @@ def _describe_numbers(path: RodPath) -> dict[str, str]:
     forces = np.array([np.linalg.norm(state.reaction_forces, axis=1) for state in path.states])
     for index, boundary in enumerate(path.boundaries):
         step = int(np.argmax(forces[:, index]))
-        remark = f"{forces[step, index]:.4g} N at step {step}"
-        remarks[f"{FORCE}{boundary.name}"] = f"largest in all steps: {remark}"
-    for boundary, release in list_releases(path):
-        remark = f"from its place in step {release - 1}, the last one before the release"
+        remark = f"largest in all steps: {forces[step, index]:.4g} N at step {step}"
+        remarks[f"{FORCE}{boundary.name}"] = remark
+    for boundary, release_step in list_releases(path):
+        remark = f"from its place in step {release_step - 1}, the last one before the release"
         remarks[f"{SPRINGBACK}{boundary.name}"] = remark
     residual = compute_residual_curvature(path.last, law)
     node = int(np.argmax(residual))
@@ -382,8 +382,7 @@ class Doubt:
     def concerns(self, name: str) -> bool:
         """Return whether the doubt is about a number."""
         # `PATH_RADIUS` begins with `RADIUS`, which is the name of another number.
-        is_matched = name != PATH_RADIUS or PATH_RADIUS in self.names
-        return name.startswith(self.names) and is_matched
+        return PATH_RADIUS in self.names if name == PATH_RADIUS else name.startswith(self.names)
 
 
 def build_results(
@@ -415,10 +414,10 @@ def build_results(
     return tuple(results)
 
 
-MAX_CHANGE = 0.02
+MAX_ERROR = 0.02
 """Largest allowed error of a number, relative to its magnitude."""
-MAX_CHANGE_OF_BAND = 0.1
-"""Largest allowed error of a number, relative to the width of its band, if that allows more."""
+MAX_ERROR_OVER_WIDTH = 0.1
+"""Largest allowed error of a number, relative to the width of its interval, if that allows more."""
 _MIN_BENT_CURVATURE = 1e-3
 """Smallest curvature of a line that is not straight, 1/m."""
 
@@ -434,7 +433,7 @@ def find_reasons(path: RodPath, material: Material) -> tuple[Reason, ...]:
     reasons = list(path.reasons)
     if not path.states:
         return path.reasons
-    step, node, curvature = find_largest([state.bending_curvatures for state in path.states])
+    step, node, curvature = find_maximum([state.bending_curvatures for state in path.states])
     is_beyond_law = any(reason.code == "beyond_law" for reason in reasons)
     if curvature > material.curvature_limit and not is_beyond_law:
         reasons.append(
@@ -447,7 +446,7 @@ def find_reasons(path: RodPath, material: Material) -> tuple[Reason, ...]:
                 source=material.limit_source,
             )
         )
-    step, element, stretch = find_largest([np.abs(state.stretches) for state in path.states])
+    step, element, stretch = find_maximum([np.abs(state.stretches) for state in path.states])
     if stretch > material.stretch_limit:
         reasons.append(
             Reason.of(
@@ -470,11 +469,11 @@ def find_jump_doubt(path: RodPath) -> Doubt | None:
 
     Notes
     -----
-    A line that buckles or is released passes through states that are not in equilibrium. The motion
-    between them is unknown, and the state of the sliders depends on it. The shape of a released
-    line also depends on it, because the line may swing. In simulations with MuJoCo and little
-    damping, the shape differs by 0.5 % of the length if 7 % of the lost energy is lost in jumps, by
-    2 % if 17 % is lost in jumps, and by 6 % if 33 % is lost in jumps.
+    A line that buckles or is released jumps from one equilibrium to another. The motion during the
+    jump is unknown, and the state of the sliders depends on this motion. The shape of a released
+    line also depends on this motion, because the line may swing. In simulations with MuJoCo and
+    little damping, the shape differs by 0.5 % of the length if 7 % of the lost energy is lost in
+    jumps, by 2 % if 17 % is lost in jumps, and by 6 % if 33 % is lost in jumps.
     """
     max_jump_fraction = 0.1  # fraction of the lost energy that is lost in jumps
     min_relative_loss = 0.1  # loss of a step that the reason names, relative to the largest loss
@@ -534,8 +533,8 @@ def bound_residual_curvature(path: RodPath, law: SliderLaw) -> Floats:
     """
     if not law.history_size:
         return np.zeros(len(path.last.positions))
-    steps = [get_current_sliders(law, state.slider_rests) for state in path.states]
-    moments = [np.einsum("j,nsjx->nsx", x.stiffnesses, x.rest_curvatures) for x in steps]
+    sliders = [get_current_sliders(law, state.slider_rests) for state in path.states]
+    moments = [np.einsum("j,nsjx->nsx", x.stiffnesses, x.rest_curvatures) for x in sliders]
     return np.asarray(np.linalg.norm(moments, axis=-1).max(axis=(0, 2)) / law.first_stiffness)
 
 
@@ -556,15 +555,17 @@ def list_unloading_numbers(path: RodPath) -> tuple[str, ...]:
 
 
 def compute_unbending(path: RodPath) -> float:
-    """Compute the largest decrease of curvature, relative to the largest curvature of the line.
+    """Compute the largest decrease of curvature from the peak of a station to the last step.
+
+    The decrease is relative to the largest curvature of the line in all steps.
 
     Parameters
     ----------
     path : path of the line
     """
-    curvature = np.array([state.bending_curvatures for state in path.states])
-    peak = curvature.max(axis=0)  # of each station over all steps
-    return float(np.max(peak - curvature[-1]) / max(float(peak.max()), _MIN_BENT_CURVATURE))
+    curvatures = np.array([state.bending_curvatures for state in path.states])
+    peaks = curvatures.max(axis=0)  # of each station over all steps
+    return float(np.max(peaks - curvatures[-1]) / max(float(peaks.max()), _MIN_BENT_CURVATURE))
 
 
 def make_share_doubts(
@@ -579,7 +580,7 @@ def make_share_doubts(
     share_range : range of the isotropic share of the hardening of copper
     """
     min_share, max_share = share_range
-    max_ratio = 2.0  # of the ends of an interval; it has a meaning for positive numbers only
+    max_ratio = 2.0  # of the upper to the lower end of an interval of a positive number
     positive_numbers = (LOST_ENERGY, RESIDUAL_CURVATURE, SPRINGBACK, RADIUS)
     affected_names = tuple(name for name in names if name in positive_numbers)
     for name, interval in intervals.items():
@@ -600,7 +601,8 @@ def make_convergence_doubts(
     """Yield the doubts about numbers that depend on the number of steps or elements.
 
     If the line depends on its history, it is first solved with other steps and half as many
-    elements. Only if numbers change are the effects of steps and of elements checked separately.
+    elements. The effects of steps and of elements are checked separately only if this solution
+    fails or a number changes too much.
 
     Parameters
     ----------
@@ -637,7 +639,7 @@ def depends_on_history(line: RodPath | PreparedLine) -> bool:
 
 
 def select_coarse_steps(boundaries: Sequence[rod.Boundary], n_steps: int) -> Ints:
-    """Select every other step, and the steps with a corner of a path or a release.
+    """Select every other step, the ends, the corners of paths, and the steps around a release.
 
     Parameters
     ----------
@@ -672,7 +674,7 @@ def _find_corners(path: Floats, *, is_frame: bool) -> list[int]:
 
 
 def solve_in_other_steps(prepared: PreparedLine, n_steps: int) -> tuple[int, RodPath]:
-    """Solve a line in about half as many steps, or in twice as many if it has many corners.
+    """Solve a line in about half as many steps, or in twice as many if its paths have many corners.
 
     Parameters
     ----------
@@ -681,7 +683,7 @@ def solve_in_other_steps(prepared: PreparedLine, n_steps: int) -> tuple[int, Rod
 
     Returns
     -------
-    n_other : number of steps
+    n_other : number of steps of the new solution
     path : path of the line
     """
     max_step_fraction = 0.75  # with a larger fraction of the steps, the path is hardly coarser
@@ -708,7 +710,7 @@ def find_change_doubt(
     path : path of the line
     other_path : path of the same line with another number of steps, or half as many elements
     intervals : intervals of numbers, keyed by name; a number may have no interval
-    changed : which number differs: that of steps or that of elements
+    changed : whether the number of steps or the number of elements differs
     n_other : number of steps or elements of the other path
     """
     has_other_steps = changed == "steps"
@@ -729,15 +731,15 @@ def find_change_doubt(
     ratios = _find_excess_errors(path, other_path, intervals, error_ratio)
     if not ratios:
         return None
-    worst = max(ratios, key=lambda name: ratios[name])
+    worst_name = max(ratios, key=lambda name: ratios[name])
     reason = Reason.of(
         "mechanics.studies.too_coarse" if has_other_steps else "mechanics.studies.coarse_elements",
         other=n_other,
-        change=100.0 * MAX_CHANGE / error_ratio,
-        of_band=100.0 * MAX_CHANGE_OF_BAND / error_ratio,
-        worst=worst,
+        change=100.0 * MAX_ERROR / error_ratio,
+        of_band=100.0 * MAX_ERROR_OVER_WIDTH / error_ratio,
+        worst=worst_name,
         count=count,
-        wanted=max(2 * count, math.ceil(count * ratios[worst] ** (1.0 / order))),
+        wanted=max(2 * count, math.ceil(count * ratios[worst_name] ** (1.0 / order))),
     )
     # With other elements, a number may be unchanged by chance. Therefore all numbers are doubtful.
     return Doubt(reason, tuple(ratios) if has_other_steps else all_names)
@@ -746,11 +748,11 @@ def find_change_doubt(
 def _find_excess_errors(
     path: RodPath, other_path: RodPath, intervals: Mapping[str, Interval], error_ratio: float = 1.0
 ) -> dict[str, float]:
-    """Return the ratios of errors to allowed errors of numbers that are above 1, keyed by name.
+    """Return the ratios of error to allowed error that exceed 1, keyed by name of the number.
 
-    The error is `error_ratio` times the change between both solutions. The allowed error is
-    relative to the magnitude of the number or to the width of its band. The magnitude has a
-    minimum, which depends on the numbers of the same unit.
+    The error is `error_ratio` times the change between both solutions. The allowed error is a
+    fraction of the magnitude of the number, or of the width of its interval if that is more. The
+    magnitude has a minimum, which depends on the numbers of the same unit.
     """
     min_height_ratio = 0.05  # smallest magnitude of a height, relative to the length of the line
     min_magnitude_ratio = 1e-3  # relative to the largest number of the same unit
@@ -764,8 +766,9 @@ def _find_excess_errors(
         magnitude = max(abs(value), min_magnitude_ratio * unit_magnitudes[get_unit(name)])
         if name == LOWEST_POINT:  # a coordinate, which may be about zero
             magnitude = max(magnitude, min_height_ratio * path.line.length)
-        band = intervals.get(name)
-        band_error = 0.0 if band is None else MAX_CHANGE_OF_BAND * (band.upper - band.lower)
-        allowed_error = max(MAX_CHANGE * magnitude, band_error) or math.inf
+        interval = intervals.get(name)
+        width = 0.0 if interval is None else interval.upper - interval.lower
+        width_error = MAX_ERROR_OVER_WIDTH * width
+        allowed_error = max(MAX_ERROR * magnitude, width_error) or math.inf
         ratios[name] = error_ratio * abs(other_numbers[name] - value) / allowed_error
     return {name: ratio for name, ratio in ratios.items() if 1.0 < ratio < math.inf}

@@ -153,8 +153,9 @@ def solve_harness(
     material : material of the line
     folder : folder of the result files, which are not written here
     on_step : function that is called after each step of the line
-    is_variant : whether the harness is a variant of a sweep. A variant has no check of convergence,
-        and no bands if only the isotropic share is uncertain, on which shapes hardly depend
+    is_variant : whether the harness is a variant of a sweep. A variant has no check of convergence.
+        If only the isotropic share is uncertain, it has no bands, because shapes hardly depend on
+        this share
 
     Returns
     -------
@@ -263,8 +264,9 @@ def solve_sweep(
 
     Notes
     -----
-    Convergence is checked in the order of the sharpest bend, relative to the length of an element,
-    up to the first length that has converged. All lengths with less sharp bends count as converged.
+    Convergence is checked in the order of increasing radius of the sharpest bend, relative to the
+    length of an element, up to the first length that has converged. All lengths with less sharp
+    bends count as converged.
     """
     file, material, folder = solution.file, solution.material, solution.folder
     solutions = []
@@ -305,7 +307,7 @@ def _limit_to_shown_reasons(solution: HarnessSolution) -> HarnessSolution:
 
 IndexedSolver = Callable[[int, Inputs], RodPath]
 """Function that solves the line for the index of a distribution and values of the inputs."""
-_ROUNDING = 1e-6
+_ROUNDING_ERROR = 1e-6
 """Rounding error of the solver, relative to a number plus its estimated magnitude."""
 _SHAPE = "shape"
 """Key of the positions of the nodes in the result of `_evaluate`."""
@@ -319,8 +321,8 @@ class HarnessBands:
     ----------
     line : pointwise bands of the shape at the shown steps
     intervals : intervals of the numbers, keyed by name
-    doubt : reason why bands and intervals are doubtful; None if, in the draws that were solved, the
-        effects of the causes add up
+    doubt : reason why bands and intervals are doubtful; None if all draws that were solved have an
+        equilibrium in which the effects of the causes add up
     """
 
     line: LineBands
@@ -355,13 +357,13 @@ def predict_bands(
     )
     if line is None:
         return None
-    # numbers of the best inputs and of all draws, for each distribution
-    best = [_evaluate(response.best_fields.__getitem__, line.path) for response in line.responses]
+    # For each distribution, the numbers at its best inputs and in all its draws.
+    best_numbers = [_evaluate(item.best_fields.__getitem__, line.path) for item in line.responses]
     draws = [_evaluate(response.compute_draws, line.path) for response in line.responses]
-    pairs = list(zip(best, draws, strict=True))
+    pairs = list(zip(best_numbers, draws, strict=True))
     bands = {
         name: join_bands((numbers[name], drawn_numbers[name]) for numbers, drawn_numbers in pairs)
-        for name in best[0]
+        for name in best_numbers[0]
     }
     intervals = {name: _make_interval(name, band) for name, band in bands.items() if name != _SHAPE}
     return HarnessBands(line, intervals, _find_draw_doubt(solve, line, draws, bands))
@@ -396,9 +398,9 @@ def choose_draws(distribution: InputDistribution) -> tuple[int, ...]:
 
     Returns
     -------
-    Rows of the draws in `distribution.amounts`; none if the distribution has a single cause.
+    Rows of the draws in `distribution.amounts`; empty if the distribution has a single cause.
     """
-    # Large draws show best whether the effects add up. Therefore all ranks are in the upper half.
+    # Large draws show best whether the effects add up. Therefore no rank is in the lower half.
     relative_ranks = (0.5, 0.6, 0.7, 0.8, 0.85, 0.9)
     amounts = distribution.amounts
     if amounts.shape[1] < 2:
@@ -414,7 +416,7 @@ def _find_draw_doubt(
     draws: Sequence[Mapping[str, Floats]],
     bands: Mapping[str, Band],
 ) -> Reason | None:
-    """Solve the line for some draws, and return the reason why the bands are doubtful.
+    """Solve the line for some draws, and return the reason why the bands are doubtful, if any.
 
     Parameters
     ----------
@@ -427,7 +429,7 @@ def _find_draw_doubt(
     -------
     The reason; None if the bands are not doubtful.
     """
-    max_draw_error = 0.5  # relative to half the width of a band
+    max_draw_error = 0.5  # relative to the distance from the median to the end of the band
     # `_evaluate` returns a curvature instead of a radius.
     units = {_SHAPE: "m", RADIUS: "1/m", PATH_RADIUS: "1/m"}
     units = {name: units.get(name) or get_unit(name) for name in bands}
@@ -443,14 +445,14 @@ def _find_draw_doubt(
                 n_unsolved += 1
                 continue
             for name, value in _evaluate(collect_fields(path).__getitem__, path).items():
-                scale = magnitudes[units[name]]
-                error = _compute_draw_error(value, values_by_draw[name], row, bands[name], scale)
+                size = magnitudes[units[name]]
+                error = _compute_draw_error(value, values_by_draw[name], row, bands[name], size)
                 squares[name].append(error**2)
-    errors = {name: math.sqrt(np.mean(items)) for name, items in squares.items() if items}
-    worst = max(errors, key=lambda name: errors[name], default=_SHAPE)
+    rms_errors = {name: math.sqrt(np.mean(items)) for name, items in squares.items() if items}
+    worst_name = max(rms_errors, key=lambda name: rms_errors[name], default=_SHAPE)
     findings = [f"{n_unsolved} have no equilibrium"] if n_unsolved else []
-    if errors.get(worst, 0.0) > max_draw_error:
-        values = {"number": worst, "error": errors[worst], "maximum": max_draw_error}
+    if rms_errors.get(worst_name, 0.0) > max_draw_error:
+        values = {"number": worst_name, "error": rms_errors[worst_name], "maximum": max_draw_error}
         findings.append(format_sentence("mechanics.studies.cause_error", **values))
     if not findings:
         return None
@@ -458,7 +460,7 @@ def _find_draw_doubt(
     return Reason.of("mechanics.studies.causes_do_not_add", count=n_draws, findings=text)
 
 
-def _compute_draw_error(value: Floats, draws: Floats, row: int, band: Band, scale: float) -> float:
+def _compute_draw_error(value: Floats, draws: Floats, row: int, band: Band, size: float) -> float:
     """Compute the error of a draw, relative to the distance from the median to the end of the band.
 
     For positions, the largest error and the largest distance along the line are used.
@@ -469,9 +471,9 @@ def _compute_draw_error(value: Floats, draws: Floats, row: int, band: Band, scal
     draws : numbers of all draws from the linear extrapolation
     row : row of the draw in `draws`
     band : band of the number
-    scale : estimated magnitude of the number
+    size : estimated magnitude of the number
     """
     median = np.median(draws, axis=0)
     distances = np.where(value > median, band.upper - median, median - band.lower)
-    rounding = _ROUNDING * (scale + float(np.max(np.abs(value))))
-    return float(np.max(np.abs(value - draws[row])) / max(float(np.max(distances)), rounding))
+    rounding_error = _ROUNDING_ERROR * (size + float(np.max(np.abs(value))))
+    return float(np.max(np.abs(value - draws[row])) / max(float(np.max(distances)), rounding_error))

@@ -179,13 +179,13 @@ def _build_sweep_row(solution: HarnessSolution) -> dict[str, object]:
 def _build_header(solution: HarnessSolution) -> dict[str, object]:
     """Build the first entries of ``summary.json`` and ``failure.json``."""
     files = (describe_file("harness", solution.file), *solution.material.files)
-    hashes = "".join([__version__, *(file.sha256 for file in files)])
+    run_text = "".join([__version__, *(file.sha256 for file in files)])
     return {
         "schema": SCHEMA,
         "harness": solution.file.stem,
         "about": solution.harness.about,
         "labpipe": __version__,
-        "run": hashlib.sha256(hashes.encode()).hexdigest(),
+        "run": hashlib.sha256(run_text.encode()).hexdigest(),
         "inputs": [select_json(file, "role", "file", "sha256") for file in files],
         "status": str(solution.status),
     }
@@ -226,18 +226,17 @@ def build_json(solution: HarnessSolution) -> dict[str, object]:
             {name.removesuffix(" [m]"): to_json(row[name]) for name in sweep_names}
             for row in map(_build_sweep_row, solution.sweep)
         ],
-        # The key "shares" has the fraction of the variance of the bands that each cause
-        # contributes.
+        # The key "shares" holds the fraction of the variance of the bands from each cause.
         "bands": {"kind": None, "reason": format_sentence("mechanics.studies.no_bands")}
         if bands is None
         else {"kind": "pointwise 95 %"}
         | select_json(bands.line.states[-1], shares="variance_fractions"),
         "quality": [select_json(note, "code", "severity", "message") for note in material.notes],
-        "units": _TABLE_UNITS,
+        "units": _UNITS_BY_NAME,
     }
 
 
-_TABLE_UNITS: Mapping[str, str] = {
+_UNITS_BY_NAME: Mapping[str, str] = {
     "length": "m",
     "diameter": "m",
     "place": "m",
@@ -269,15 +268,15 @@ def compute_columns(state: RodState, line: Line) -> dict[str, Floats]:
 
     Notes
     -----
-    The tension at a node is the mean of the tensions of both elements. The torque and the bending
-    moment at a node are each that of the side where its magnitude is larger.
+    The tension at a node is the mean of the tensions of the adjacent elements. The torque and the
+    bending moment at a node are the values of larger magnitude of the two sides.
     """
     curvature = compute_curvature(state)
     tangents = to_matrices(state.frames)[:, :, 2]
     tension = np.vecdot(state.forces, tangents)
-    start_tangents = np.vstack([tangents[:1], tangents])  # on the side of the start of each node
-    end_tangents = np.vstack([tangents, tangents[-1:]])
-    torque = np.vecdot(state.moments, np.stack([start_tangents, end_tangents], axis=1))
+    tangents_before = np.vstack([tangents[:1], tangents])  # of the element before each node
+    tangents_after = np.vstack([tangents, tangents[-1:]])
+    torque = np.vecdot(state.moments, np.stack([tangents_before, tangents_after], axis=1))
     bending_moment = np.sqrt(np.maximum(np.sum(state.moments**2, axis=2) - torque**2, 0.0))
     return {
         "along [m]": line.stations,
@@ -338,7 +337,7 @@ def format_forces(path: RodPath, bands: Mapping[int, StateBands]) -> str:
 
     Notes
     -----
-    The weight is omitted. In each step, the weight is minus the sum of all forces.
+    The weight has no rows. In each step, the weight is minus the sum of all forces.
     """
     force_names, moment_names = ["fx [N]", "fy [N]", "fz [N]"], ["mx [N*m]", "my [N*m]", "mz [N*m]"]
     rows = []
@@ -451,7 +450,7 @@ def _format_caption(solution: HarnessSolution) -> str:
 def _build_marks(solution: HarnessSolution) -> Iterator[DrawnMark]:
     """Yield the symbols of the boundaries at the last step; planes and weight have no symbol."""
     last_state, steps = solution.path.last, solution.harness.steps
-    # The path has all boundaries of the file. The weight may follow them.
+    # The path has the boundaries of the file in the same order. The weight may follow.
     pairs = zip(solution.harness.boundaries, solution.path.boundaries, strict=False)
     for file_boundary, boundary in pairs:
         path, direction, is_holding = np.zeros((0, 3)), None, True
@@ -487,8 +486,8 @@ def build_drawn_sweep(solution: HarnessSolution) -> DrawnSweep | None:
     """
     if not solution.sweep:
         return None
-    variants = sorted(solution.sweep, key=lambda variant: variant.harness.line.length)
-    table = pd.DataFrame(map(_build_sweep_row, variants))
+    solutions = sorted(solution.sweep, key=lambda item: item.harness.line.length)
+    table = pd.DataFrame(map(_build_sweep_row, solutions))
     lower, upper = table["lower [m]"].to_numpy(), table["upper [m]"].to_numpy()
     return DrawnSweep(
         name=solution.file.stem,
@@ -498,8 +497,8 @@ def build_drawn_sweep(solution: HarnessSolution) -> DrawnSweep | None:
         radius_over_steps=table[_PATH_RADIUS].to_numpy(),
         radius_band=None if np.isnan(lower).all() else (lower, upper),
         shapes=tuple(
-            np.empty((0, 3)) if variant.status is Status.FAILED else variant.path.last.positions
-            for variant in variants
+            np.empty((0, 3)) if item.status is Status.FAILED else item.path.last.positions
+            for item in solutions
         ),
         allowed_radius=solution.limit.radius,
         is_doubtful=table["status"].to_numpy() == str(Status.DOUBTFUL),

@@ -128,7 +128,7 @@ def _bend_model(
 
 
 _DEFLECTION_GRID = np.linspace(0.0, 1.0, 200) ** 1.5
-"""Deflections of a prediction, relative to the largest deflection, denser at the curve's start."""
+"""Deflections of a prediction, relative to the largest deflection, densest at the start."""
 
 
 def compare_tests(
@@ -146,7 +146,7 @@ def compare_tests(
     -------
     One group for each wire and length. Groups of the calibrated wire come first.
     """
-    # keys: whether the wire is another than the calibrated one, name of the wire, free length
+    # Each key states whether the wire is not the calibrated wire, its name, and the free length, m.
     groups: dict[tuple[bool, str, float], list[MeasuredCurve]] = {}
     for curve in (loading.curve for loading in loadings):
         key = (curve.wire != calibration.wire, curve.wire, round(curve.length, 6))
@@ -368,12 +368,12 @@ def compare_external_curves(
     ------
     One comparison for each curve.
     """
-    tests = [loading.curve for loading in loadings]
+    test_curves = [loading.curve for loading in loadings]
     for curve in curves:
-        matches = (g for g in groups if _has_wire_and_length(curve, g.wire, g.length))
-        group = next(matches, None)
-        default_rig = tests[0].rig and replace(tests[0].rig, anchor_x=curve.length)
-        rigs = (test.rig for test in tests if _has_wire_and_length(curve, test.wire, test.length))
+        matching_groups = (g for g in groups if _has_wire_and_length(curve, g.wire, g.length))
+        group = next(matching_groups, None)
+        default_rig = test_curves[0].rig and replace(test_curves[0].rig, anchor_x=curve.length)
+        rigs = (c.rig for c in test_curves if _has_wire_and_length(curve, c.wire, c.length))
         rig = next(rigs, default_rig)
         yield _compare_external_curve(curve, calibration, wires[curve.wire], group, rig)
 

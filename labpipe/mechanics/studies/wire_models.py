@@ -87,27 +87,27 @@ def model_wires(
         if file.resolve() == sheet.resolve():
             raise UsageError.about("mechanics.studies.sheet_in_results", sheet, file=file)
     wire_sheet = read_wire_sheet(sheet)
-    modelled_wires, refused = tabulate_wires(wire_sheet.specs, sheet, say)
+    modelled_wires, refusals = tabulate_wires(wire_sheet.specs, sheet, say)
     if not modelled_wires:
-        raise ProcessingError("\n".join(refused.values()))
+        raise ProcessingError("\n".join(refusals.values()))
     tables = tuple(table for table, _ in modelled_wires)
-    removed = _find_removed_wires(folder, [spec.name for spec in wire_sheet.specs])
-    modelled = ModelledWires(sheet, folder, tables, refused, (), removed, wire_sheet.curves)
+    removed_wires = _find_removed_wires(folder, [spec.name for spec in wire_sheet.specs])
+    modelled = ModelledWires(sheet, folder, tables, refusals, (), removed_wires, wire_sheet.curves)
     say("tables and decks")
-    descriptions = {name: describe_stress_tables(x) for name, x in wire_sheet.curves.items()}
+    descriptions = {name: describe_stress_tables(item) for name, item in wire_sheet.curves.items()}
 
     def write_others(folder: Path) -> list[Path]:
         """Write the workbook and the decks into a folder, and return their paths."""
         texts_by_wire = {table.name: texts for table, texts in modelled_wires}
         deck_paths, workbook_path = write_deck_texts(texts_by_wire, folder), folder / WORKBOOK_FILE
-        save_wire_workbook(tables, workbook_path, refusals=refused, stress_tables=descriptions)
+        save_wire_workbook(tables, workbook_path, refusals=refusals, stress_tables=descriptions)
         return [workbook_path, *deck_paths]
 
     files = write_study(
         folder,
         {MODEL_FILE: json.dumps(build_json(modelled))},
         [*list_wire_figures(tables)] if figures else (),
-        earlier_files=_list_wire_files((*refused, *removed)),
+        earlier_files=_list_wire_files((*refusals, *removed_wires)),
         write_others=write_others,
         say=say,
         png=png,
@@ -130,9 +130,9 @@ def tabulate_wires(
     -------
     modelled_wires : for each wire that could be modelled, in the order of `specs`, its law, and the
         texts of its decks from `labpipe.mechanics.decks.make_deck_texts`
-    refused : reason why a wire could not be modelled, keyed by its name
+    refusals : reason why a wire could not be modelled, keyed by its name
     """
-    modelled_wires, refused = [], {}
+    modelled_wires, refusals = [], {}
     for spec in specs:
         say(spec.name)
         try:
@@ -140,8 +140,8 @@ def tabulate_wires(
             modelled_wires.append((table, make_deck_texts(table)))
         except ValueError as reason:
             error = build_wire_error(sheet, spec, "a wire that can be built and bent", reason)
-            refused[spec.name] = str(error)
-    return modelled_wires, refused
+            refusals[spec.name] = str(error)
+    return modelled_wires, refusals
 
 
 def _find_removed_wires(folder: Path, names: Sequence[str]) -> tuple[str, ...]:
@@ -189,6 +189,7 @@ _TABLE_FIELDS = (
     *("stick", "slip", "bending", "plastic", "insulation", "insulation_share"),
     *("lowest_moment", "highest_moment", "slip_onsets", "layout", "notes"),
 )
+"""Fields of `WireTable` in ``model.json``."""
 
 
 def _build_wire_json(table: WireTable, curves: Mapping[str, StressCurve]) -> dict[str, object]:

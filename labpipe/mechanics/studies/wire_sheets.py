@@ -53,7 +53,7 @@ PROOF_STRAIN = 0.002
 _MPA = 1e6
 """One megapascal in Pa."""
 _CONDITION_PATTERN = re.compile(r"(strain_)?rate|(?P<temperature>temp)")
-"""Pattern of the beginning of the name of a column that is meant to state a condition."""
+"""Pattern of the beginning of a heading that probably means the column of a condition."""
 PlacedFault: TypeAlias = tuple[str, Fault]
 """Place of a cell in its file, and the fault of the cell."""
 _B = TypeVar("_B", bound=Block)
@@ -87,7 +87,7 @@ class StressCurve:
     Parameters
     ----------
     table : name of the sheet or of the CSV file
-    curve : strains and stresses, Pa, of the points
+    curve : strains, and stresses, Pa, of the points
     parameters : parameters of the Ramberg-Osgood curve, in the units of the columns; None for a
         table of points
     conditions : strain rate, 1/s, and temperature, degrees Celsius, of the measurement, if stated
@@ -218,8 +218,8 @@ def _find_curve_faults(curve: Curve, column: str) -> Iterator[Fault]:
         yield Fault.of("mechanics.studies.no_stress_table", error=error)
         return
     if not min_slope <= slope <= max_slope:
-        low, high, found = min_slope / 1e9, max_slope / 1e9, slope / 1e9
-        yield Fault.of("mechanics.studies.first_slope", min_gpa=low, max_gpa=high, slope_gpa=found)
+        low, high, value = min_slope / 1e9, max_slope / 1e9, slope / 1e9
+        yield Fault.of("mechanics.studies.first_slope", min_gpa=low, max_gpa=high, slope_gpa=value)
 
 
 def _find_heading_faults(heading: Sequence[Cell], names: Sequence[str]) -> Iterator[PlacedFault]:
@@ -321,9 +321,9 @@ def place_faults(faults: Iterable[Fault], row: Mapping[str, Cell]) -> Iterator[P
     row : cells of the row, keyed by column
     """
     for fault in faults:
-        first_column, cell = next(iter(row.items()))
+        first_column, first_cell = next(iter(row.items()))
         column = str(fault.path[0]) if fault.path else first_column
-        yield f"{row.get(column, cell).place} ({column})", fault
+        yield f"{row.get(column, first_cell).place} ({column})", fault
 
 
 def format_faults(path: Path, faults: Iterable[PlacedFault]) -> list[str]:
@@ -439,7 +439,7 @@ def read_wire_sheet(path: Path) -> WireSheet:
         column_tables = map(row_tables.get, INITIAL_SLOPE_RANGES)
         stress_tables = (table.curve if table else None for table in column_tables)
         blank_columns = [name for name, cell in row.items() if not cell.text]
-        # the place of the row instead of the place of its cell
+        # The place of a wire is the place of its row, without the column.
         place = re.sub(r", column \d+$", "", row["wire"].place)
         place = re.sub(r"cell [A-Z]+(\d+)$", r"row \1", place)
         specs.append(build_wire_spec(wire_row, blank_columns, place, *stress_tables))
