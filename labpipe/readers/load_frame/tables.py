@@ -97,7 +97,7 @@ def find_header(
     Returns
     -------
     The header, without blank rows. Its separator is the first one of the card with which a row of
-    numbers is found or, if the names have no row of units, the row of the names.
+    numbers is found. If `Card.names` is "alone", the row of names is found instead.
 
     Raises
     ------
@@ -110,9 +110,9 @@ def find_header(
         return _parse_listed_names(head, card)
     separators = ("\t",) if sheet else card.separators
     if card.names == "alone":
-        words = card.header_words
+        titles = card.header_words
         split_rows = split_head(
-            head, separators, lambda row: tuple(map(str.strip, row[: len(words)])) == words
+            head, separators, lambda row: tuple(map(str.strip, row[: len(titles)])) == titles
         )
     else:
         split_rows = split_head(head, separators)
@@ -129,9 +129,9 @@ def find_header(
     header_rows = [row[: 1 + max(i for i, cell in enumerate(row) if cell)] for row in cells]
     sheet_label = f"sheet '{sheet}'" if sheet else ""
 
-    def describe_row_above(n_rows: int) -> str:
+    def describe_row_above(n: int) -> str:
         """Describe the place of the n-th filled row above the samples, for a message."""
-        row = filled_rows[max(len(filled_rows) - n_rows, 0)] if filled_rows else 0
+        row = filled_rows[max(len(filled_rows) - n, 0)] if filled_rows else 0
         return f"{sheet_label}, row {first_line + row}" if sheet else f"line {first_line + row}"
 
     if separator == " " and card.name_starts is not None and len(header_rows) > 1:
@@ -221,7 +221,7 @@ def _are_units(cells: _Cells, card: Card) -> bool:
 
 
 def _are_names(names: _Cells, units: _Cells) -> bool:
-    """Return whether each unit has a name, not all names are equal, and the first is no number."""
+    """Return whether units have names, names are not all equal, and the first is not a number."""
     has_unnamed_unit = any(unit and not name for name, unit in zip(names, units, strict=True))
     filled_names = [name for name in names if name]
     are_equal = len(set(filled_names)) == 1 < len(filled_names)
@@ -424,15 +424,15 @@ def _select_columns(
 ) -> list[int]:
     """Select the columns of channels and their alternatives, of time, and of end markers."""
     names, unique_names = header.names, make_names_unique(header.names)
-    time = find_time_column(names, header.units, card)
-    candidates = [i for i in _list_number_columns(header, card) if i != time]
+    time_column = find_time_column(names, header.units, card)
+    candidates = [i for i in _list_number_columns(header, card) if i != time_column]
     pairs = [(names[i], unique_names[i]) for i in candidates]
-    columns = set[int]()
+    columns = set[int]() if time_column is None else {time_column}
     for channel in channels:
         index = find_channel(channel, pairs, path)
         columns |= {candidates[i] for i in (index, *find_alternatives(channel, pairs, index))}
     end_markers = {*card.last_zeros, *card.last_code}
-    return sorted(columns | {i for i, name in enumerate(names) if i == time or name in end_markers})
+    return sorted(columns | {i for i, name in enumerate(names) if name in end_markers})
 
 
 def _find_specimens(header: Header, card: Card) -> list[tuple[str, range]]:
@@ -510,7 +510,7 @@ def _read_blocks(text: str, decimal: str, card: Card) -> Export:
             header = find_header(lines, card, line_number)
             # If blanks separate the numbers, they separate words and not cells in the preamble.
             joins_cells = header.separator == " "
-            preamble += [[" ".join(x)] if joins_cells else x for x in header.preamble]
+            preamble += [[" ".join(row)] if joins_cells else row for row in header.preamble]
             body, columns, block_notes = _read_rows(block.encode(), header, card, decimal=decimal)
             notes += block_notes
             table = Table("", header.names, header.units, columns, first_line=body.first_line)
@@ -539,7 +539,7 @@ def _read_blocks(text: str, decimal: str, card: Card) -> Export:
 
 
 def _join_blocks(blocks: Sequence[Table]) -> tuple[list[Table], list[QualityNote]]:
-    """Join the blocks that have the same columns into one table; number tables that differ."""
+    """Join the blocks that have the same columns into one table; number several tables."""
     groups: dict[object, list[Table]] = {}
     for block in blocks:
         groups.setdefault((block.names, block.units), []).append(block)
@@ -558,7 +558,7 @@ def _find_summaries(blocks: Sequence[Table], card: Card) -> list[Table]:
     """Find the blocks that are summaries.
 
     If some blocks have a column of time, the others are summaries. If none has, the summaries are
-    the blocks of two rows that contain the maximum and the minimum of each column.
+    the blocks of two rows, maximum and minimum, in which no value of the second row is larger.
     """
     untimed_blocks = [block for block in blocks if not _has_time(block, card)]
     if len(untimed_blocks) < len(blocks):
@@ -591,7 +591,7 @@ def read_sheets(sheets: Sheets, card: Card) -> Export:
     Raises
     ------
     ContentError
-        If no sheet has names, units and numbers where the card states.
+        If no sheet has names, units and numbers where the card requires them.
     """
     max_listed_rows = 50
     tables, errors, properties = dict[str, Table](), list[ContentError](), dict[str, object]()
@@ -609,8 +609,8 @@ def read_sheets(sheets: Sheets, card: Card) -> Export:
         tables[name] = Table(specimen, header.names, header.units, columns, name, tuple(notes))
         properties |= _parse_preamble(header.preamble)
     if not tables:
-        no_sheets = ContentError.of("readers.no_sheets", count=len(errors))
-        raise next((x for x in errors if x.args[0] != "readers.no_table"), no_sheets)
+        no_sheets_error = ContentError.of("readers.no_sheets", count=len(errors))
+        raise next((x for x in errors if x.args[0] != "readers.no_table"), no_sheets_error)
     omitted = [name for name in sheets if name not in tables or _is_summary(name, tables, card)]
     notes = []
     if omitted:
