@@ -13,13 +13,13 @@ from tempfile import mkdtemp
 from matplotlib.figure import Figure
 
 from labpipe.mechanics.studies.bundle_bounds import model_bundle
-from labpipe.mechanics.studies.wire_models import make_tables
+from labpipe.mechanics.studies.wire_models import tabulate_wires
 from labpipe.mechanics.studies.wire_sheets import read_wire_sheet
 from labpipe.protocol.load import find_shipped_folder
 
 sheet = find_shipped_folder("examples") / "wires.xlsx"
 specs = [each for each in read_wire_sheet(sheet).specs if each.name in ("A1", "A2", "B2")]
-made, refused = make_tables(specs, sheet)
+made, refused = tabulate_wires(specs, sheet)
 for law, _ in made:
     print(f"{law.name}: strands that slip give {1e6 * law.slip_stiffness:.0f} N mm^2")
 

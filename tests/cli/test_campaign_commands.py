@@ -52,7 +52,7 @@ def test_real_tests_from_run_to_query(run: Run, tmp_path: Path) -> None:
     ran = run(*command)
     assert ran.status == EXIT_ERROR
     assert "processed 2 of 2" in ran.out
-    assert "failed  S-0001  missing_export: " in ran.out
+    assert "failed (1)\n  S-0001  missing_export: " in ran.out
     missing.write_bytes(export)
     ran = run(*command)
     assert ran.status in {EXIT_OK, EXIT_SOME_FAILED}
