@@ -26,7 +26,7 @@ class Status(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Contribution:
-    """Contribution of one cause to the uncertainty of a result, which is a row of its budget.
+    """Row of an uncertainty budget: the contribution of one cause.
 
     Parameters
     ----------
@@ -140,7 +140,7 @@ class Result:
 
     @property
     def largest_cause(self) -> tuple[str, float] | None:
-        """Cause with the largest fraction of the variance, and this fraction; None without one."""
+        """Cause with the largest fraction of the variance, and this fraction; None if all are 0."""
         pairs = zip((row.cause for row in self.budget), self.fractions, strict=True)
         cause, fraction = max(pairs, key=lambda pair: pair[1], default=("", 0.0))
         return (cause, fraction) if fraction > 0.0 else None
@@ -205,7 +205,7 @@ class Specimen:
 
     @property
     def fields(self) -> Mapping[str, str]:
-        """Text of each grouping field; a label replaces a field of the bundle with its name."""
+        """Text of each grouping field; a label overrides a field of the same name."""
         names = {"type": self.type, "spool": self.spool}
         return names | dict(self.bundle.fields if self.bundle else {}) | dict(self.labels)
 
@@ -276,7 +276,7 @@ class TestResult:
     figures : names of the figures that the protocol requests
     slips : slips of the curve
     lines : straight lines whose slopes are stiffnesses
-    bending : measured moment-curvature; None if the protocol does not request it, or if it failed
+    bending : measured bending law; None if the protocol does not request it, or if it failed
     run : key of exports, test sheet, protocol and processing, the same in all files of the test;
         empty in old results
     date : day of the test from its sheet, or from its exports; None if neither states it

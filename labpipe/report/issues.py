@@ -2,7 +2,7 @@
 
 One camera that loses markers in thirty tests is one cause with many issues. The effect of a cause
 is the shift of a mean when the affected tests are left out, or the widening of the interval of a
-mean because tests are missing. It is computed for the number on which the effect is largest.
+mean because tests are missing. It is computed for each number, and the largest one is reported.
 """
 
 from __future__ import annotations
@@ -141,7 +141,7 @@ def _list_sample_issues(group: Group, sample: Sample) -> Iterator[Issue]:
 
 
 def _list_number_issues(group: Group) -> Iterator[Issue]:
-    """Yield the issues of samples outside a mean whose number did not fail, and of outliers."""
+    """Yield an issue for each sample left out of a mean without a failure, and each outlier."""
     failed_results = {
         (sample.test, result.name)
         for sample in group.samples
@@ -159,12 +159,12 @@ def _list_number_issues(group: Group) -> Iterator[Issue]:
         for outlier in number.outliers:
             value_text = wording.format_number(outlier.value, None, scale.factor).value
             quantity, p_text = f"{value_text} {scale.unit}".strip(), f"(p = {outlier.p:.2g})"
-            reason = f"{quantity} differs from the other samples by {outlier.method} {p_text}."
+            reason = f"{quantity} is an outlier by {outlier.method} {p_text}."
             tests = (outlier.sample,)
             yield Issue(Kind.OUTLIER, group.name, tests, label, reason=reason, numbers=names)
 
 
-_GROUP_CODES = {"doubtful_in_mean", *(f"slip_{decision}" for decision in SlipDecision)}
+_REPEATED_NOTE_CODES = {"doubtful_in_mean", *(f"slip_{decision}" for decision in SlipDecision)}
 """Codes of notes that repeat the slips of a test, or the doubtful numbers of a group."""
 
 
@@ -177,12 +177,12 @@ def _list_note_issues(
     ----------
     group : name of the group
     tests : name of the test of the notes; empty for notes of the group
-    notes : notes, of which those of severity ``info`` are skipped. All differences between the
-        protocols of a group are one issue
+    notes : notes; those of severity ``info`` and with `_REPEATED_NOTE_CODES` are skipped. All
+        differences between the protocols of a group are one issue
     """
     notes_by_code: dict[tuple[str, str], list[QualityNote]] = {}
     for note in notes:
-        if note.severity is not Severity.INFO and note.code not in _GROUP_CODES:
+        if note.severity is not Severity.INFO and note.code not in _REPEATED_NOTE_CODES:
             message = "" if note.code == PROTOCOLS_DIFFER else note.message
             notes_by_code.setdefault((note.code, message), []).append(note)
     for (code, _), members in notes_by_code.items():
@@ -205,7 +205,8 @@ class Effect(NamedTuple):
     Parameters
     ----------
     size : shift of the mean, relative to half the width of its interval, or relative widening of
-        the interval; infinite if no value remains
+        the interval; infinite if no value is left, a fixed size for one value or if all values are
+        affected, and 0 for rejected tests
     text : sentence on the effect without a full stop
     """
 

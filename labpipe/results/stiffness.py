@@ -41,7 +41,7 @@ _MIN_SIGNIFICANT_ERRORS = 3.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ForceOnset:
-    """Samples at which the force of a loading branch begins, for replicates of one branch.
+    """Rule that finds the onset of the force in a loading branch and in its replicates.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ class ForceOnset:
 def find_force_onset(
     displacement: Floats, force: Floats, *, limit: float | None = None, parts: int = 1
 ) -> ForceOnset:
-    """Find the samples of a loading branch that determine where its force begins.
+    """Make the rule that finds the onset of the force in a loading branch.
 
     Parameters
     ----------
@@ -169,8 +169,8 @@ def find_force_onset(
 _MIN_WINDOW_SAMPLES = 8
 """Smallest number of samples of a window."""
 _START_FRACTION, _STEADY_FRACTION = 0.02, 0.1
-"""Fractions of the length of a window. Up to the first one is the start of the window. Between the
-two, the machine is assumed to have reached its constant speed."""
+"""Fractions of the length of a window. The first 2 % are the start of the window. From 2 % to 10 %,
+the machine is assumed to move at constant speed."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -327,7 +327,7 @@ class LoadingSlope:
 
     Parameters
     ----------
-    onset : samples at which the force of the branch begins
+    onset : rule that finds the onset of the force in the branch
     first_taut_sample : first sample of the branch in which the specimen counts as taut
     slope : slope over the window, for the branch from the first taut sample on
     window_distance : m, from the displacement at the onset to the mean displacement in the window
@@ -531,7 +531,7 @@ class LoadingStiffness(CycleKind):
     method: ClassVar = "line over {over_mm:g} mm from the onset of the force, time as instrument"
 
     def choose_samples(self, test: ReducedTest, trace: Trace, cycle: int) -> Extractor:
-        """Choose the samples after the onset; a smooth curve has the limit of the measured one."""
+        """Choose the samples after the onset, with the force limit of the measured curve."""
         branch = cycles.select_branches(trace, cycle)[0]
         columns, samples = cycles.cut_branch(trace, branch), slice(branch.start, branch.stop)
         limit = self._choose_measured_window(test, cycle).onset.limit if trace.is_smooth else None
@@ -543,7 +543,7 @@ class LoadingStiffness(CycleKind):
 
     def list_doubts(self, test: ReducedTest, branches: list[Branch]) -> tuple[Reason, ...]:
         """List a doubt if over 10 % of the samples of the window are in its first fiftieth."""
-        # The fraction is five times that of a machine at constant speed.
+        # At constant speed, a fiftieth of the samples is there; the limit is five times as many.
         window = return_failure(self._choose_measured_window)(test, branches[0].cycle)
         if isinstance(window, Failure) or window.start_sample_fraction <= 0.1:
             return ()

@@ -275,7 +275,7 @@ def test_a_wire_without_a_cantilever_gets_the_reason_alone() -> None:
 def test_a_law_that_the_bar_cannot_follow_is_told() -> None:
     table = wire_table()
     text = format_calculix_deck(replace(table, moment=1e-6 * table.curvature**2))
-    assert "error on first loading up to 100 % of the moment from 0.25 1/m" in text
+    assert "at most 100 % above 0.25 1/m" in text
 
 
 def test_numbers_out_of_range(approved: Approve) -> None:

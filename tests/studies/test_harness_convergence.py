@@ -16,7 +16,7 @@ from labpipe.mechanics.studies.harness_numbers import (
     depends_on_history,
     find_change_doubt,
     select_coarse_steps,
-    solve_in_other_steps,
+    solve_with_resampled_steps,
 )
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Interval
@@ -58,7 +58,7 @@ def walk(prepared: PreparedLine, steps: int) -> tuple[RodPath, dict[str, float]]
 
 def doubt_of(prepared: PreparedLine, steps: int, **intervals: Interval) -> Doubt | None:
     path, _ = walk(prepared, steps)
-    other, other_path = solve_in_other_steps(prepared, steps)
+    other, other_path = solve_with_resampled_steps(prepared, steps)
     return find_change_doubt(path, other_path, intervals, changed="steps", n_other=other)
 
 
@@ -95,7 +95,7 @@ def test_it_says_where_and_how_many_steps_should_do() -> None:
     wide = dict.fromkeys(doubt.names, Interval(-1e6, 1e6, 0.95))
     assert doubt_of(prepared, 10, **wide) is None
     path, numbers = walk(prepared, 10)
-    other, other_path = solve_in_other_steps(prepared, 10)
+    other, other_path = solve_with_resampled_steps(prepared, 10)
     torn = replace(other_path, status=Status.FAILED, reasons=(Reason("torn", "it is torn"),))
     doubt = find_change_doubt(path, torn, {}, changed="steps", n_other=other)
     assert doubt is not None
@@ -134,7 +134,7 @@ def way_of(prepared: PreparedLine | RodPath) -> Held:
 
 def test_a_walk_of_corners_alone_is_halved() -> None:
     prepared = led_round(1, elements=3)
-    steps, finer_path = solve_in_other_steps(prepared, 5)
+    steps, finer_path = solve_with_resampled_steps(prepared, 5)
     assert steps == 10
     path, finer = way_of(prepared).position, way_of(finer_path).position
     np.testing.assert_allclose(finer[::2], path)
@@ -174,7 +174,7 @@ def test_a_release_stays_where_it_was() -> None:
     ]
     prepared = led(np.concatenate([path, path[-1:]]), elements=3)
     grip = replace(way_of(prepared), release=10)
-    steps, coarse_path = solve_in_other_steps(
+    steps, coarse_path = solve_with_resampled_steps(
         PreparedLine(prepared.line, (prepared.boundaries[0], grip)), 10
     )
     assert steps == 6, "0, 2, 4, 6, 8, 9, 10"

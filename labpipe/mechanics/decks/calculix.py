@@ -159,7 +159,8 @@ def format_calculix_deck(
     ----------
     table : table of the wire
     n_bricks_along : number of bricks along the bar
-    n_steps : number of equal load increments; CalculiX divides increments that do not converge.
+    n_steps : number of equal increments of the tip displacement; CalculiX divides those that do
+        not converge.
         With far fewer increments than the default, CalculiX may stop without convergence
 
     Returns
@@ -190,9 +191,9 @@ def format_calculix_deck(
     errors, is_plastic = np.abs(material.error), material.curvature > material.elastic_curvature
     range_error, plastic_error = float(errors.max()), float(errors[is_plastic].max())
     deck_error_sentence = (
-        f"This deck: error on first loading up to {format_percent(plastic_error)} of the moment "
-        f"from {material.elastic_curvature:.4g} 1/m, up to {format_percent(range_error)} over the "
-        "range."
+        f"In this deck, the error of the moment on first loading is at most "
+        f"{format_percent(plastic_error)} above {material.elastic_curvature:.4g} 1/m, and at most "
+        f"{format_percent(range_error)} over the whole range."
     )
     # The release is elastic: no fibre of the bar yields in reverse before the moment is zero.
     deck_release = compute_linear_release(table, material.modulus * np.pi / 64.0 * diameter**4)

@@ -59,7 +59,7 @@ from labpipe.mechanics.law.thinning import find_hull, require_concave, thin_law
 from labpipe.records.arrays import ArrayRecord, Floats
 
 MAX_SLIDERS = 64
-"""Largest number of sliders of a law."""
+"""Largest number of sliders that `fit_sliders` accepts."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -580,7 +580,7 @@ def make_mixed_law(plays: PlayLaw, corners: Floats, growing_slider: GrowingSlide
     slope_drops = -np.diff(np.minimum.accumulate(slopes))
     has_slider = slope_drops > 0.0
     law = SliderLaw(
-        # For a bare solid wire, all slopes are rounding errors of either sign.
+        # For a bare solid wire without kinematic hardening, all slopes are rounding errors.
         spring_stiffness=max(float(slopes.min()), 0.0),
         slider_stiffnesses=slope_drops[has_slider],
         slip_curvatures=corners[:-1][has_slider],
@@ -598,7 +598,7 @@ MAX_SCALAR_SLIDERS = 16
 ROTATIONS = (0.0, 0.5, 0.25, 0.75)
 """Rotations of successive nodes, relative to the angle between two directions."""
 
-_N_ANGLE_STEPS = 13
+_N_ANGLE_STEPS = 12
 """Number of steps of a grid of angles of the curvature."""
 
 
@@ -739,7 +739,7 @@ def _average_slider_curvatures(curvature: Floats, slips: Floats, n_directions: i
     curvature and the direction of a slider, the slider slides at curvatures above slip / c. Of the
     sliders sorted by c, the first ones stick and the others slide.
     """
-    angle = np.linspace(0.0, np.pi / n_directions, _N_ANGLE_STEPS)[:-1]
+    angle = np.linspace(0.0, np.pi / n_directions, _N_ANGLE_STEPS + 1)[:-1]
     cosines = np.cos(angle[:, None] - np.pi * np.arange(n_directions) / n_directions)
     cosines = np.sort(np.abs(cosines).ravel())
     n_sticking = np.searchsorted(cosines, slips / curvature[:, None])
@@ -765,7 +765,7 @@ def _compute_components(law: DirectionalLaw, curvature: Floats) -> tuple[Floats,
     The shape is (curvatures, angles). The angles are from a direction to the middle between two
     directions. The moments at other angles follow by symmetry.
     """
-    angle = np.linspace(0.0, 0.5 * np.pi / law.n_directions, _N_ANGLE_STEPS + 1)
+    angle = np.linspace(0.0, 0.5 * np.pi / law.n_directions, _N_ANGLE_STEPS + 2)
     parallel_unit = np.column_stack([np.cos(angle), np.sin(angle)])
     normal_unit = np.column_stack([-parallel_unit[:, 1], parallel_unit[:, 0]])
     directions = law.compute_unit_vectors(0.0)

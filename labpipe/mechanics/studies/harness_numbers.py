@@ -362,7 +362,7 @@ def _describe_numbers(path: RodPath) -> dict[str, str]:
     node = int(np.argmax(residual))
     if residual[node]:
         suffix = "" if law.growing_sliders else ", by Masing's rule"
-        remarks[RESIDUAL_CURVATURE] = f"{format_position(stations[node])}; if released{suffix}"
+        remarks[RESIDUAL_CURVATURE] = f"{format_position(stations[node])}; after release{suffix}"
     return remarks
 
 
@@ -498,7 +498,7 @@ def find_unloading_doubt(path: RodPath) -> Doubt | None:
 
     Notes
     -----
-    By Masing's rule, copper springs back two to four times as far as standards of annealed wire
+    By Masing's rule, copper springs back two to four times as far as standards for annealed wire
     allow. A law with growing sliders does not follow this rule. The rule affects the residual
     curvature, the lost energy, the shape of a released line, and the forces and moments of a line
     that was unbent and has several supports.
@@ -571,7 +571,7 @@ def compute_unbending(path: RodPath) -> float:
 def make_share_doubts(
     intervals: Mapping[str, Interval], names: Sequence[str], share_range: tuple[float, float]
 ) -> Iterator[Doubt]:
-    """Yield the doubts about numbers with wide intervals if the isotropic share is unknown.
+    """Yield doubts about numbers with wide intervals, for an unknown isotropic share.
 
     Parameters
     ----------
@@ -581,8 +581,8 @@ def make_share_doubts(
     """
     min_share, max_share = share_range
     max_ratio = 2.0  # of the upper to the lower end of an interval of a positive number
-    positive_numbers = (LOST_ENERGY, RESIDUAL_CURVATURE, SPRINGBACK_PREFIX, RADIUS)
-    affected_names = tuple(name for name in names if name in positive_numbers)
+    checked_names = (LOST_ENERGY, RESIDUAL_CURVATURE, SPRINGBACK_PREFIX, RADIUS)
+    affected_names = tuple(name for name in names if name in checked_names)
     for name, interval in intervals.items():
         if name.startswith(affected_names) and interval.upper > max_ratio * interval.lower:
             values = {"min_share": min_share, "max_share": max_share}
@@ -612,16 +612,16 @@ def make_convergence_doubts(
     """
     n_steps, has_history = len(path.states) - 1, depends_on_history(path)
     if has_history:
-        _, coarse_path = solve_in_other_steps(coarse_line, n_steps)
+        _, coarse_path = solve_with_resampled_steps(coarse_line, n_steps)
         is_solved = coarse_path.status is not Status.FAILED
         if is_solved and not _find_excess_errors(path, coarse_path, intervals):
             return
-    coarse_path, n_other = follow(*coarse_line, steps=n_steps), len(coarse_line.line.lengths)
-    doubts = [find_change_doubt(path, coarse_path, intervals, changed="elements", n_other=n_other)]
+    coarse_path, n_coarse = follow(*coarse_line, steps=n_steps), len(coarse_line.line.lengths)
+    doubts = [find_change_doubt(path, coarse_path, intervals, changed="elements", n_other=n_coarse)]
     if has_history:
         line = PreparedLine(path.line, path.boundaries)
-        n_other, other_path = solve_in_other_steps(line, n_steps)
-        doubt = find_change_doubt(path, other_path, intervals, changed="steps", n_other=n_other)
+        n_new_steps, new_path = solve_with_resampled_steps(line, n_steps)
+        doubt = find_change_doubt(path, new_path, intervals, changed="steps", n_other=n_new_steps)
         doubts.append(doubt)
     yield from filter(None, doubts)
 
@@ -673,7 +673,7 @@ def _find_corners(path: Floats, *, is_frame: bool) -> list[int]:
     return (np.flatnonzero(changes > min_change) + 1).tolist()
 
 
-def solve_in_other_steps(prepared: PreparedLine, n_steps: int) -> tuple[int, RodPath]:
+def solve_with_resampled_steps(prepared: PreparedLine, n_steps: int) -> tuple[int, RodPath]:
     """Solve a line in about half as many steps, or in twice as many if its paths have many corners.
 
     Parameters
@@ -748,7 +748,7 @@ def find_change_doubt(
 def _find_excess_errors(
     path: RodPath, other_path: RodPath, intervals: Mapping[str, Interval], error_ratio: float = 1.0
 ) -> dict[str, float]:
-    """Return the ratios of error to allowed error that exceed 1, keyed by name of the number.
+    """Return the finite ratios of error to allowed error above 1, keyed by name of the number.
 
     The error is `error_ratio` times the change between both solutions. The allowed error is a
     fraction of the magnitude of the number, or of the width of its interval if that is more. The

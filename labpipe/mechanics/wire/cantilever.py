@@ -14,8 +14,8 @@ stiffness of the wire need not be uniform. `wire.first_loading` solves loading c
 
 A path with any history is followed in steps. A step is halved if Newton's method fails. The clamp
 moves down: relative to the clamp, the anchor of the string moves up. The string is taut or slack,
-and the counterweight always hangs at the tip. A wire with weight is mounted level and bends under
-its weight before the test. The path starts from this equilibrium and the history of the wire there.
+and the counterweight always hangs at the tip. A wire with weight starts straight and level; callers
+first bend it under its weight, and start the path of the test from this state.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ class Stations:
         return np.asarray(self.clamp_integral[-1])
 
     def bend(self, curvature: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return angle, rad, and x and y, m, of a wire with curvatures, 1/m; shape (n,) each."""
+        """Return the angle (rad) and the coordinates x and y (m) at the stations of a bent wire."""
         angle = self.clamp_integral @ curvature
         return angle, self.clamp_integral @ np.cos(angle), self.clamp_integral @ np.sin(angle)
 
@@ -193,7 +193,7 @@ class TipCondition:
     rig : taut string and counterweight; None for a force normal to the undeformed axis
     deflection : shape (n,), m, deflections of the tips; None for another condition
     travel : m, travel of the clamp with a taut string; NaN for another condition
-    dead_force : shape (2,), N, force of constant direction, with a load of zero; None for another
+    dead_force : shape (2,), N, dead load; the unknown `load` is then zero. None for another
         condition
     """
 
@@ -279,22 +279,22 @@ class BentWire:
     def compute_jacobian(self) -> Floats:
         """Compute the derivatives of the residual with respect to moments and load.
 
-        The shape is (n, stations + 1, stations + 1).
+        The shape is (n, m + 1, m + 1) for m stations.
         """
-        stations, tip, n = self.stations, self.tip_force, len(self.outer_weight)
+        stations, force, m = self.stations, self.tip_force, len(self.outer_weight)
         angle_by_moment = stations.clamp_integral * self.compliance[:, None, :]
         tip_by_angle = np.stack([-stations.weights * self.sin, stations.weights * self.cos], axis=1)
         tip_by_moment = tip_by_angle @ angle_by_moment
-        jacobian = np.empty((len(self.tip), n + 1, n + 1))
+        jacobian = np.empty((len(self.tip), m + 1, m + 1))
         bending_by_angle = stations.tip_integral * self.compression[:, None, :]
-        jacobian[:, :n, :n] = -(bending_by_angle @ angle_by_moment)
-        if np.any(tip.force_by_x):
-            bending_by_x = self.lever_arms @ tip.force_by_x[:, :, None]
-            jacobian[:, :n, :n] -= bending_by_x * tip_by_moment[:, :1]
-        jacobian[:, range(n), range(n)] += 1.0
-        jacobian[:, :n, n] = -(self.lever_arms @ tip.force_by_load[:, :, None])[:, :, 0]
-        jacobian[:, n, :n] = (tip.residual_by_tip[:, None, :] @ tip_by_moment)[:, 0]
-        jacobian[:, n, n] = tip.residual_by_load
+        jacobian[:, :m, :m] = -(bending_by_angle @ angle_by_moment)
+        if np.any(force.force_by_x):
+            bending_by_x = self.lever_arms @ force.force_by_x[:, :, None]
+            jacobian[:, :m, :m] -= bending_by_x * tip_by_moment[:, :1]
+        jacobian[:, range(m), range(m)] += 1.0
+        jacobian[:, :m, m] = -(self.lever_arms @ force.force_by_load[:, :, None])[:, :, 0]
+        jacobian[:, m, :m] = (force.residual_by_tip[:, None, :] @ tip_by_moment)[:, 0]
+        jacobian[:, m, m] = force.residual_by_load
         return jacobian
 
     def compute_sensitivities(self, curvature_changes: Floats) -> Floats:
@@ -308,15 +308,15 @@ class BentWire:
         curvature_changes : shape (parameters, n, stations), derivatives of the curvature with
             respect to the parameters at constant moment
         """
-        stations, tip, n = self.stations, self.tip_force, len(self.outer_weight)
+        stations, force, m = self.stations, self.tip_force, len(self.outer_weight)
         angle = curvature_changes @ stations.clamp_integral.T
         tip_x, tip_y = ((angle * side) @ stations.weights for side in (-self.sin, self.cos))
         bending = (angle * self.compression) @ stations.tip_integral.T
-        bending += (self.lever_arms @ tip.force_by_x[:, :, None])[:, :, 0] * tip_x[:, :, None]
-        residual = np.zeros((1 + len(curvature_changes), len(self.tip), n + 1))
-        residual[0, :, n] = -1.0
-        residual[1:, :, :n] = -bending
-        residual[1:, :, n] = tip.residual_by_tip[:, 0] * tip_x + tip.residual_by_tip[:, 1] * tip_y
+        bending += (self.lever_arms @ force.force_by_x[:, :, None])[:, :, 0] * tip_x[:, :, None]
+        residual = np.zeros((1 + len(curvature_changes), len(self.tip), m + 1))
+        residual[0, :, m] = -1.0
+        residual[1:, :, :m] = -bending
+        residual[1:, :, m] = np.sum(force.residual_by_tip * np.stack([tip_x, tip_y], -1), -1)
         solution = -np.linalg.solve(self.compute_jacobian(), np.moveaxis(residual, 0, 2))
         return np.asarray(np.moveaxis(solution, 2, 0), dtype=np.float64)
 
@@ -394,7 +394,7 @@ class Cantilever:
         Moments and loads in equilibrium; None if an equilibrium does not converge, or is not
         finite.
         """
-        max_iterations = 15  # Newton's method that needs more iterations cycles at corners of a law
+        max_iterations = 15  # beyond these, Newton's method cycles about a corner of the law
         max_rotation = 0.7  # largest rotation of any station in one step, rad
         tolerance *= 1.0 if self.coarse_wire is None else 0.01
         moment, load = np.array(moment), np.array(load)
@@ -501,7 +501,7 @@ class CantileverShape:
 
     @property
     def tension(self) -> float:
-        """Tension of the string, N, 0 for a slack string; without a string, the end load."""
+        """Tension of the string, N; 0 for a slack string or a dead load; else the end load."""
         return self.state.load
 
 
@@ -526,8 +526,8 @@ def make_straight(
         If `self_weight` is negative.
     """
     require_not_negative("self_weight", self_weight)
-    straight, unbent = np.zeros(n_stations), law.make_unbent_history(n_stations)
-    return WireState(straight, straight, unbent, np.zeros(2), self_weight=self_weight)
+    zeros, history = np.zeros(n_stations), law.make_unbent_history(n_stations)
+    return WireState(zeros, zeros, history, np.zeros(2), self_weight=self_weight)
 
 
 def bend_under_force(
@@ -540,7 +540,7 @@ def bend_under_force(
     law : law of the wire
     state : state of the wire from which to start
     length : m, length of the wire
-    force : shape (2,), N, end force of constant direction
+    force : shape (2,), N, end force at the end of the path; it does not rotate with the wire
 
     Raises
     ------
@@ -649,8 +649,8 @@ def bend_to_travel(
         return solution if solution is not None and solution.load >= 0.0 else None
 
     def solve_slack(current: WireState, travel: float) -> WireState | None:
-        weight = TipCondition(dead_force=np.array([0.0, -rig.weight]))
-        solution = _solve_next(law, current, length, weight, travel=travel)
+        condition = TipCondition(dead_force=np.array([0.0, -rig.weight]))
+        solution = _solve_next(law, current, length, condition, travel=travel)
         if solution is None:
             return None
         shape = compute_shape(solution, length)

@@ -45,12 +45,12 @@ from labpipe.records.wire import WireAtRest, WireSpec, WireTable
 N_LOADING_STATIONS = 24
 """Number of stations along a wire on first loading.
 
-Forces differ by at most 3e-4 from forces with 160 stations, and by 6e-5 on average.
+The relative differences from the forces with 160 stations are at most 3e-4, and 6e-5 on average.
 """
 PATH_STATIONS = 48
 """Number of stations along a wire that may unload.
 
-Loads differ by at most 1e-4 from loads with 160 stations.
+The relative differences from the loads with 160 stations are at most 1e-4.
 """
 _N_COARSE_STATIONS = 12
 """Number of stations of a coarse wire, on which Newton's steps of the wire are computed."""
@@ -255,7 +255,7 @@ def _solve_from_linear(
 
 def _solve_from_guess(wire: Cantilever, moment: Floats, load: Floats) -> _Equilibria | None:
     """Solve for all deflections from the solution of a similar law; None if no solution is near."""
-    max_relative_change = 0.3  # relative to the largest moment; a curled wire changes more
+    max_relative_change = 0.3  # relative to the largest moment; a larger one leads to a curled wire
     moment = moment @ make_transfer_matrix(moment.shape[1], len(wire.stations.position)).T
     solution = wire.solve(moment, load, tolerance=_MOMENT_TOLERANCE)
     if solution is None:
@@ -271,7 +271,7 @@ def _make_curve(
     """Make the loading curve of equilibria; beyond first loading, derivatives are NaN."""
     bent, deflection = wire.bend(moment, load), wire.condition.deflection
     assert deflection is not None
-    # The first derivative of the load is with respect to deflection, the others to parameters.
+    # Row 0 is the derivative with respect to deflection; the others are those to parameters.
     derivatives = np.full((1 + len(table.start_sensitivity), len(deflection)), np.nan)
     if is_first_loading:
         rest = wire.bend(moment[:1], load[:1])
@@ -478,15 +478,15 @@ def bend_cantilever(spec: WireSpec, curve: MomentCurve, self_weight: float) -> E
     except ValueError as error:
         note = QualityNote.of("mechanics.wire.no_cantilever", spec.place, error=error)
         return EndLoadPath(np.zeros(1), np.zeros(1), np.zeros(1), notes=(note,))
-    notes, length = [], 1e3 * spec.length
+    notes, length_mm = [], 1e3 * spec.length
     try:
         path = _bend_to_end(law, spec.length, self_weight)
     except ValueError as error:
         note = QualityNote.of(
             "mechanics.wire.weight_left_out",
             spec.place,
-            length=length,
-            weight=self_weight * length,
+            length=length_mm,
+            weight=self_weight * length_mm,
             error=error,
         )
         notes.append(note)
@@ -496,7 +496,7 @@ def bend_cantilever(spec: WireSpec, curve: MomentCurve, self_weight: float) -> E
         note = QualityNote.of(
             "mechanics.wire.cantilever_cut",
             spec.place,
-            length=length,
+            length=length_mm,
             reached=1e3 * path.deflection[-1],
             wanted=1e3 * target_deflection,
             last=curve.curvature[-1],

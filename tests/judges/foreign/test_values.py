@@ -151,10 +151,8 @@ SEEDS = (4000, 4110, 4156)
 """The first one is quick; specimens, dwells and rates of load frames differ."""
 MOST = 3.0
 """Half widths: an interval that does not hold is at least not far from the truth."""
-JUMPS, PERIODIC = (
-    "a zero that jumps by 0.6 % of the peak is not seen",
-    "a wave slower than a window",
-)
+JUMPS = "a zero that jumps by 0.6 % of the peak is not seen"
+PERIODIC = "a wave slower than a window"
 CLOCKS = "the corner of a force that stands on a step, or has no noise at all"
 NOT_YET = {
     "taped-bundle-jump-4000": JUMPS,
