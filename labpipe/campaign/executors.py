@@ -101,7 +101,7 @@ def _record_failure(task: Task, error: LabpipeError) -> RefusedTest:
     return record_refusal(task, error.code, str(error), reads_inputs=False)
 
 
-def process_locally(tasks: Iterable[Task], jobs: int, time_limit: float | None = None) -> Outcomes:
+def process_locally(tasks: Iterable[Task], *, jobs: int, timeout: float | None = None) -> Outcomes:
     """Process tests in child processes of this machine.
 
     `functools.partial` of this function and `jobs` is an `Executor`.
@@ -110,10 +110,10 @@ def process_locally(tasks: Iterable[Task], jobs: int, time_limit: float | None =
     ----------
     tasks : tests to process
     jobs : number of tests processed at the same time
-    time_limit : time limit of a test, s; None for no limit
+    timeout : time limit of a test, s; None for no limit
     """
     futures = run_as_completed(
-        try_to_process, tasks, jobs=jobs, time_limit=time_limit, subject=lambda task: task.source
+        try_to_process, tasks, jobs=jobs, timeout=timeout, subject=lambda task: task.source
     )
     with closing(futures) as completed_calls:
         for task, future in completed_calls:
@@ -124,7 +124,7 @@ _ADDRESS_PREFIXES = {"dask": "", "dask+tls": "tls://"}
 """Prefix of the address of a dask scheduler, keyed by scheme of the URL."""
 
 
-def parse_executor(text: str, jobs: int | None = None, time_limit: float | None = None) -> Executor:
+def parse_executor(text: str, *, jobs: int | None = None, timeout: float | None = None) -> Executor:
     """Make the executor that is named on the command line.
 
     Parameters
@@ -132,7 +132,7 @@ def parse_executor(text: str, jobs: int | None = None, time_limit: float | None 
     text : ``local``, ``dask://HOST:PORT`` or ``dask+tls://HOST:PORT``
     jobs : number of tests processed at the same time on this machine; None for the number from
         `choose_default_jobs`
-    time_limit : time limit of a test, s; None for no limit
+    timeout : time limit of a test, s; None for no limit
 
     Raises
     ------
@@ -140,13 +140,13 @@ def parse_executor(text: str, jobs: int | None = None, time_limit: float | None 
         If the text has another form.
     """
     if text == "local":
-        return partial(process_locally, jobs=jobs or choose_default_jobs(), time_limit=time_limit)
+        return partial(process_locally, jobs=jobs or choose_default_jobs(), timeout=timeout)
     scheme, _, address = text.partition("://")
     host, _, port = address.rpartition(":")
     if scheme not in _ADDRESS_PREFIXES or not host or not port.isdecimal():
         raise UsageError.about("campaign.bad_executor", "--executor", text=text)
     address = f"{_ADDRESS_PREFIXES[scheme]}{address}"
-    return partial(process_on_cluster, address=address, time_limit=time_limit)
+    return partial(process_on_cluster, address=address, timeout=timeout)
 
 
 def process_tests(
@@ -157,7 +157,7 @@ def process_tests(
     png: bool = False,
     follow_links: bool = False,
     jobs: int = 1,
-    time_limit: float | None = None,
+    timeout: float | None = None,
     on_outcome: Callable[[Path], None] = lambda _: None,
 ) -> list[Outcome]:
     """Process tests; if one fails, the others are still processed.
@@ -168,7 +168,7 @@ def process_tests(
     out : folder in which each test gets a folder of results; None for the folder beside ``raw``
     figures, png, follow_links : options of each `labpipe.process.run.Task`
     jobs : number of child processes; a single test is processed in this process
-    time_limit : time limit of each of several tests, s; None for no limit
+    timeout : time limit of each of several tests, s; None for no limit
     on_outcome : function that is called with the file of each test that was processed in a child
         process
 
@@ -195,7 +195,7 @@ def process_tests(
     refuse_duplicates(folders_and_sheets, "folder of results")
     if len(tests) == 1:
         return [*outcomes.values(), *(try_to_process(task, is_alone=True) for task in tasks)]
-    with closing(process_locally(tasks, jobs=jobs, time_limit=time_limit)) as completed_tests:
+    with closing(process_locally(tasks, jobs=jobs, timeout=timeout)) as completed_tests:
         for task, outcome in completed_tests:
             on_outcome(task.source)
             outcomes[task.source] = outcome
@@ -230,7 +230,7 @@ def check_worker(sheet: Path, versions: tuple[str, int]) -> None:
 
 
 def process_on_worker(
-    task: Task, working_folder: Path, time_limit: float | None, versions: tuple[str, int]
+    task: Task, working_folder: Path, timeout: float | None, versions: tuple[str, int]
 ) -> Outcome:
     """Process a test on a worker.
 
@@ -238,7 +238,7 @@ def process_on_worker(
     ----------
     task : task of the test
     working_folder : working folder of the client, to which paths are relative
-    time_limit : time limit of the test, s; None for no limit
+    timeout : time limit of the test, s; None for no limit
     versions : versions of the client
 
     Returns
@@ -255,7 +255,7 @@ def process_on_worker(
     check_worker(working_folder / task.source, versions)
     process = vars(_THREAD_DATA).setdefault("process", WorkerProcess())
     call = partial(_process_in_folder, working_folder, task)
-    return cast("Outcome", process.call(call, subject=task.source, time_limit=time_limit))
+    return cast("Outcome", process.call(call, subject=task.source, timeout=timeout))
 
 
 def _process_in_folder(working_folder: Path, task: Task) -> Outcome:
@@ -266,7 +266,7 @@ def _process_in_folder(working_folder: Path, task: Task) -> Outcome:
 
 
 def process_on_cluster(
-    tasks: Iterable[Task], address: str, *, time_limit: float | None = None
+    tasks: Iterable[Task], address: str, *, timeout: float | None = None
 ) -> Outcomes:
     """Process tests on a cluster.
 
@@ -274,7 +274,7 @@ def process_on_cluster(
     ----------
     tasks : tests to process; the next one is taken whenever a worker becomes free
     address : address of the scheduler, ``HOST:PORT`` or ``tls://HOST:PORT``
-    time_limit : time limit of a test, s; None for no limit
+    timeout : time limit of a test, s; None for no limit
 
     Raises
     ------
@@ -294,7 +294,7 @@ def process_on_cluster(
                     worker_errors = client.run(check_worker, *arguments, on_error="return")
                     for error in filter(None, worker_errors.values()):
                         raise _convert_worker_error(error)
-                yield from _process_all(client, all_tasks, time_limit)
+                yield from _process_all(client, all_tasks, timeout)
             except LabpipeError:
                 raise
             except (OSError, CancelledError) as error:  # a timeout or a lost connection
@@ -340,7 +340,7 @@ def _connect(address: str) -> Iterator[Client]:
         logging.disable(log_level)
 
 
-def _process_all(client: Client, tasks: Iterator[Task], time_limit: float | None) -> Outcomes:
+def _process_all(client: Client, tasks: Iterator[Task], timeout: float | None) -> Outcomes:
     """Submit tests as workers become free, and yield their outcomes.
 
     Raises TimeoutError if there is no worker for two minutes.
@@ -359,7 +359,7 @@ def _process_all(client: Client, tasks: Iterator[Task], time_limit: float | None
         # At most one test per thread is submitted: when a worker dies, dask counts the tests in
         # its queue as failed.
         for task in islice(tasks, max(not submitted_tasks, n_threads - len(submitted_tasks))):
-            arguments = (task, Path.cwd(), time_limit, _VERSIONS)
+            arguments = (task, Path.cwd(), timeout, _VERSIONS)
             submitted_tasks[client.submit(process_on_worker, *arguments, pure=False)] = task
         if not submitted_tasks:
             return

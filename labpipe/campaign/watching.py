@@ -544,7 +544,7 @@ def watch(folders: CampaignFolders, *, figures: bool, show_message: Callable[[st
         If the campaign YAML has a fault, or the catalog cannot be used.
     """
     max_duration = 3600.0  # longest duration of a call in the worker process, s
-    with Pool(1, time_limit=max_duration) as pool:
+    with Pool(1, timeout=max_duration) as pool:
 
         def pair(candidate: Candidate, plan: CampaignPlan, stable_time: float) -> PairingOutcome:
             # The worker process runs this call, because a damaged export may crash a process.

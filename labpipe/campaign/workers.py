@@ -40,7 +40,7 @@ class WorkerProcess:
     def __init__(self) -> None:
         self.process: subprocess.Popen[bytes] | None = None
 
-    def call(self, work: Callable[[], T], *, subject: object, time_limit: float | None = None) -> T:
+    def call(self, work: Callable[[], T], *, subject: object, timeout: float | None = None) -> T:
         """Run a function in the process and wait for its result.
 
         Parameters
@@ -48,7 +48,7 @@ class WorkerProcess:
         work : function without arguments, such as a partial of a module-level function; the
             function and its result must be picklable
         subject : file or other object of the call, for messages
-        time_limit : time limit after which the process is killed, s; None or 0 for no limit
+        timeout : time limit after which the process is killed, s; None or 0 for no limit
 
         Raises
         ------
@@ -63,7 +63,7 @@ class WorkerProcess:
             self.close()
             self.process = _start_process()
         start_time = time.monotonic()
-        kill_delay = min(time_limit or threading.TIMEOUT_MAX, threading.TIMEOUT_MAX)
+        kill_delay = min(timeout or threading.TIMEOUT_MAX, threading.TIMEOUT_MAX)
         timer = threading.Timer(kill_delay, _kill_process, [self.process])
         timer.daemon = True
         timer.start()
@@ -113,11 +113,11 @@ class Pool:
     Parameters
     ----------
     jobs : maximum number of processes; each is started by its first call
-    time_limit : time limit of a call after which its process is killed, s; None for no limit
+    timeout : time limit of a call after which its process is killed, s; None for no limit
     """
 
-    def __init__(self, jobs: int, *, time_limit: float | None = None) -> None:
-        self._time_limit, self._threads = time_limit, ThreadPoolExecutor(jobs)
+    def __init__(self, jobs: int, *, timeout: float | None = None) -> None:
+        self._timeout, self._threads = timeout, ThreadPoolExecutor(jobs)
         self._workers = [WorkerProcess() for _ in range(jobs)]
         self._idle_workers = [*self._workers]
 
@@ -149,7 +149,7 @@ class Pool:
         """Run a call in an idle process; there are as many processes as threads."""
         worker = self._idle_workers.pop()
         try:
-            return worker.call(work, subject=subject, time_limit=self._time_limit)
+            return worker.call(work, subject=subject, timeout=self._timeout)
         finally:
             self._idle_workers.append(worker)
 
@@ -159,7 +159,7 @@ def run_as_completed(
     arguments: Iterable[A],
     *,
     jobs: int,
-    time_limit: float | None = None,
+    timeout: float | None = None,
     subject: Callable[[A], object] = str,
 ) -> Generator[tuple[A, Future[T]], None, None]:
     """Call a function on many arguments in parallel processes.
@@ -169,7 +169,7 @@ def run_as_completed(
     work : picklable function to call, such as a module-level function
     arguments : picklable arguments; the next one is taken whenever a process becomes free
     jobs : maximum number of processes
-    time_limit : time limit of a call after which its process is killed, s; None for no limit
+    timeout : time limit of a call after which its process is killed, s; None for no limit
     subject : function that returns the subject of a call from its argument, for messages
 
     Yields
@@ -183,7 +183,7 @@ def run_as_completed(
     """
     remaining_arguments = iter(arguments)
     arguments_by_future: dict[Future[T], A] = {}
-    with Pool(jobs, time_limit=time_limit) as pool:
+    with Pool(jobs, timeout=timeout) as pool:
 
         def start_calls(count: int) -> None:
             for argument in islice(remaining_arguments, count):

@@ -203,5 +203,6 @@ _ARGUMENT_PARSERS: Mapping[str, Callable[[str], object]] = {
     "positive": partial(_parse_integer, minimum=1),
     "nonnegative": _parse_integer,
     "integer": int,
+    "minutes": lambda text: 60.0 * _parse_integer(text, minimum=1),  # in seconds
 }
 """Parser of each type of argument in ``commands.toml``."""

@@ -49,7 +49,7 @@ def _run(
     options: argparse.Namespace, campaign: CampaignFolders, forced_folders: Sequence[str] = ()
 ) -> int:
     """Process new and changed tests, and the tests in `forced_folders`."""
-    executor = parse_executor(options.executor, options.jobs, 60.0 * options.limit_minutes)
+    executor = parse_executor(options.executor, jobs=options.jobs, timeout=options.timeout)
     make_task = partial(
         Task, figures=not options.no_figures, png=options.png, follow_links=options.follow_links
     )
@@ -62,11 +62,10 @@ def _run(
             on_start=begin,
             on_outcome=lambda folder, state: show(f"{escape_controls(folder)}: {state}"),
         )
-    overview, skipped_folders = summary.overview, summary.skipped_folders
+    overview, folders = summary.overview, summary.skipped_folders
     lines = [f"  processed {len(summary.processed_folders)} of {len(overview.rows)}"]
-    if skipped_folders:
-        names = join_names(skipped_folders)
-        lines.append(f"  {len(skipped_folders)} in use by another labpipe process: {names}")
+    if folders:
+        lines.append(f"  {len(folders)} in use by another labpipe process: {join_names(folders)}")
     failed_rows = [row for row in overview.rows.values() if row.state == FAILED]
     failures = [f"{row.folder}  {row.code}: {row.reason}" for row in failed_rows]
     lines += _list_section(FAILED, failures)

@@ -28,9 +28,9 @@ from labpipe.store.summaries import build_summary
 
 def run(options: argparse.Namespace) -> int:
     """Process tests; return 2 if a test is refused, 1 if a result failed, otherwise 0."""
-    tests, time_limit = find_tests(options.tests), 60.0 * options.limit_minutes
+    tests = find_tests(options.tests)
     processed, n_refused = process_all(
-        tests, options, out=options.out, time_limit=time_limit, follow_links=options.follow_links
+        tests, options, out=options.out, timeout=options.timeout, follow_links=options.follow_links
     )
     if not processed:
         return 2  # `process_all` has printed the reasons

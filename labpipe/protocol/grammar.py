@@ -495,9 +495,10 @@ class Block(BaseModel):
 
         Returns
         -------
-        The block and all faults. With faults, the block is a draft: an invalid value is replaced by
-        the default of its key if the default is a block, a list or a mapping, and by None
-        otherwise. The block is None if the content is no block.
+        The block and all faults. With faults, the block is a draft: an invalid mapping keeps its
+        valid entries, see `_validate_draft`. Any other invalid value is replaced by the default of
+        its key if the default is a block, a list or a mapping, and by None otherwise. The block is
+        None if the content is no block.
         """
         faults: list[Fault] = []
         try:

@@ -111,7 +111,7 @@ def test_closing_waits_for_started_calls_only(tmp_path: Path) -> None:
 
 def test_time_limit_fails_its_call_only() -> None:
     calls: list[Callable[[], Any]] = [partial(time.sleep, 60.0), partial(int, "2")]
-    late, second = run_all(calls, jobs=2, time_limit=5.0)
+    late, second = run_all(calls, jobs=2, timeout=5.0)
     with pytest.raises(ProcessingError, match=r"expected an end within 0\.08333") as died:
         late.result()
     assert died.value.code == "time_limit"
@@ -189,7 +189,7 @@ def failed(error: Exception) -> Future[Outcome]:
 @pytest.fixture(scope="module")
 def pool() -> Iterator[Pool]:
     """The one process of a watch."""
-    with Pool(1, time_limit=600.0) as pool:
+    with Pool(1, timeout=600.0) as pool:
         yield pool
 
 
