@@ -571,7 +571,8 @@ class Separability(ArrayRecord):
     singular_values : shape (n,), decreasing, singular values of the derivatives of all forces with
         respect to the logarithms of the parameters, divided by the noise: a combination with the
         singular value s has a standard error of 1 / s
-    combinations : shape (n, n), weights of the logarithms, one row per singular value
+    combinations : shape (n, n), weights of the logarithms, one row per singular value; the largest
+        weight of a row is positive
     are_identified : whether each parameter is identified, keyed by the name of the parameter
     explanation : one or two sentences on the combinations
     """

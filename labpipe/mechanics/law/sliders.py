@@ -60,6 +60,11 @@ from labpipe.records.arrays import ArrayRecord, Floats
 
 MAX_SLIDERS = 64
 """Largest number of sliders that `fit_sliders` accepts."""
+SLIP_TOLERANCE = 1e-9
+"""Relative excess over the slip limit up to which a slider counts as sticking in the stiffness.
+
+A slider that has slid is at its slip limit, up to rounding error.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -173,7 +178,8 @@ class GrowingSlider(ArrayRecord):
         slope = slopes[segment]
         solution = self.slid_curvatures[segment] + slope * (new_sum - sums[segment])
         growth = np.maximum(solution - slid_curvature, 0.0)
-        tangent = self.stiffness * np.where(growth > 0.0, 1.0 - self.stiffness * slope, 1.0)
+        is_sliding = growth > SLIP_TOLERANCE * self.slid_curvatures[-1]
+        tangent = self.stiffness * np.where(is_sliding, 1.0 - self.stiffness * slope, 1.0)
         return growth, tangent
 
 
@@ -356,7 +362,7 @@ def slide(law: SliderLaw, curvature: Floats, history: Floats) -> SliderResponse:
     trial_curvature = curvature[:, None] - history[:, : len(law.slider_stiffnesses)]
     slider_curvature = np.clip(trial_curvature, -law.slip_curvatures, law.slip_curvatures)
     moment = law.spring_stiffness * curvature + slider_curvature @ law.slider_stiffnesses
-    is_sticking = slider_curvature == trial_curvature
+    is_sticking = np.abs(trial_curvature) <= (1.0 + SLIP_TOLERANCE) * law.slip_curvatures
     stiffness = law.spring_stiffness + is_sticking @ law.slider_stiffnesses
     new_history = [curvature[:, None] - slider_curvature]
     for slider, slider_history in _split_history(law, history):
@@ -390,7 +396,8 @@ def slide_vector(law: SliderLaw, curvature: Floats, history: Floats) -> SliderRe
     slider_curvature = trial_curvature * elastic_fraction[..., None]
     moment = law.spring_stiffness * curvature + law.slider_stiffnesses @ slider_curvature
     # The unit vector b / |b| of a slider that slides; zero for a slider that sticks.
-    direction = ((magnitude > slip_curvatures) / slip_curvatures)[..., None] * slider_curvature
+    is_sliding = magnitude > (1.0 + SLIP_TOLERANCE) * slip_curvatures
+    direction = (is_sliding / slip_curvatures)[..., None] * slider_curvature
     secants = law.slider_stiffnesses * elastic_fraction
     isotropic_stiffness = law.spring_stiffness + secants.sum(axis=1)
     stiffness = isotropic_stiffness[:, None, None] * np.eye(curvature.shape[1])

@@ -24,6 +24,7 @@ from typing import TypeAlias
 import numpy as np
 
 from labpipe.mechanics.law.plays import require, require_not_negative, require_positive
+from labpipe.mechanics.law.sliders import SLIP_TOLERANCE
 from labpipe.mechanics.rod import rotations
 from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats, Ints
@@ -307,7 +308,7 @@ def compute_plane_contact(
     offset = (positions - previous_points) @ projection
     distance = np.linalg.norm(offset, axis=1)
     max_offset = plane.friction * pressure / stiffness
-    is_sliding = distance > max_offset
+    is_sliding = distance > (1.0 + SLIP_TOLERANCE) * max_offset
     divisor = np.where(distance > 0.0, distance, 1.0)
     elastic_fraction = np.where(is_sliding, max_offset / divisor, 1.0)
     elastic_fraction = np.where(is_touching, elastic_fraction, 0.0)

@@ -193,6 +193,8 @@ def find_separability(names: tuple[str, ...], jacobian: Floats, subject: str) ->
     min_singular_value = 1.0  # with a smaller value, a combination has an error of a factor of e
     max_unknown_weight = 0.05  # largest squared weight of a known parameter in unknown directions
     _, values, rows = np.linalg.svd(jacobian, full_matrices=False)
+    # The sign of a singular vector is arbitrary, and differs between processors.
+    rows *= np.sign(rows[np.arange(len(rows)), np.abs(rows).argmax(axis=1), None])
     is_unknown = values < min_singular_value
     weights = np.sum(rows[is_unknown] ** 2, axis=0)
     is_known = {
