@@ -13,8 +13,8 @@ from labpipe.records.group import BoundedStiffness, Campaign
 from labpipe.records.harness_bundle import BundleLoop, FrictionFit
 from labpipe.records.quality import Reason
 from labpipe.report.harness_figures import (
-    DrawnHarness,
     DrawnBoundary,
+    DrawnHarness,
     DrawnShape,
     DrawnSweep,
     make_bundle_page,

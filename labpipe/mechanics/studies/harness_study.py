@@ -42,8 +42,8 @@ from labpipe.records.quality import Reason
 from labpipe.records.result import Status
 from labpipe.report.harness_figures import (
     SWEEP_FIGURE,
-    DrawnHarness,
     DrawnBoundary,
+    DrawnHarness,
     DrawnShape,
     DrawnSweep,
     list_harness_figures,
