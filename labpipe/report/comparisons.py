@@ -78,10 +78,7 @@ def list_single_field_pairs(campaign: Campaign) -> list[Pair]:
     groups = {group.name: group for group in campaign.groups}
     differences = (difference for difference in campaign.differences if difference.family)
     runs = groupby(differences, key=lambda difference: (difference.first, difference.second))
-    return [
-        Pair(groups[first], groups[second], tuple(differences_of_pair))
-        for (first, second), differences_of_pair in runs
-    ]
+    return [Pair(groups[first], groups[second], tuple(run)) for (first, second), run in runs]
 
 
 class Question(NamedTuple):
@@ -151,9 +148,8 @@ def list_questions(campaign: Campaign) -> list[Question]:
     split; its first group, the reference, is in each of the smaller families.
     """
     questions = []
-    runs = groupby(list_single_field_pairs(campaign), key=lambda pair: pair.field)
-    for field, pairs_of_field in runs:
-        pairs, families = list(pairs_of_field), list[Family]()
+    for field, run in groupby(list_single_field_pairs(campaign), key=lambda pair: pair.field):
+        pairs, families = list(run), list[Family]()
         groups = {group.name: group for pair in pairs for group in (pair.first, pair.second)}
         values = {name: group.fields.get(field, "") for name, group in groups.items()}
         sorted_names = sorted(groups, key=lambda name: make_field_sort_key(field, values[name]))
@@ -348,8 +344,8 @@ def list_pair_remarks(campaign: Campaign) -> list[str]:
         if not campaign.differences:
             remarks.append(format_sentence("report.no_pair_differs", field=name))
         option, pairs = campaign.compared_field, _format_pair_count(campaign.pairs_not_shown)
-        text = format_sentence("report.pairs_left_out", field=name, option=option, pairs=pairs)
-        remarks.append(text)
+        facts = {"field": name, "option": option, "pairs": pairs}
+        remarks.append(format_sentence("report.pairs_left_out", **facts))
     # a difference belongs to a family only if the groups differ in a single field
     unjudged = (difference for difference in campaign.differences if not difference.family)
     unjudged_pairs = {(difference.first, difference.second) for difference in unjudged}
@@ -373,11 +369,9 @@ def list_family_figures(campaign: Campaign) -> Iterator[Page]:
     """
     families = [family for question in list_questions(campaign) for family in question.families]
     contexts = [describe_context(family.groups, family.field) for family in families]
-    titles = (
-        f"difference {family.field}: {context}"
-        for family, context in zip(families, contexts, strict=True)
-    )
-    for family, context, name in zip(families, contexts, make_stems(titles), strict=True):
+    fields = [family.field for family in families]
+    names = make_stems(map("difference {}: {}".format, fields, contexts))
+    for family, context, name in zip(families, contexts, names, strict=True):
         panels = make_family_plots(family, has_scaled=True)
         if panels:
             field, labels = name_field(family.field), ", ".join(family.labels)
@@ -431,7 +425,7 @@ def _make_curve_plots(
     y_ends = np.array(plots.clip_range(means, edges, max_extension))
     x = plots.make_axis("Displacement", x_scale, [line.x for line in lines])
     y = plots.make_axis(y_name, y_scale, [y_ends])
-    legend += group_plots.list_legend_entries(lines, hidden_looks=("mean",))
+    legend += group_plots.list_legend_entries(lines, unlisted=("mean",))
     title, size = f"Mean force against displacement of {group_count}.", (392, 200)
     yield Plot(x, y, lines, heading, legend=legend, kind="means", title=title, size=size)
 
@@ -448,16 +442,10 @@ def choose_main_number(family: Family) -> str:
     Name of the bending stiffness or, if not all groups have it, of the first number that all groups
     have; empty if there is no such number.
     """
-    groups = family.groups
-    names_by_group = [
-        {number.name for number in group.numbers if number.values} for group in groups
-    ]
-    common_names = [
-        number.name
-        for number in groups[0].numbers
-        if all(number.name in names for names in names_by_group)
-    ]
-    first_name = next(iter(common_names), "")
+    all_numbers = (group.numbers for group in family.groups)
+    names_by_group = [[item.name for item in numbers if item.values] for numbers in all_numbers]
+    common_names = set.intersection(*map(set, names_by_group))
+    first_name = next((name for name in names_by_group[0] if name in common_names), "")
     return "bending_stiffness" if "bending_stiffness" in common_names else first_name
 
 

@@ -29,8 +29,6 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-_STYLE_FILE = Path(__file__).with_name("labpipe.mplstyle")
-_JOURNAL_FILE = Path(__file__).with_name("journal.mplstyle")
 GREY = "#666666"
 """Colour of titles, footnotes and reasons."""
 N_COLOURS = 8
@@ -113,9 +111,11 @@ def use_style(*, is_journal: bool = False) -> Iterator[None]:
     from matplotlib.font_manager import fontManager
 
     settings: Any = mpl.rcParams
-    with mpl.rc_context(fname=str(_STYLE_FILE)), warnings.catch_warnings():
+    folder = Path(__file__).parent
+    journal_file = folder / "journal.mplstyle"
+    with mpl.rc_context(fname=str(folder / "labpipe.mplstyle")), warnings.catch_warnings():
         if is_journal:
-            settings.update(mpl.rc_params_from_file(_JOURNAL_FILE, use_default_template=False))
+            settings.update(mpl.rc_params_from_file(journal_file, use_default_template=False))
         installed_fonts = set(fontManager.get_font_names())
         fonts = (font for family in settings["font.family"] for font in settings[f"font.{family}"])
         settings["font.family"] = [font for font in fonts if font in installed_fonts]

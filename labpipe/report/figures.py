@@ -625,15 +625,14 @@ def _describe_offset(result: TestResult, shape: Shape) -> str:
     The text is also empty for a shape without fitted curves.
     """
     min_offset = 1e-5  # m; a smaller offset is not visible in the figure
-    has_curve = bool(shape.coefficients.shape[2])
-    protocol = _read_protocol(result)
+    n_terms, protocol = shape.coefficients.shape[2], _read_protocol(result)
     markers = None if protocol is None else protocol.markers
     centre_offset = 0.0 if markers is None else abs(markers.centre_offset)
-    if not _is_clamped(shape) or centre_offset < min_offset or not has_curve:
+    if not _is_clamped(shape) or centre_offset < min_offset or not n_terms:
         return ""
     scale = wording.get_scale(result.display, "displacement")
-    offset = centre_offset * scale.factor
-    return format_sentence("report.markers_beside_axis", offset=offset, unit=scale.unit)
+    facts = {"offset": centre_offset * scale.factor, "unit": scale.unit}
+    return format_sentence("report.markers_beside_axis", **facts)
 
 
 def make_shape_lines(
@@ -782,8 +781,8 @@ def make_budget_page(result: TestResult) -> Page:
     entries = [entry for entry in candidates if entry.largest_cause is not None][: budgets.MAX_BARS]
     bars = []
     for entry in entries:
-        causes = [contribution.cause for contribution in entry.budget]
-        shares = dict(zip(causes, entry.fractions, strict=True))
+        pairs = zip(entry.budget, entry.fractions, strict=True)
+        shares = {contribution.cause: share for contribution, share in pairs}
         bars.append(budgets.make_budget_bar(entry, shares, entry.interval, result.display))
     panel, height = budgets.make_budget_plot(bars), margins_mm + row_mm * len(bars)
     has_cycles = any("." in entry.name for entry in entries)

@@ -62,8 +62,8 @@ def _make_plot(
     lines: Sequence[Line],
     title: str,
     *,
-    mean_label: str = "mean",
-    hidden_looks: Sequence[str] = (),
+    band: Band | None = None,
+    unlisted: Sequence[str] = (),
     **settings: Any,
 ) -> Plot:
     """Make a plot of the lines of a group with their legend.
@@ -77,8 +77,8 @@ def _make_plot(
     kind, title : see `Plot`; the name of the group is appended to the title
     axes : horizontal and vertical axis
     lines : lines in the order of drawing
-    mean_label : label of the mean in the legend
-    hidden_looks : looks without an entry in the legend
+    band : mean curve that the plot shows; None without a mean
+    unlisted : looks without an entry in the legend
     settings : other fields of `Plot`
     """
     spools = {test.sample.specimen.spool: test.colour for test in view.tests}
@@ -91,7 +91,8 @@ def _make_plot(
             LegendEntry(f"curve {test.colour}", test.sample.test, "t", str(test.number))
             for test in view.tests
         ]
-    legend = [*entries, *list_legend_entries(lines, "class", hidden_looks, mean=mean_label)]
+    labels = {} if band is None else {"mean": f"mean of {band.n} {band.members}"}
+    legend = [*entries, *list_legend_entries(lines, "class", unlisted, **labels)]
     all_settings = {"legend": legend, "group": view.stem, "size": _SMALL_PLOT_SIZE, **settings}
     x, y = axes
     return Plot(x, y, lines, kind=kind, title=f"{title} {view.group.name}.", **all_settings)
@@ -180,10 +181,8 @@ def _make_curve_plots(view: GroupView) -> Iterator[Plot]:
     forces = [*(curve.force for curve in curves), np.array(limits)]
     y = _make_force_axis("Force", view.get_scale("force"), forces, band)
     title = f"Force against displacement of {wording.format_count(len(group.samples), 'sample')}:"
-    yield _make_plot(
-        view, "curves", (x, y), lines, title, mean_label=f"mean of {band.n} {band.members}",
-        caption=wording.join_sentences([band.reason]), size=(660, 240),
-    )  # fmt: skip
+    caption, size = wording.join_sentences([band.reason]), (660, 240)
+    yield _make_plot(view, "curves", (x, y), lines, title, band=band, caption=caption, size=size)
 
 
 def _make_force_axis(name: str, scale: wording.Scale, forces: Sequence[Floats], band: Band) -> Axis:
@@ -296,14 +295,13 @@ def make_mean_lines(band: Band, colour: str = "", group: str = "") -> Iterator[L
     rows, interval_rows = _choose_band_rows(band, band.mean), band.interval_indices
     yield Line(f"mean {colour}".strip(), band.displacement[rows], band.mean[rows], group=group)
     if len(interval_rows):
-        positions = band.displacement[interval_rows]
+        x = join_with_gaps(band.displacement[interval_rows], band.displacement[interval_rows])
         ends = join_with_gaps(band.lower[interval_rows], band.upper[interval_rows])
-        x = join_with_gaps(positions, positions)
         yield Line(f"interval {colour}".strip(), x, ends, group=group)
 
 
 def list_legend_entries(
-    lines: Sequence[Line], attribute: str = "", hidden_looks: Sequence[str] = (), **labels: str
+    lines: Sequence[Line], attribute: str = "", unlisted: Sequence[str] = (), **labels: str
 ) -> list[LegendEntry]:
     """List the legend entries for the looks of lines, in the order of ``looks.toml``.
 
@@ -311,10 +309,10 @@ def list_legend_entries(
     ----------
     lines : lines of the plot
     attribute : attribute by which the entries show and hide lines; empty for none
-    hidden_looks : looks without an entry
+    unlisted : looks without an entry
     labels : labels of looks, instead of those in ``looks.toml``
     """
-    drawn_looks = {line.look.partition(" ")[0] for line in lines}.difference(hidden_looks)
+    drawn_looks = {line.look.partition(" ")[0] for line in lines}.difference(unlisted)
     looks = read_looks().items()
     default_labels = {look: settings["sign"] for look, settings in looks if "sign" in settings}
     return [
@@ -375,9 +373,7 @@ def _make_moment_plots(view: GroupView) -> Iterator[Plot]:
     caption = "Measured from the shapes, first loading."
     caption += " Area: 95 % interval of each sample." if areas else ""
     axes = x_axis, y_axis
-    yield _make_plot(
-        view, "moment", axes, all_lines, title, hidden_looks=("band",), caption=caption
-    )
+    yield _make_plot(view, "moment", axes, all_lines, title, unlisted=("band",), caption=caption)
 
 
 def _make_scaled_plots(view: GroupView) -> Iterator[Plot]:
@@ -397,11 +393,9 @@ def _make_scaled_plots(view: GroupView) -> Iterator[Plot]:
     x = plots.make_axis("Displacement", view.get_scale("displacement"), [line.x for line in lines])
     force_ratios = [line.y for line in curves]
     y = _make_force_axis("Force / peak force", plots.PLAIN_NUMBER, force_ratios, band)
-    yield _make_plot(
-        view, "scaled", (x, y), lines, "Force over peak force against displacement of",
-        mean_label=f"mean of {band.n} {band.members}",
-        caption=format_sentence("report.scaled_caption"),
-    )  # fmt: skip
+    title = "Force over peak force against displacement of"
+    caption = format_sentence("report.scaled_caption")
+    yield _make_plot(view, "scaled", (x, y), lines, title, band=band, caption=caption)
 
 
 def _make_number_plots(group: Group) -> Iterator[Plot]:
@@ -424,7 +418,7 @@ def _make_number_plots(group: Group) -> Iterator[Plot]:
             make_dot_axis(number.name, wording.choose_number_scale(group, number), lines),
             Axis(low=0.5 - len(rows), high=0.5, row_names=tuple(rows)),
             lines,
-            legend=list_legend_entries(lines, hidden_looks=("interval",)),
+            legend=list_legend_entries(lines, unlisted=("interval",)),
             kind="numbers",
             title=f"Each sample's numbers, with 95 % intervals: {group.name}.",
             caption=caption if table_only_names else "",

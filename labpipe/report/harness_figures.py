@@ -19,8 +19,8 @@ from labpipe.report.plot_records import Axis, Line, Page, Plot, make_line
 from labpipe.report.wire_report import MOMENT_SCALE, STIFFNESS_SCALE, make_curvature_axis
 from labpipe.report.wording import FORCE_SCALE, LENGTH_SCALE, format_number, join_sentences
 
-_HARNESS_FIGURE, SWEEP_FIGURE = "harness", "harness-sweep"
-"""Names of the figures of a harness and their files, without extension."""
+SWEEP_FIGURE = "harness-sweep"
+"""Name of the figure of the lengths of a harness and of its files, without extension."""
 
 _BOUNDARY_KINDS = ("clip", "pin", "grip", "ring", "string", "load")
 """Kinds of boundaries, in the order of the legend."""
@@ -119,7 +119,7 @@ def make_harness_page(harness: DrawnHarness) -> Page:
     panels = [*(make_view(harness, view) for view in _VIEWS), _make_radius_plot(harness)]
     title, widths = f"{harness.name}  ·  shape", (1.35, 1.0)
     return Page(
-        _HARNESS_FIGURE, title, panels, harness.note, height=118.0, widths=widths, colours=colours
+        "harness", title, panels, harness.note, height=118.0, widths=widths, colours=colours
     )
 
 
@@ -135,11 +135,11 @@ def make_view(harness: DrawnHarness, view: str) -> Plot:
     -------
     A plot in which the line of the last step is coloured by its bend radius.
     """
-    axes, boundaries = list(_VIEWS[view]), harness.boundaries
+    axes = list(_VIEWS[view])
     *earlier_shapes, last_shape = harness.shapes
     positions = np.vstack([shape.positions for shape in harness.shapes])
     extent = float(np.max(np.ptp(positions, axis=0)))
-    lines = [line for plane in harness.planes for line in _make_plane_line(plane, extent, axes)]
+    lines = list(_make_plane_lines(harness, extent, axes))
     step_label = f"step {', '.join(str(shape.step) for shape in earlier_shapes)}"
     for shape in earlier_shapes:
         lines.append(make_line("earlier_step", *shape.positions[:, axes].T, label=step_label))
@@ -147,14 +147,8 @@ def make_view(harness: DrawnHarness, view: str) -> Plot:
         lines.append(_make_band(*(edge[:, axes] for edge in last_shape.band)))
     harness_line = make_line("harness_line", *last_shape.positions[:, axes].T)
     lines.append(replace(harness_line, values=last_shape.radius))
-    for kind in _BOUNDARY_KINDS:
-        boundaries_of_kind = [boundary for boundary in boundaries if boundary.kind == kind]
-        label = f"{kind} {', '.join(boundary.name for boundary in boundaries_of_kind)}"
-        for boundary in boundaries_of_kind:
-            lines += _make_boundary_lines(boundary, extent, axes, label)
-    boundary_points = [
-        points for boundary in boundaries for points in (boundary.position[None], boundary.path)
-    ]
+    lines += _make_boundary_lines(harness, extent, axes)
+    boundary_points = [np.vstack([item.position, item.path]) for item in harness.boundaries]
     all_points = np.vstack([positions, *boundary_points])[:, axes]
     names = ["xyz"[axis] for axis in axes]
     x, y = plots.make_axes_to_scale(names, LENGTH_SCALE, all_points, min_aspect=0.24)
@@ -182,38 +176,38 @@ def _make_band(lower: Floats, upper: Floats) -> Line:
     return make_line("harness_band", *np.vstack(outlines).T, is_closed=True)
 
 
-def _make_plane_line(
-    plane: tuple[Floats, Floats], extent: float, axes: list[int]
-) -> Iterator[Line]:
-    """Yield the line of a plane that is seen from the side; none if the plane faces the reader.
+def _make_plane_lines(harness: DrawnHarness, extent: float, axes: list[int]) -> Iterator[Line]:
+    """Yield the lines of the planes that are seen from the side, not of those that face the reader.
 
     Parameters
     ----------
-    plane : a point of the plane, m, and its unit normal
+    harness : data that the figure shows
     extent : largest extent of the line of the harness along an axis, m
     axes : indices of the coordinates in the view
     """
     min_projected_length = 0.5  # of the unit normal in the view
-    point, normal = (vector[axes] for vector in plane)
-    projected_length = np.hypot(*normal)
-    if projected_length >= min_projected_length:
-        half_line = 10.0 * extent / projected_length * np.array([-normal[1], normal[0]])
-        yield make_line("plane", *np.stack([point - half_line, point + half_line]).T)
+    for plane in harness.planes:
+        point, normal = (vector[axes] for vector in plane)
+        projected_length = np.hypot(*normal)
+        if projected_length >= min_projected_length:
+            half_line = 10.0 * extent / projected_length * np.array([-normal[1], normal[0]])
+            yield make_line("plane", *np.stack([point - half_line, point + half_line]).T)
 
 
-def _make_boundary_lines(
-    boundary: DrawnBoundary, extent: float, axes: list[int], label: str
-) -> Iterator[Line]:
-    """Yield the mark of a boundary, its path and its direction; see `_make_plane_line`."""
-    position, colour = boundary.position[axes], "black" if boundary.is_holding else "#bbbbbb"
-    yield make_line(f"mark_{boundary.kind}", *position, color=colour, label=label)
-    if len(boundary.path):
-        path_label = "path of a grip" if boundary.kind == "grip" and len(boundary.path) > 1 else ""
-        yield make_line("path_of_mark", *boundary.path[:, axes].T, label=path_label)
-    if boundary.direction is not None:
-        half_line = 0.06 * extent * boundary.direction[axes]
-        ends = np.stack([position - half_line, position + half_line])
-        yield make_line("direction_of_mark", *ends.T, color=colour)
+def _make_boundary_lines(harness: DrawnHarness, extent: float, axes: list[int]) -> Iterator[Line]:
+    """Yield marks, paths and directions of the boundaries; see `_make_plane_lines`."""
+    for boundary in sorted(harness.boundaries, key=lambda item: _BOUNDARY_KINDS.index(item.kind)):
+        kind, position = boundary.kind, boundary.position[axes]
+        names = [item.name for item in harness.boundaries if item.kind == kind]
+        colour = "black" if boundary.is_holding else "#bbbbbb"
+        yield make_line(f"mark_{kind}", *position, color=colour, label=f"{kind} {', '.join(names)}")
+        if len(boundary.path):
+            path_label = "path of a grip" if kind == "grip" and len(boundary.path) > 1 else ""
+            yield make_line("path_of_mark", *boundary.path[:, axes].T, label=path_label)
+        if boundary.direction is not None:
+            half_line = 0.06 * extent * boundary.direction[axes]
+            ends = np.stack([position - half_line, position + half_line])
+            yield make_line("direction_of_mark", *ends.T, color=colour)
 
 
 def _make_radius_plot(harness: DrawnHarness) -> Plot:

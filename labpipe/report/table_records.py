@@ -240,9 +240,8 @@ def make_interval_cells(
     """
     cells: Record = {name: make_number_cell(value, interval, factor), "lower": None, "upper": None}
     if interval is not None:
-        last_place = compute_last_place(
-            interval.lower if value is None else value, interval, factor
-        )
+        number = interval.lower if value is None else value
+        last_place = compute_last_place(number, interval, factor)
         ends = sorted((factor * interval.lower, factor * interval.upper))
         for heading, end in zip(("lower", "upper"), ends, strict=True):
             cells[heading] = NumberCell(end, choose_number_format(end, last_place))

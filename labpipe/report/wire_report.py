@@ -52,10 +52,8 @@ def describe_strands(table: WireTable) -> str:
     spec = table.spec
     diameters = [f"{LENGTH_SCALE.factor * diameter:.3g}" for diameter in spec.strand_diameters]
     layers = zip(diameters, spec.layer_counts, strict=True)
-    texts = [
-        f"{sum(count for _, count in equal_layers)} \u00d7 {diameter}"
-        for diameter, equal_layers in groupby(layers, key=lambda layer: layer[0])
-    ]
+    runs = groupby(layers, key=lambda layer: layer[0])
+    texts = [f"{sum(count for _, count in run)} \u00d7 {diameter}" for diameter, run in runs]
     return f"{' + '.join(texts)} {LENGTH_SCALE.unit}"
 
 
