@@ -67,9 +67,8 @@ def test_remembering_noise_has_its_autocovariance(factor: float) -> None:
     that open.
     """
     noise = judged(autoregressive(factor, (20_000,), 2))
-    steep = _list_processes(noise.longest_branch, noise.n_samples).flicker_exponent[
-        : len(noise.probabilities)
-    ]
+    processes = _list_processes(noise.longest_branch, noise.n_samples)
+    steep = processes.flicker_exponent[: len(noise.probabilities)]
     depends_on_history = np.where(steep > 0.0, 0.0, noise.probabilities)
     assert depends_on_history.sum() > (5.0 / 6.0 if factor < 0.98 else 1.0 / 3.0)
     drawn = replace(noise, probabilities=depends_on_history / depends_on_history.sum()).draw(

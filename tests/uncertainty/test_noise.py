@@ -34,9 +34,8 @@ def test_long_run_variance() -> None:
         assert np.mean(variances) == pytest.approx(4.0, rel=0.08)
     # Residuals that alternate have next to none: half of the plain one is kept.
     alternating = np.append(np.tile([1.0, -1.0], 50), np.nan)
-    assert estimate_long_run_variance(alternating, n_parameters=2) == pytest.approx(
-        0.5 * 100.0 / 98.0
-    )
+    variance = estimate_long_run_variance(alternating, n_parameters=2)
+    assert variance == pytest.approx(0.5 * 100.0 / 98.0)
     assert np.isnan(estimate_long_run_variance(alternating[:4], n_parameters=2))
 
 
