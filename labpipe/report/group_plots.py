@@ -310,15 +310,14 @@ def list_legend_entries(
     lines : lines of the plot
     attribute : attribute by which the entries show and hide lines; empty for none
     unlisted : looks without an entry
-    labels : labels of looks, instead of those in ``looks.toml``
+    labels : labels of looks, instead of their `group_label` in ``looks.toml``
     """
     drawn_looks = {line.look.partition(" ")[0] for line in lines}.difference(unlisted)
-    looks = read_looks().items()
-    default_labels = {look: settings["sign"] for look, settings in looks if "sign" in settings}
+    default_labels = {look: settings.get("group_label") for look, settings in read_looks().items()}
     return [
         LegendEntry(look, label, attribute, look if attribute else "")
         for look, label in (default_labels | labels).items()
-        if look in drawn_looks
+        if label and look in drawn_looks
     ]
 
 
