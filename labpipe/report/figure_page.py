@@ -85,9 +85,8 @@ def read_looks() -> dict[str, dict[str, Any]]:
 def _read_settings(look: str) -> dict[str, Any]:
     """Read the settings of a look, or of a look and a colour number, such as ``curve c2``."""
     look_name, _, colour_class = look.partition(" ")
-    settings = {
-        name: value for name, value in read_looks()[look_name].items() if name != "group_label"
-    }
+    settings = dict(read_looks()[look_name])
+    settings.pop("group_label", None)
     if colour_class:
         colour_number = int(colour_class[1:])
         settings["color"] = f"C{colour_number}"
