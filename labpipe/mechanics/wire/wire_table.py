@@ -391,7 +391,7 @@ def _find_helix_notes(section: CrossSection, spec: WireSpec) -> Iterator[Quality
     """
     max_silent_overlap = 0.05  # relative to the diameter of the strands
     max_overlap = 0.1  # relative to the diameter of the strands, and to the area of the bore
-    strand_area = sum(ring.count * ring.area / np.cos(ring.lay_angle) for ring in section.layers)
+    strand_area = sum(layer.section_area for layer in section.layers)
     bore_area = np.pi * (spec.wire_diameter / 2.0 - spec.insulation_thickness) ** 2
     if strand_area > (1.0 + max_overlap) * bore_area:
         areas = {"copper": strand_area * 1e6, "bore": bore_area * 1e6}

@@ -222,8 +222,7 @@ def _split_strands(section: CrossSection, exponent: float) -> LawComponent:
     moment = np.zeros_like(curvature)
     for layer in layers:
         ratio = compute_elastic_ratio(layer.material, curvature * layer.diameter / 2.0)
-        stiffness = layer.material.modulus * np.pi * layer.diameter**4 / 64.0
-        moment += layer.straight_count * stiffness * curvature * ratio
+        moment += layer.straight_count * layer.strand_stiffness * curvature * ratio
     power = 1.0 / (1.0 - exponent) if exponent > 0.0 else 0.0
     unit_moment = _interpolate_moment(curvature, moment)
     return LawComponent(_COPPER, unit_moment, float(curvature[-1]), "material", power)
