@@ -20,6 +20,7 @@ from labpipe.mechanics.wire.cantilever import (
     make_interpolation_matrix,
     make_stations,
     make_straight,
+    make_transfer_matrix,
 )
 from labpipe.mechanics.wire.first_loading import compute_end_load_path
 from labpipe.records.arrays import Floats
@@ -160,3 +161,11 @@ def test_integrals_of_polynomials_are_exact_and_a_smooth_function_is_interpolate
         assert stations.weights @ s**power == pytest.approx(1 / (power + 1))
     wanted, known = np.linspace(0.0, 1.0, 33), np.sin(3 * make_stations(24).position)
     np.testing.assert_allclose(make_interpolation_matrix(24, wanted) @ known, np.sin(3 * wanted))
+
+
+@pytest.mark.parametrize("length", [1.0, 0.12])
+def test_cached_stations_cannot_be_written(length: float) -> None:
+    stations = make_stations(8, length)
+    matrices = stations.clamp_integral, stations.tip_integral, make_transfer_matrix(8, 5)
+    for array in (stations.position, stations.weights, *matrices):
+        assert not array.flags.writeable

@@ -12,8 +12,8 @@ added force is S (3.14). With k = mu_inner |sin alpha| and c = (mu_outer + mu_in
 
 S is the integral of dF = c d(theta) + k F d(theta) from the neutral axis, where F = F0. The added
 force has the smaller of the two absolute values and the sign of T (3.16). There are two differences
-from [1]_. [1]_ uses theta instead of theta_e, so that strands with the same sine have different
-friction. [1]_ takes the smaller signed force, which in compression is never the friction force.
+from the dissertation. It uses theta instead of theta_e, so that strands with the same sine have
+different friction. It takes the smaller signed force, which in compression is never the friction.
 
 The pressure H on a strand of ring q, per radian of its lay, is never negative (3.11):
 
