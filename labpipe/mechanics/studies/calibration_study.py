@@ -42,7 +42,7 @@ from labpipe.mechanics.wire.wire_table import (
     build_wire,
     compute_insulation_limit,
     find_law_range,
-    set_parameters,
+    replace_parameters,
     tabulate_wire,
 )
 from labpipe.messages import format_sentence
@@ -290,7 +290,7 @@ def apply_calibration(spec: WireSpec, calibration: Calibration) -> WireSpec:
     coefficients.
     """
     values = {parameter.name: parameter.value for parameter in calibration.parameters}
-    return set_parameters(spec, values)
+    return replace_parameters(spec, values)
 
 
 def _calibrate(
@@ -354,7 +354,7 @@ def _calibrate_share(
         changed_values = {
             name: value * math.exp(log_changes.get(name, 0.0)) for name, value in values.items()
         }
-        changed_spec = set_parameters(spec, changed_values)
+        changed_spec = replace_parameters(spec, changed_values)
         wire = build_wire(changed_spec)
         return fit_play_law(
             wire.section,

@@ -44,7 +44,7 @@ from labpipe.mechanics.law.thinning import make_concave_law
 from labpipe.mechanics.wire.bundle_layout import (
     arrange_wires,
     compute_packing_fraction,
-    find_holding_circle,
+    find_enclosing_circle,
     fits_bore,
 )
 from labpipe.mechanics.wire.first_loading import compute_end_load_path
@@ -156,7 +156,7 @@ def _find_circle(bundle: Bundle, layout: BundleLayout) -> tuple[tuple[float, flo
     ValueError is raised if the conduit is narrower than the circle.
     """
     centres = np.column_stack([layout.x, layout.y])
-    circle_centre, radius = find_holding_circle(centres, layout.diameter)
+    circle_centre, radius = find_enclosing_circle(centres, layout.diameter)
     min_bore, bore = 2.0 * radius, bundle.conduit_bore
     if bore is not None and not fits_bore(min_bore, bore):
         message = (

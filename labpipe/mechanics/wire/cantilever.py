@@ -40,7 +40,7 @@ from labpipe.mechanics.law.plays import (
 )
 from labpipe.records.arrays import ArrayRecord, Floats, Ints, Vector
 
-DEFAULT_STATIONS = 64
+N_DEFAULT_STATIONS = 64
 """Default number of stations along a wire on a path.
 
 With more than about 100 stations, BLAS starts threads, which is slower.
@@ -513,7 +513,7 @@ StepFunction: TypeAlias = Callable[[WireState, float], WireState | None]
 
 
 def make_straight(
-    law: PlayLaw, n_stations: int = DEFAULT_STATIONS, *, self_weight: float = 0.0
+    law: PlayLaw, n_stations: int = N_DEFAULT_STATIONS, *, self_weight: float = 0.0
 ) -> WireState:
     """Make the state of a straight wire that has never been bent.
 

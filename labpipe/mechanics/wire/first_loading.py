@@ -47,7 +47,7 @@ N_LOADING_STATIONS = 24
 
 The relative differences from the forces with 160 stations are at most 3e-4, and 6e-5 on average.
 """
-PATH_STATIONS = 48
+N_PATH_STATIONS = 48
 """Number of stations along a wire that may unload.
 
 The relative differences from the loads with 160 stations are at most 1e-4.
@@ -384,7 +384,7 @@ def compute_end_load_path(
     length: float,
     deflections: Floats,
     *,
-    n_stations: int = PATH_STATIONS,
+    n_stations: int = N_PATH_STATIONS,
     self_weight: float = 0.0,
 ) -> EndLoadPath:
     """Compute end load and clamp moment at successive tip deflections, from rest.
@@ -501,15 +501,15 @@ def bend_cantilever(spec: WireSpec, curve: MomentCurve, self_weight: float) -> E
         )
         notes.append(note)
         path = _bend_to_end(law, spec.length, 0.0)
-    target_deflection = _LAST_PATH_DEFLECTION * spec.length
-    if path.deflection[-1] < target_deflection:
+    nominal_deflection = _LAST_PATH_DEFLECTION * spec.length
+    if path.deflection[-1] < nominal_deflection:
         note = QualityNote.of(
             "mechanics.wire.cantilever_cut",
             spec.place,
             length=length_mm,
-            reached=1e3 * path.deflection[-1],
-            wanted=1e3 * target_deflection,
-            last=curve.curvature[-1],
+            deflection=1e3 * path.deflection[-1],
+            nominal_deflection=1e3 * nominal_deflection,
+            last_curvature=curve.curvature[-1],
         )
         notes.append(note)
     return replace(path, notes=tuple(notes))
