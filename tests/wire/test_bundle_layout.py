@@ -142,9 +142,7 @@ def test_hexagons(number: int, core: int, farthest: float) -> None:
         assert angle == pytest.approx(np.arange(6) * 60.0, abs=1e-9)
     # Around the middle of three, points of the lattice stay points of the lattice.
     middle = np.array([0.5, 12.0**-0.5])
-    steps = (_cut_lattice(number, middle) + middle) @ np.linalg.inv(
-        [[1.0, 0.0], [0.5, 0.75**0.5]]
-    )
+    steps = (_cut_lattice(number, middle) + middle) @ np.linalg.inv([[1.0, 0.0], [0.5, 0.75**0.5]])
     assert steps == pytest.approx(np.round(steps), abs=1e-9)
 
 

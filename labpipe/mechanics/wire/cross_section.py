@@ -195,9 +195,7 @@ def compute_tube_moment(tube: Insulation, curvature: Floats) -> BendingMoment:
         stiffness = tube.bending_stiffness
         return BendingMoment(stiffness * curvature, np.full(np.shape(curvature), stiffness))
     diameters = 2.0 * tube.outer_radius, 2.0 * tube.bore_radius
-    outer, inner = (
-        compute_strand_moment(tube.curve, diameter, curvature) for diameter in diameters
-    )
+    outer, inner = (compute_strand_moment(tube.curve, d, curvature) for d in diameters)
     tangent_stiffness = outer.tangent_stiffness - inner.tangent_stiffness
     return BendingMoment(outer.moment - inner.moment, tangent_stiffness)
 

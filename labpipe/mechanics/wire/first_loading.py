@@ -56,7 +56,7 @@ _N_COARSE_STATIONS = 12
 """Number of stations of the coarse wire, on which Newton's steps are computed."""
 _MOMENT_TOLERANCE = 1e-5
 """Largest last change of the moments, relative to the largest moment."""
-_COARSE_MOMENT_TOLERANCE = 1e-3
+_COARSE_TOLERANCE = 1e-3
 """As `_MOMENT_TOLERANCE`, for the coarse wire, whose solution is the first guess for the wire."""
 _UNLOADING_DEFLECTION = 0.7
 """Approximate deflection, relative to the length, at which stations at the tip begin to unload."""
@@ -211,9 +211,7 @@ def find_equilibria(
     wire = replace(one_grid_wire, coarse_wire=coarse)
     start = None if guess is None else (guess.moment, guess.tension)
     if start is None:
-        start = _solve_from_linear(
-            table, coarse, bend_from_rest, tolerance=_COARSE_MOMENT_TOLERANCE
-        )
+        start = _solve_from_linear(table, coarse, bend_from_rest, tolerance=_COARSE_TOLERANCE)
     solution = None if start is None else _solve_from_guess(wire, *start)
     solve_one_grid = partial(_solve_from_linear, table, tolerance=_MOMENT_TOLERANCE)
     solution = solution or solve_one_grid(one_grid_wire, bend_from_rest)
@@ -440,11 +438,10 @@ def compute_end_load_path(
     for deflection in deflections[len(rising_deflections) :].tolist():
         state = deflect(law, state, length, deflection)
         load, clamp_moment = np.append(load, state.load), np.append(clamp_moment, state.moment[0])
-    n_within = int(np.argmin(np.append(is_within(law, clamp_moment[1:]), False)))
+    n_valid = int(np.argmin(np.append(is_within(law, clamp_moment[1:]), False)))
     rest = _describe_rest(rest_state, length) if self_weight > 0.0 else None
-    load, clamp_moment = load[1 : n_within + 1], clamp_moment[1 : n_within + 1]
-    load_above_rest = load - (0.0 if rest is None else rest.force)
-    return EndLoadPath(deflections[:n_within], load_above_rest, clamp_moment, rest)
+    load_above_rest = load[1 : n_valid + 1] - (0.0 if rest is None else rest.force)
+    return EndLoadPath(deflections[:n_valid], load_above_rest, clamp_moment[1 : n_valid + 1], rest)
 
 
 def _describe_rest(state: WireState, length: float) -> WireAtRest:
