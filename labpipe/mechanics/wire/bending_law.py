@@ -266,11 +266,9 @@ def make_ring_model(
         radii = np.where(ring_index == q, radius, rms_radii[q])[:end_index]
         k = inner_friction * abs(np.sin(layer.lay_angle))
         friction_angle = np.abs(compute_friction_angle(k, np.arcsin(sine[:end_index])))
-        helix_rate = (
-            np.tan(abs(layer.lay_angle)) / rms_radii[q] if contacts.has_lay_lengths else 1.0
-        )
+        lay_rate = np.tan(abs(layer.lay_angle)) / rms_radii[q] if contacts.has_lay_lengths else 1.0
         is_outer_ring = np.arange(len(layers)) > q
-        pressure_factors = np.where(is_outer_ring, radial_forces, 0.0) / (layer.count * helix_rate)
+        pressure_factors = np.where(is_outer_ring, radial_forces, 0.0) / (layer.count * lay_rate)
         ring = Ring(
             start_index=end_index - layer.count,
             end_index=end_index,
@@ -314,12 +312,8 @@ def compute_axial_forces(model: RingModel, curvature: Floats) -> AxialForces:
     for q in reversed(range(len(model.rings))):
         ring, sign = model.rings[q], model.sign[: model.rings[q].end_index]
         pressure = compute_ring_pressure(model, q, outer_forces)
-        slope_terms = [
-            factor * outer_slope[:, : ring.end_index]
-            for factor, outer_slope in zip(
-                ring.pressure_factors[q + 1 :], outer_slopes, strict=True
-            )
-        ]
+        pairs = zip(ring.pressure_factors[q + 1 :], outer_slopes, strict=True)
+        slope_terms = [factor * outer_slope[:, : ring.end_index] for factor, outer_slope in pairs]
         # Without contact the pressure is constant at 0.
         pressure_slope = np.where(pressure > 0.0, np.sum(slope_terms, axis=0), 0.0)
         stick_force = curvature[:, : ring.end_index] * ring.stick_stiffness

@@ -139,13 +139,12 @@ def _assign_types(
     Type of the wire on each site: one assignment for an asymmetric or symmetric bundle, several
     random assignments for a packed bundle.
     """
-    n_assignments = 8  # random assignments of up to 100 wires; half the number for more wires
     if arrangement == "asymmetric":
         return [stack_types(sites, counts, stiffnesses)]
     if arrangement == "symmetric":
         return [spread_types(sites, counts)]
     rng = np.random.default_rng(_SEED)
-    n_assignments = n_assignments if len(sites) <= _MAX_SEARCHED_WIRES else n_assignments // 2
+    n_assignments = 8 if len(sites) <= _MAX_SEARCHED_WIRES else 4
     return [_assign_at_random(counts, rng) for _ in range(n_assignments)]
 
 
@@ -387,7 +386,7 @@ def _search_densest_heap(n_wires: int) -> Floats:
     """
     n_random_starts = 8  # starts of the heap in addition to sections of the lattice
     n_edge_steps = 8  # steps along an edge of the triangle of `_LATTICE_CENTRES`
-    start_radius = 0.55  # wire diameters, radius of random starts for one wire, grows with sqrt(n)
+    start_radius = 0.55  # radius of random starts, wire diameters per root of the number of wires
     rng = np.random.default_rng(_SEED)
     diameters = np.ones(n_wires)
     # By symmetry, centres outside the triangle of `_LATTICE_CENTRES` give the same sections.

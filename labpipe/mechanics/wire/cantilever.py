@@ -424,9 +424,8 @@ class Cantilever:
 
         The derivative of the residual is the identity minus a smoothing integral operator. It is
         therefore sufficient to compute the smooth part of a step on the coarse stations (two-grid
-        iteration,
-        Atkinson, The Numerical Solution of Integral Equations of the Second Kind, 1997, section
-        6.2).
+        iteration, Atkinson, The Numerical Solution of Integral Equations of the Second Kind, 1997,
+        section 6.2).
         """
         if self.coarse_wire is None:
             jacobian = bent.compute_jacobian()

@@ -247,7 +247,11 @@ def _solve_from_linear(
     rest = level_wire.solve(moment[None], np.array([tip_force + weight]), tolerance=tolerance)
     if rest is None:
         return None
-    clamp_moment = _guess_clamp_moment(table, length, deflection)
+    # The law is extrapolated linearly to the curvatures at the clamp of a linear wire.
+    ratio = deflection / length
+    curvature = 3.0 * ratio / (1.0 - 0.5 * ratio**2) / length
+    clamp_moment = np.interp(curvature, table.curvature, table.moment)
+    clamp_moment += np.maximum(curvature - table.curvature[-1], 0.0) / table.end_compliance[-1]
     load_guess = rest[1] + clamp_moment / length
     guess = rest[0] + clamp_moment[:, None] * (1.0 - position / length), load_guess
     solution = wire.solve(*guess, tolerance=tolerance)
@@ -294,17 +298,6 @@ def _make_curve(
         stiffness=derivatives[0],
         tension_sensitivity=derivatives[1:],
     )
-
-
-def _guess_clamp_moment(table: LoadingTable, length: float, deflections: Floats) -> Floats:
-    """Guess moments at the clamp, N m, from the curvatures of a linear wire, shape (n,).
-
-    The law is interpolated linearly between its knots, and extrapolated linearly.
-    """
-    relative_deflection = deflections / length
-    curvature = 3.0 * relative_deflection / (1.0 - 0.5 * relative_deflection**2) / length
-    moment_beyond = np.maximum(curvature - table.curvature[-1], 0.0) / table.end_compliance[-1]
-    return np.asarray(np.interp(curvature, table.curvature, table.moment) + moment_beyond)
 
 
 def interpolate_force(curve: LoadingCurve, deflection: Floats) -> tuple[Floats, Floats]:

@@ -123,11 +123,10 @@ class StressTable:
         slopes = np.diff(stresses) / np.diff(strains)
         is_valid = bool(np.all(np.isfinite(slopes)) and slopes[0] > 0.0 and np.all(slopes >= 0.0))
         require("stresses", stresses[1:].tolist(), "positive and not decreasing", holds=is_valid)
-        steepest_index = int(np.argmax(slopes))
-        steepest_slope = slopes[steepest_index]
-        if steepest_slope > slopes[0] * (1.0 + 1e-9):  # tolerance for rounding errors
+        steepest = int(np.argmax(slopes))  # index of the steepest segment
+        if slopes[steepest] > slopes[0] * (1.0 + 1e-9):  # tolerance for rounding errors
             message = (
-                f"slope {steepest_slope:.4g} Pa from strain={strains[steepest_index]:.4g} is above "
+                f"slope {slopes[steepest]:.4g} Pa from strain={strains[steepest]:.4g} is above "
                 f"the first, {slopes[0]:.4g} Pa: slopes must not exceed the modulus"
             )
             raise ValueError(message)

@@ -67,10 +67,10 @@ def tabulate_wire(spec: WireSpec) -> WireTable:
     Returns
     -------
     The table. Its curvatures are zero, 200 logarithmically spaced values over the last four decades
-    of the range, and the slip onsets of the strands. An onset below a millionth of the
-    largest curvature is reported as zero. The notes are those of `build_wire` and
-    ``range_shortened``, ``tension``, ``slips_at_once``, ``insulation_doubtful``, ``cantilever_cut``
-    and ``weight_left_out``.
+    of the range, and the slip onsets of the strands. An onset below a millionth of the largest
+    curvature is reported as zero. The notes are those of `build_wire` and ``range_shortened``,
+    ``tension``, ``slips_at_once``, ``insulation_doubtful``, ``cantilever_cut`` and
+    ``weight_left_out``.
 
     Raises
     ------
@@ -81,9 +81,9 @@ def tabulate_wire(spec: WireSpec) -> WireTable:
 
     Notes
     -----
-    The law is that of `labpipe.mechanics.wire.bending_law`. The cantilever is clamped at one
-    end, with an end load normal to the undeformed axis. The first point is at rest, where the end
-    load holds the tip level against the weight of the wire.
+    The law is that of `labpipe.mechanics.wire.bending_law`. The cantilever is clamped at one end,
+    with an end load normal to the undeformed axis. The first point is at rest, where the end load
+    holds the tip level against the weight of the wire.
     """
     wire = build_wire(spec)
     largest_curvature, range_notes = find_law_range(spec, axial_strain=wire.axial_strain)
@@ -406,9 +406,7 @@ def _find_helix_notes(section: CrossSection, spec: WireSpec) -> Iterator[Quality
     yield QualityNote.of("mechanics.wire.helices_overlap", spec.place, percent=percent)
 
 
-def find_law_range(
-    spec: WireSpec, *, axial_strain: float = 0.0
-) -> tuple[float, tuple[QualityNote, ...]]:
+def find_law_range(spec: WireSpec, *, axial_strain: float = 0.0) -> tuple[float, list[QualityNote]]:
     """Find the curvature up to which the law of a wire is tabulated.
 
     Parameters
@@ -430,7 +428,7 @@ def find_law_range(
     """
     min_radius_diameters = 5.0  # wire diameters; harnesses are rarely bent to smaller radii
     largest_curvature = spec.largest_curvature or 1.0 / (min_radius_diameters * spec.wire_diameter)
-    notes: tuple[QualityNote, ...] = ()
+    notes: list[QualityNote] = []
     strand_diameter, wire_diameter = max(spec.strand_diameters), spec.wire_diameter
     for table, diameter, body in (
         (spec.stress_table, strand_diameter, f"a strand of {strand_diameter * 1e3:.3g} mm"),
@@ -455,7 +453,8 @@ def find_law_range(
             last_strain=last_strain,
             tension_text=tension_text,
         )
-        largest_curvature, notes = table_end, (*notes, note)
+        notes.append(note)
+        largest_curvature = table_end
     return largest_curvature, notes
 
 

@@ -233,13 +233,11 @@ def _fit_without_prior(minima: Minima, index: int, choice: ParameterChoice) -> P
 
     The size of a conflict is the square root of the decrease of the objective without the prior.
     """
-    lowest_fit, problem = minima.fit, minima.fit.problem
+    best, problem = minima.fit, minima.fit.problem
     precision = np.where(np.arange(P) == index, 0.0, problem.prior_precision)
     free_problem = replace(problem, prior_precision=precision)
     fits = [
-        search(
-            free_problem, lowest_fit.levels, minimum.fit.unknowns, guess=minimum.fit.model_forces
-        )
+        search(free_problem, best.levels, minimum.fit.unknowns, guess=minimum.fit.model_forces)
         for minimum in minima.local_minima
     ]
     fit = min(fits, key=lambda fit: fit.objective)
@@ -251,7 +249,7 @@ def _fit_without_prior(minima: Minima, index: int, choice: ParameterChoice) -> P
         centre=float(np.exp(problem.prior_centre[index])),
         factor=float(choice.factor or np.nan),
         estimate=float(np.exp(fit.logs[index])),
-        size=float(np.sqrt(max(lowest_fit.objective - fit.objective, 0.0))),
+        size=float(np.sqrt(max(best.objective - fit.objective, 0.0))),
         freedom=float(freedom),
         source=choice.source,
     )
@@ -373,8 +371,8 @@ def predict(
     (linear in their logarithms) and of the gain. The band of a measured curve also contains the
     scatter of samples and noise. With several solutions, a band extends from the lowest lower limit
     to the highest upper limit of all solutions. A solution with a higher objective has a narrower
-    band. Differences between the two wires (dimensions, lots of copper and insulation)
-    are not included.
+    band. Differences between the two wires (dimensions, lots of copper and insulation) are not
+    included.
 
     Raises
     ------

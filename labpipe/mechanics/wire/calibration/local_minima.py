@@ -132,15 +132,17 @@ def find_minima(problem: Problem, logs: Floats) -> Minima:
     for minimum in line_minima:
         if minimum is not lowest and minimum.objective - lowest.objective <= objective.MAX_RISE:
             fits += _search_from(fit, minimum)
-    fits = _select_distinct(fits)
-    best = fits[0]
-    line = sorted(
-        [best, *(point for point in line if _is_separate(point, best))], key=_get_strength
-    )
+    distinct_fits: list[Fit] = []  # two searches may end in the same minimum
+    for fit in sorted(fits, key=lambda fit: fit.objective):
+        if all(_is_separate(fit, distinct_fit) for distinct_fit in distinct_fits):
+            distinct_fits.append(fit)
+    best = distinct_fits[0]
+    line = [best, *(point for point in line if _is_separate(point, best))]
+    line.sort(key=_get_strength)
     rises = [0.0 if fit is best else max(fit.objective - lowest.objective, 0.0) for fit in line]
     local_minima = tuple(
         LocalMinimum(fit, rise, variances.estimate_uncertainty(fit), variances.make_mixture(fit))
-        for fit in fits
+        for fit in distinct_fits
         if (rise := max(fit.objective - best.objective, 0.0)) <= objective.MAX_RISE
     )
     unknowns = np.array([fit.unknowns[: P + 1] for fit in line])
@@ -150,15 +152,6 @@ def find_minima(problem: Problem, logs: Floats) -> Minima:
 def _is_separate(first: Fit, second: Fit) -> bool:
     """Return whether two fits differ clearly in the strength of the copper."""
     return abs(_get_strength(first) - _get_strength(second)) > _MIN_SEPARATION
-
-
-def _select_distinct(fits: list[Fit]) -> list[Fit]:
-    """Select distinct minima, the lowest first; two searches may end in the same minimum."""
-    distinct_fits: list[Fit] = []
-    for fit in sorted(fits, key=lambda fit: fit.objective):
-        if all(_is_separate(fit, other) for other in distinct_fits):
-            distinct_fits.append(fit)
-    return distinct_fits
 
 
 def _search_from(fit: Fit, start: Fit) -> list[Fit]:
@@ -471,13 +464,10 @@ def find_line_range(minima: Minima, index: int, factor: float) -> tuple[float, f
     limits = np.maximum(_compute_limits(minima, directions), 1e-30)
     height = np.sqrt(minima.line_rise / limits / factor)
     values, is_inside = minima.line_unknowns[:, index], height <= 1.0
-    ends = [values[is_inside]]
-    for start, stop in ((slice(None, -1), slice(1, None)), (slice(1, None), slice(None, -1))):
-        crosses = is_inside[start] & ~is_inside[stop]
-        low, high = height[start][crosses], height[stop][crosses]
-        fraction = (1.0 - low) / (high - low)
-        ends.append(values[start][crosses] + fraction * (values[stop] - values[start])[crosses])
-    range_values = np.concatenate(ends)
+    crosses = is_inside[:-1] != is_inside[1:]
+    fraction = (1.0 - height[:-1][crosses]) / np.diff(height)[crosses]
+    ends = values[:-1][crosses] + fraction * np.diff(values)[crosses]
+    range_values = np.append(values[is_inside], ends)
     return float(range_values.min()), float(range_values.max())
 
 

@@ -323,16 +323,15 @@ def compare_curves(
         return CurveMatch(all_missing, None, n_points, text)
     is_shared = (deflection[0] <= points) & (points <= deflection[-1])
     n_shared, text = int(is_shared.sum()), ""
-    range_text = f"{1e3 * deflection[0]:.3g} to {1e3 * deflection[-1]:.4g} mm, the range of {label}"
+    span = f"{1e3 * deflection[0]:.3g} to {1e3 * deflection[-1]:.4g} mm, the range of {label}"
     if n_shared < MIN_COMPARED_POINTS:
         text = (
             f"{n_shared} of {n_points} points, from {1e3 * points[0]:.4g} to "
-            f"{1e3 * points[-1]:.4g} mm, lie within {range_text}: expected at least "
-            f"{MIN_COMPARED_POINTS}"
+            f"{1e3 * points[-1]:.4g} mm, lie within {span}: expected at least {MIN_COMPARED_POINTS}"
         )
         return CurveMatch(all_missing, None, n_points, text)
     if n_shared < n_points:
-        text = f"{n_points - n_shared} of {n_points} points left out, outside of {range_text}"
+        text = f"{n_points - n_shared} of {n_points} points left out, outside of {span}"
     lower = upper = all_missing
     if band is not None:
         lower, upper = (np.interp(points, deflection, limit) for limit in band)

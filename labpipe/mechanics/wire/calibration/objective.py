@@ -12,8 +12,7 @@ and tau is the scatter of the samples. u_g and u_p are standard uncertainties of
 priors p_0. The factors multiply the forces of the model, because a covariance computed from
 measured forces would bias the model to small forces if the scatter is large (Peelle's puzzle). For
 fixed levels v and tau, the objective is -2 times the logarithm of the likelihood and the priors, up
-to a constant. It is minimised by damped
-Gauss-Newton steps within the bounds.
+to a constant. It is minimised by damped Gauss-Newton steps within the bounds.
 
 The unknowns are in one vector: the logarithms of P parameters, then that of the gain, then those of
 the factors of the samples.

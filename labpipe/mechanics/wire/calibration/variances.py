@@ -299,10 +299,15 @@ def make_mixture(fit: Fit) -> ScatterMixture:
     the standard error due to noise of the factor of a sample. Smaller scatters have no effect.
     """
     min_probability = 1e-6  # smallest probability of a scatter that is included
+    min_factor = 0.3  # smallest scatter relative to the noise error of the factor of a sample
+    max_factor = 1000.0  # largest scatter relative to that error or to the estimated scatter
+    n_scatters = 64
     linear, levels = make_linear_model(fit), fit.levels
     ratios = np.array([levels.scatter**2 / levels.noise])
     if fit.problem.scatter is None and fit.problem.n_samples > 1:
-        ratios = _space_variance_ratios(linear, levels)
+        noise_error = float(np.median(linear.grams[:, P, P])) ** -0.5
+        largest = max_factor * max(levels.scatter / np.sqrt(levels.noise), noise_error)
+        ratios = np.geomspace(min_factor * noise_error, largest, n_scatters) ** 2
     estimates = [linear.estimate_noise(float(ratio)) for ratio in ratios]
     deviances = np.array([deviance for _, deviance in estimates])
     likelihood = np.exp(-0.5 * (deviances - deviances.min()))
@@ -319,13 +324,3 @@ def make_mixture(fit: Fit) -> ScatterMixture:
         np.array([covariance for _, covariance in posteriors])[is_likely],
         float(linear.freedom),
     )
-
-
-def _space_variance_ratios(linear: LinearModel, levels: Levels) -> Floats:
-    """Return a grid of ratios of the variance of samples to that of noise."""
-    min_factor = 0.3  # relative to the standard error due to noise of the factor of a sample
-    max_factor = 1000.0  # relative to the estimated scatter
-    n_scatters = 64
-    noise_error = float(np.median(linear.grams[:, P, P])) ** -0.5
-    largest = max_factor * max(levels.scatter / np.sqrt(levels.noise), noise_error)
-    return np.geomspace(min_factor * noise_error, largest, n_scatters) ** 2
