@@ -29,14 +29,13 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-_STYLE_FILE = Path(__file__).with_name("labpipe.mplstyle")
-_JOURNAL_FILE = Path(__file__).with_name("journal.mplstyle")
 GREY = "#666666"
+"""Colour of titles, footnotes and reasons."""
 N_COLOURS = 8
 """Number of colours for spools, groups and wires."""
 _MM_PER_INCH, _POINTS_PER_INCH = 25.4, 72.0
 _LEFT_EDGE = 0.012
-"""Left edge of texts, as a fraction of the width of the page."""
+"""Left edge of title, footnote and legend, as a fraction of the width of the page."""
 DASHED = (0, (4, 1.6))
 """Dash of lines for unloading and for doubtful results."""
 _DASHES: tuple[Any, ...] = (
@@ -84,9 +83,10 @@ def read_looks() -> dict[str, dict[str, Any]]:
 
 
 def _read_settings(look: str) -> dict[str, Any]:
-    """Read the settings of a look, such as ``curve c2`` with the number of a colour."""
+    """Read the settings of a look, or of a look and a colour number, such as ``curve c2``."""
     look_name, _, colour_class = look.partition(" ")
-    settings = {name: value for name, value in read_looks()[look_name].items() if name != "sign"}
+    settings = dict(read_looks()[look_name])
+    settings.pop("group_label", None)
     if colour_class:
         colour_number = int(colour_class[1:])
         settings["color"] = f"C{colour_number}"
@@ -97,7 +97,7 @@ def _read_settings(look: str) -> dict[str, Any]:
 
 @contextmanager
 def use_style(*, is_journal: bool = False) -> Iterator[None]:
-    """Draw and save in the style of labpipe inside a block; global settings are restored after it.
+    """Apply the style of labpipe inside a block; global settings are restored after it.
 
     Parameters
     ----------
@@ -105,16 +105,18 @@ def use_style(*, is_journal: bool = False) -> Iterator[None]:
 
     Notes
     -----
-    Matplotlib's warning about a letter that is missing from all fonts is suppressed. The figure
-    shows a box instead of the letter; summary, page and workbook show the letter.
+    Matplotlib's warning about a character that is missing from all fonts is suppressed. The figure
+    shows a box instead of the character; summary, page and workbook show the character.
     """
     import matplotlib as mpl
     from matplotlib.font_manager import fontManager
 
     settings: Any = mpl.rcParams
-    with mpl.rc_context(fname=str(_STYLE_FILE)), warnings.catch_warnings():
+    folder = Path(__file__).parent
+    journal_file = folder / "journal.mplstyle"
+    with mpl.rc_context(fname=str(folder / "labpipe.mplstyle")), warnings.catch_warnings():
         if is_journal:
-            settings.update(mpl.rc_params_from_file(_JOURNAL_FILE, use_default_template=False))
+            settings.update(mpl.rc_params_from_file(journal_file, use_default_template=False))
         installed_fonts = set(fontManager.get_font_names())
         fonts = (font for family in settings["font.family"] for font in settings[f"font.{family}"])
         settings["font.family"] = [font for font in fonts if font in installed_fonts]
@@ -173,8 +175,8 @@ def draw_page(page: Page) -> Figure:
 
 
 def _fit_texts(figure: Figure) -> None:
-    """Replace unprintable letters and shorten the lines of all texts."""
-    max_line_length = 150
+    """Replace unprintable characters and shorten the lines of all texts."""
+    max_line_length = 150  # characters
     from matplotlib.text import Text
 
     for text in figure.findobj(Text):
@@ -259,7 +261,7 @@ def _make_colour_mapping(axis: Axis) -> Any:
 
 
 def _draw_label(label: Label, plot: Plot, axes: Axes) -> None:
-    """Draw a label; an infinite coordinate is at the end of the axis."""
+    """Draw a label; an infinite coordinate is the lower or the upper end of the axis."""
     coordinates = [(label.x, plot.x.scale.factor), (label.y, plot.y.scale.factor)]
     x, y = (
         float(value > 0) if math.isinf(value) else factor * value for value, factor in coordinates
@@ -406,14 +408,14 @@ def save_pages(
     pages : figures; each is drawn and released before the next
     folder : folder of the files; it is created if it does not exist
     say : function that is called with the name of each figure before it is drawn
-    run : key of the run of the figures, which is written to SVG and PNG; may be empty
+    run : key of the run that made the results, which is written to SVG and PNG; may be empty
     png, pdf : whether each figure is also written as PNG or PDF; the SVG does not depend on them
     dpi : dots per inch of the PNG
     is_journal : whether letters have serifs and colours are those of journals
 
     Returns
     -------
-    Paths of the files in the order of the figures. For each figure, SVG is before PNG and PDF.
+    Paths of the files in the order of the figures; for each figure SVG, then PNG, then PDF.
 
     Raises
     ------
@@ -431,11 +433,6 @@ def save_pages(
             say(page.name)
             files += _save_page(page, folder, run=run, dpi=dpi if png else None, is_pdf=pdf)
         return files
-
-
-def list_pngs(pages: Iterable[Page], folder: str) -> list[str]:
-    """List the paths that the PNG files of figures have in a folder, whether they exist or not."""
-    return [f"{folder}/{page.name}.png" for page in pages]
 
 
 @contextmanager
@@ -486,9 +483,9 @@ def encode_figure(page: Page) -> str:
 
     Returns
     -------
-    Address with an SVG. Its letters are drawn as outlines, so that it looks the same in every
+    Address with an SVG. Its characters are drawn as outlines, so that it looks the same in every
     browser.
     """
-    file = BytesIO()
-    draw_page(page).savefig(file, format="svg", metadata={"Date": None})
-    return f"data:image/svg+xml;base64,{base64.b64encode(file.getvalue()).decode()}"
+    image = BytesIO()
+    draw_page(page).savefig(image, format="svg", metadata={"Date": None})
+    return f"data:image/svg+xml;base64,{base64.b64encode(image.getvalue()).decode()}"

@@ -665,7 +665,7 @@ def make_bounds_table(campaign: Campaign) -> Table | None:
             scale.label("Nothing slips"): Cell(nothing_slips, directions),
             "Share of the range": Cell(degree_text, wording.join_sentences(stiffness.reasons)),
         })  # fmt: skip
-    notes = format_sentence("report.bounds_of_bundles"), format_sentence("report.share_of_the_way")
+    notes = format_sentence("report.bounds_of_bundles"), format_sentence("report.share_of_range")
     return tabulate("Between slipping and sticking", rows, notes=notes)
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from labpipe.errors import ProcessingError, UsageError, sort_by_likeness
-from labpipe.mechanics.decks import write_decks
+from labpipe.mechanics.decks import make_deck_texts, write_decks
 from labpipe.mechanics.law.plays import PlayLaw
 from labpipe.mechanics.studies.calibration_file import CalibrationStudy, build_json
 from labpipe.mechanics.studies.first_loadings import (
@@ -157,15 +157,14 @@ def calibrate_tests(
         curve, file = measured_curves[0], loadings_of_wire[0].file
         shapes = compare_shapes(file, model, curve.length, curve.rig, float(curve.deflection.max()))
         study = replace(study, shapes={curve.test: shapes} if shapes else {})
-    wire_tables = [
-        tabulate_wire(apply_calibration(specs[wire], calibration)) for wire in tested_wires
-    ]
+    tables = [tabulate_wire(apply_calibration(specs[wire], calibration)) for wire in tested_wires]
     report = reports.CalibrationReport(calibration, groups, study.shapes, study.comparisons)
 
     def write_others(folder: Path) -> list[Path]:
         """Write the workbook and the decks into a folder."""
         reports.save_calibration_workbook(report, folder / CALIBRATION_WORKBOOK)
-        return [folder / CALIBRATION_WORKBOOK, *write_decks(wire_tables, folder)]
+        texts_by_wire = {table.name: make_deck_texts(table) for table in tables}
+        return [folder / CALIBRATION_WORKBOOK, *write_decks(texts_by_wire, folder)]
 
     say("tables and decks")
     written_files = write_study(

@@ -141,7 +141,7 @@ def estimate_zero_error(time: Floats, values: Floats, duration: float | None = N
     the number of values in `duration`.
     """
     finite_values = values[~np.isnan(values)]
-    variance = estimate_long_run_variance(finite_values, parameters=1)
+    variance = estimate_long_run_variance(finite_values, n_parameters=1)
     if np.isnan(variance):
         return 0.0
     total_duration = float(time[-1] - time[0])
