@@ -264,8 +264,8 @@ def _get_strength(fit: Fit) -> float:
 
 def _compute_barrier(line: list[Fit], first: Fit, second: Fit) -> float:
     """Compute the height of the line between two minima, above the higher minimum."""
-    start, stop = _get_strength(first), _get_strength(second)
-    heights = [fit.objective for fit in line if start < _get_strength(fit) < stop]
+    low, high = _get_strength(first), _get_strength(second)
+    heights = [fit.objective for fit in line if low < _get_strength(fit) < high]
     return max(heights, default=-np.inf) - max(first.objective, second.objective)
 
 
@@ -319,9 +319,9 @@ def compute_widening(line: list[Fit], base: Fit) -> float:
     -------
     Ratio of the quantiles, at least 1.
     """
-    start = next(index for index, fit in enumerate(line) if fit is base)
+    base_index = next(index for index, fit in enumerate(line) if fit is base)
     products = compute_differences(line, base)
-    sides = range(start - 1, -1, -1), range(start + 1, len(line))
+    sides = range(base_index - 1, -1, -1), range(base_index + 1, len(line))
     angle = sum(_sum_angles(products, side) for side in sides)
     return compute_tube_quantile(angle) / NORMAL_95
 
@@ -463,12 +463,12 @@ def find_line_range(minima: Minima, index: int, factor: float) -> tuple[float, f
     directions = minima.line_unknowns - minima.fit.unknowns[: P + 1]
     limits = np.maximum(_compute_limits(minima, directions), 1e-30)
     height = np.sqrt(minima.line_rise / limits / factor)
-    values, is_inside = minima.line_unknowns[:, index], height <= 1.0
+    logs, is_inside = minima.line_unknowns[:, index], height <= 1.0
     crosses = is_inside[:-1] != is_inside[1:]
     fraction = (1.0 - height[:-1][crosses]) / np.diff(height)[crosses]
-    ends = values[:-1][crosses] + fraction * np.diff(values)[crosses]
-    range_values = np.append(values[is_inside], ends)
-    return float(range_values.min()), float(range_values.max())
+    crossing_logs = logs[:-1][crosses] + fraction * np.diff(logs)[crosses]
+    range_logs = np.append(logs[is_inside], crossing_logs)
+    return float(range_logs.min()), float(range_logs.max())
 
 
 def _compute_limits(minima: Minima, directions: Floats) -> Floats:
