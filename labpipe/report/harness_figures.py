@@ -17,7 +17,13 @@ from labpipe.report import plot_records as plots
 from labpipe.report.figure_page import DASHED, sample_colour_map
 from labpipe.report.plot_records import Axis, Line, Page, Plot, make_line
 from labpipe.report.wire_report import MOMENT_SCALE, STIFFNESS_SCALE, make_curvature_axis
-from labpipe.report.wording import FORCE_SCALE, LENGTH_SCALE, format_number, join_sentences
+from labpipe.report.wording import (
+    FORCE_SCALE,
+    LENGTH_SCALE,
+    format_number,
+    format_percent,
+    join_sentences,
+)
 
 FIGURE, SWEEP_FIGURE = "harness", "harness-sweep"
 """Names of the figures of a harness and their files, without extension."""
@@ -427,7 +433,7 @@ def make_loop_page(name: str, fit: FrictionFit) -> Page:
             make_line("modelled_cycles", deflection, model_force, color=colour, label=label),
             plots.make_horizontal_line("zero", 0.0),
         ]
-        panels.append(Plot(x, y, lines, f"{heading}, error {_format_percent(error)} of the peak"))
+        panels.append(Plot(x, y, lines, f"{heading}, error {format_percent(error)} of the peak"))
     title = f"{name}  ·  friction between the wires"
     return Page(LOOP_FIGURE, title, panels, describe_friction(fit), height=82.0, shared_axes="xy")
 
@@ -439,17 +445,12 @@ def describe_friction(fit: FrictionFit) -> str:
     held_percentage = format_number(fit.held, Interval(fit.held_lower, fit.held_upper), 100.0)
     return format_sentence(
         "report.friction_of_bundle",
-        composite=_format_percent(fit.composite_share),
+        composite=format_percent(fit.composite_share),
         kink=LENGTH_SCALE.factor * fit.loop.kink[0],
         tape=f"; the tape slides beyond {slide_mm:.3g} mm" if np.isfinite(slide_mm) else "",
         held=held_percentage,
         work=1e3 * fit.loss,
         predicted_work=1e3 * fit.predicted_loss,
-        error_fitted=_format_percent(fit.error_fitted),
-        error_left_out=_format_percent(fit.error_held_out),
+        error_fitted=format_percent(fit.error_fitted),
+        error_left_out=format_percent(fit.error_held_out),
     )
-
-
-def _format_percent(ratio: float) -> str:
-    """Format a ratio in per cent with two significant digits."""
-    return f"{100.0 * ratio:.2g} %"

@@ -26,6 +26,7 @@ from labpipe.report.wording import (
     format_label,
     format_mean,
     format_number,
+    format_percent,
     format_with_interval,
     is_main,
     replace_names,
@@ -61,6 +62,14 @@ def test_only_what_cannot_be_shown_is_replaced() -> None:
 def test_digits_of_an_interval(value: float, half: float | None, expected: str) -> None:
     interval = None if half is None else Interval(value - half, value + half)
     assert format_number(value, interval).text == expected
+
+
+@pytest.mark.parametrize(
+    ("ratio", "text"),
+    [(0.0012, "0.12 %"), (0.0996, "10 %"), (0.996, "100 %"), (12.34, "1200 %")],
+)
+def test_percentages_have_no_exponent(ratio: float, text: str) -> None:
+    assert format_percent(ratio) == text
 
 
 def test_digits_asked_for_and_an_estimate_that_stands_apart() -> None:
