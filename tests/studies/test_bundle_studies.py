@@ -205,15 +205,18 @@ def test_the_second_cycle_is_predicted_from_the_first(tmp_path: Path) -> None:
 
 
 def test_bounds_without_a_loop(tmp_path: Path) -> None:
-    bent = bent_bundle()
+    bent, figures = bent_bundle(), tmp_path / "out" / "figures"
+    figures.mkdir(parents=True)
+    (figures / "bundle-loop.svg").touch()  # of an earlier run
     no_kink = "the test has no kink (kink_displacement, kink_force), where its wires slip"
     for name, result, reason in (
         ("curve", replace(bent, curve=None), "the test has no curve with branches"),
         ("kink", replace(bent, results=()), no_kink),
     ):
         test = written(result, tmp_path / name)
-        modelled = model_bundle(test, wires=EXAMPLES, out=tmp_path / "out", figures=False)
+        modelled = model_bundle(test, wires=EXAMPLES, out=tmp_path / "out")
         assert (modelled.friction, modelled.no_friction) == (None, reason)
+        assert [path.name for path in figures.iterdir()] == ["bundle.svg"]
         content = json.loads((tmp_path / "out" / "bundle.json").read_text())
         assert content["no_friction"] == reason
     unmeasured = replace(bent, specimen=replace(bent.specimen, dimensions={}))

@@ -281,7 +281,7 @@ def model_bundle(
             modelled = replace(modelled, no_friction=str(error))
     earlier_files, pages = [], []
     if figures:
-        earlier_files = [f"{FIGURES_FOLDER}/{stem}.png" for stem in (BUNDLE_FIGURE, LOOP_FIGURE)]
+        earlier_files = [f"{FIGURES_FOLDER}/{LOOP_FIGURE}.{ending}" for ending in ("svg", "png")]
         pages = [make_bundle_page(model)]
     if figures and modelled.friction is not None:
         pages.append(make_loop_page(name, modelled.friction))
