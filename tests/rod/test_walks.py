@@ -218,6 +218,8 @@ def test_faults_of_boundaries_are_said() -> None:
         follow(line, [clamp(line), Load(11, np.zeros(3))], steps=2)
     with pytest.raises(ValueError, match=r"tip: force has 4 rows; expected 1 or steps \+ 1 = 3"):
         follow(line, [clamp(line), Load(-1, np.zeros((4, 3)), name="tip")], steps=2)
+    with pytest.raises(ValueError, match=r"point=\[\[0.0, .*: must be one point"):
+        Plane(ramp((0.0, 0.0, 0.1), 2))
     with pytest.raises(ValueError, match="step 0: node 0 is held twice"):
         follow(line, [clamp(line), Held(0, line.positions[0])], steps=2)
 
