@@ -98,9 +98,8 @@ def format_percent(ratio: float) -> str:
     >>> format_percent(0.0193), format_percent(12.34), format_percent(math.nan)
     ('1.9 %', '1230 %', '')
     """
-    if not math.isfinite(ratio):
-        return ""
-    return wording.format_percent(ratio, 3 if ratio >= 0.1 else 2)
+    digits = 3 if ratio >= 0.1 else 2
+    return wording.format_percent(ratio, digits) if math.isfinite(ratio) else ""
 
 
 def format_length(length: float) -> str:

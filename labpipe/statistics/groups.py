@@ -432,8 +432,8 @@ def average_result(
     -------
     The result over all samples. The mean includes doubtful results, which keep their status in
     `values`. It excludes, each with its reason, failed results, samples without the result
-    (``no_result``), values that are not finite (``not_finite``) or in another unit than most results
-    (``other_unit``), and `exclusions`.
+    (``no_result``), values that are not finite (``not_finite``) or in another unit than most
+    results (``other_unit``), and `exclusions`.
     """
     results, spools = dict[str, Result | None](), dict[str, str]()
     for key, sample in zip(name_samples(samples), samples, strict=True):

@@ -201,9 +201,8 @@ class Plane:
     name: str = ""
 
     def __post_init__(self) -> None:
-        points = _read_path("point", self.point, 3)
-        require("point", points.tolist(), "one point", holds=len(points) == 1)
-        _set_fields(self, point=points[0], normal=_read_direction("normal", self.normal))
+        point = _read_path("point", [self.point], 3)[0]  # a path of points has another shape
+        _set_fields(self, point=point, normal=_read_direction("normal", self.normal))
         require_not_negative("friction", self.friction)
 
     def shift(self, height: float) -> Plane:

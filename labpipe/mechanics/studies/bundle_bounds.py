@@ -48,7 +48,6 @@ from labpipe.records.quality import Reason
 from labpipe.records.result import TestResult, find_result
 from labpipe.records.wire import WireSpec, WireTable
 from labpipe.report.harness_figures import (
-    BUNDLE_FIGURE,
     LOOP_FIGURE,
     make_bundle_page,
     make_loop_page,
