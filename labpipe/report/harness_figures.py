@@ -115,15 +115,15 @@ def make_harness_page(harness: DrawnHarness) -> Page:
     """
     max_radius_ratio = 40.0  # larger radii, relative to the allowed radius, have one colour
     low, high = harness.allowed_radius, max_radius_ratio * harness.allowed_radius
-    colours = Axis("Bend radius", LENGTH_SCALE, low, high, is_log=True)
-    panels = [*(make_view(harness, view) for view in _VIEWS), _make_radius_plot(harness)]
+    colour_axis = Axis("Bend radius", LENGTH_SCALE, low, high, is_log=True)
+    panels = [*(make_view_plot(harness, view) for view in _VIEWS), _make_radius_plot(harness)]
     title, widths = f"{harness.name}  ·  shape", (1.35, 1.0)
     return Page(
-        "harness", title, panels, harness.note, height=118.0, widths=widths, colours=colours
+        "harness", title, panels, harness.note, height=118.0, widths=widths, colour_axis=colour_axis
     )
 
 
-def make_view(harness: DrawnHarness, view: str) -> Plot:
+def make_view_plot(harness: DrawnHarness, view: str) -> Plot:
     """Make the panel of the line of a harness, its planes and its boundaries from one side.
 
     Parameters
