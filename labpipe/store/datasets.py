@@ -366,8 +366,7 @@ def _check_storage(dataset: Any) -> None:
     else:
         is_complete = dataset.get_storage_size() >= prod(shape) * dataset.dtype.itemsize
     if not is_complete:
-        size = prod(shape)
-        raise StoreError.about("store.part_of_dataset", *_locate_dataset(dataset), size=size)
+        raise StoreError.about("store.part_of_dataset", *_locate_dataset(dataset), size=prod(shape))
 
 
 def _locate_dataset(identifier: Any) -> tuple[str, str]:

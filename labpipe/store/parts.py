@@ -398,8 +398,7 @@ def _read_curve(root: Any) -> dict[str, Any]:
     if b"curve" not in root:
         return {"curve": None}
     group = h5g.open(root, b"curve")
-    time_unit = read_text(h5d.open(group, b"time"), "unit")
-    branches = read_table(group, "branches", Branch, time_unit)
+    branches = read_table(group, "branches", Branch, read_text(h5d.open(group, b"time"), "unit"))
     return {
         "curve": read_record(group, Curve, branches=branches),
         "slips": _read_optional_table(group, "slips", Slip),

@@ -261,8 +261,10 @@ def _check_schema(path: Path, root: Any) -> None:
     if schema is None:
         raise StoreError.about("store.foreign", path, SCHEMA_ATTRIBUTE, known=current_schema)
     if schema != current_schema:
-        code = "store.newer_schema" if schema > current_schema else "store.other_schema"
-        raise StoreError.about(code, path, SCHEMA_ATTRIBUTE, known=current_schema, schema=schema)
+        raise StoreError.about(
+            "store.newer_schema" if schema > current_schema else "store.other_schema",
+            path, SCHEMA_ATTRIBUTE, known=current_schema, schema=schema,
+        )  # fmt: skip
 
 
 def _check_links(path: Path, root: Any) -> None:

@@ -8,8 +8,7 @@ from functools import lru_cache
 from itertools import product
 
 import numpy as np
-from scipy.fft import dct, fft
-from scipy.special import beta, stdtr, stdtrit
+import scipy
 
 from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats, Ints
@@ -245,7 +244,7 @@ class SpectrumLikelihood:
         """
         n_coefficients, count = basis.shape
         terms = min(count, n_cosines)
-        cosines = np.asarray(dct(np.vstack([basis, values]), norm="ortho"))[:, :terms]
+        cosines = np.asarray(scipy.fft.dct(np.vstack([basis, values]), norm="ortho"))[:, :terms]
         spectra = processes.compute_spectra(np.pi * np.arange(terms) / count)
         return cls.from_cosines(spectra, cosines[n_coefficients:], cosines[:n_coefficients].T)
 
@@ -360,7 +359,7 @@ def compute_covariance(basis: Floats, processes: Processes) -> Floats:
     """
     padding_times = 40.0
     length = basis.shape[1] + int(padding_times * processes.time.max())
-    waves = fft(basis, length, axis=1).T / np.sqrt(length)
+    waves = scipy.fft.fft(basis, length, axis=1).T / np.sqrt(length)
     spectra = processes.compute_spectra(2.0 * np.pi * np.arange(length) / length)
     return _weigh_products(spectra, waves.real) + _weigh_products(spectra, waves.imag)
 
@@ -519,17 +518,17 @@ def _compute_half_widths(noise: SpectrumPosterior, variances: Floats, offsets: F
     deviations = np.sqrt(np.maximum(variances, 0.0))
     positive_deviations = np.where(deviations > 0.0, deviations, 1.0)
     mean_logarithm = noise.probabilities @ np.log(positive_deviations)
-    half_widths: Floats = stdtrit(noise.dof, 0.975) * np.exp(mean_logarithm)
+    half_widths: Floats = scipy.special.stdtrit(noise.dof, 0.975) * np.exp(mean_logarithm)
     smallest = 0.1 * half_widths
     is_relevant = noise.probabilities > min_probability
     weights, spreads = noise.probabilities[is_relevant], positive_deviations[is_relevant]
     centres, dof = offsets[is_relevant] / spreads, noise.dof
     for _ in range(12):
         upper, lower = half_widths / spreads - centres, half_widths / spreads + centres
-        coverage = weights @ (stdtr(dof, upper) - stdtr(dof, -lower))
+        coverage = weights @ (scipy.special.stdtr(dof, upper) - scipy.special.stdtr(dof, -lower))
         # Densities of Student's t-distribution.
         kernels = [(1.0 + t * t / dof) ** (-0.5 * (dof + 1)) for t in (upper, lower)]
-        density = sum(kernels) / (np.sqrt(dof) * beta(0.5, 0.5 * dof))
+        density = sum(kernels) / (np.sqrt(dof) * scipy.special.beta(0.5, 0.5 * dof))
         step = (0.95 - coverage) / (weights @ (density / spreads))
         half_widths = np.maximum(half_widths + step, smallest)
         if np.all(np.abs(step) <= 1e-6 * half_widths):

@@ -15,8 +15,7 @@ from math import ceil
 from typing import NamedTuple
 
 import numpy as np
-from scipy import fft
-from scipy.special import chdtri
+import scipy
 
 from labpipe.records.arrays import Flags, Floats, Ints, Singles
 from labpipe.uncertainty.autocorrelation import (
@@ -140,7 +139,7 @@ class NoiseModel:
             # Power that ends at the edge of a band is correlated over its inverse width.
             margin_time = max(margin_time, 2.0 * self.longest / _BAND_WAVES)
         margin = min(count, ceil(margin_time) + 1)
-        length = fft.next_fast_len(count + margin, real=True)
+        length = scipy.fft.next_fast_len(count + margin, real=True)
         angle = np.linspace(0.0, np.pi, length // 2 + 1)
         drawn_processes, process_indices = np.unique(chosen, return_inverse=True)
         # Cosine and sine have half of the power each. The first wave, and the wave at half the
@@ -160,7 +159,7 @@ class NoiseModel:
             amplitudes = scale[rows, None] * slow_amplitude[indices]
             waves[:, : 2 * first_fast] *= amplitudes.astype(np.float32)
             waves[:, 2 * first_fast :] *= fast_amplitude
-            records = fft.irfft(waves.view(np.complex64), length, axis=1)
+            records = scipy.fft.irfft(waves.view(np.complex64), length, axis=1)
             yield records[:, :count].astype(np.float32, copy=False)
 
 
@@ -241,8 +240,8 @@ def estimate_noise(
     if np.median(power) <= width * (_ROUNDING_FRACTION * span) ** 2:
         return _make_zero_noise(longest)
     terms = min(_HALF_WAVES, width)
-    waves = fft.dct(residuals, norm="ortho", axis=1)[:, :terms]
-    columns = fft.dct(basis, norm="ortho", axis=0)[:terms]
+    waves = scipy.fft.dct(residuals, norm="ortho", axis=1)[:, :terms]
+    columns = scipy.fft.dct(basis, norm="ortho", axis=0)[:terms]
     processes = _list_processes(longest, count)
     spectra = processes.compute_spectra(np.pi * np.arange(terms) / width)
     is_level = power <= _CORNER_VARIANCE_RATIO * np.median(power)
@@ -253,7 +252,7 @@ def estimate_noise(
         most_probable = spectra[np.argmax(posterior.probabilities)]
         whitened = _compute_whitened_squares(most_probable, waves[is_similar], columns)
         dof = terms - columns.shape[1]
-        limit_ratio = chdtri(dof, kink_probability) / chdtri(dof, 0.5)
+        limit_ratio = scipy.special.chdtri(dof, kink_probability) / scipy.special.chdtri(dof, 0.5)
         has_kink = whitened > np.median(whitened) * limit_ratio
         if not has_kink.any():
             break
@@ -407,11 +406,11 @@ def _measure_fast_wave_power(
     angles = np.pi * np.arange(first, longest - _BAND_WAVES, _BAND_WAVES) / longest
     power = np.zeros(len(angles))
     for residuals in branch_residuals:
-        sums = np.append(0.0, np.cumsum(fft.dct(residuals, norm="ortho") ** 2))
+        sums = np.append(0.0, np.cumsum(scipy.fft.dct(residuals, norm="ortho") ** 2))
         waves = np.append(angles, np.pi) * len(residuals) / np.pi
         band_sums = np.diff(np.interp(waves, np.arange(len(residuals) + 1), sums))
         power += band_sums / np.diff(waves) * len(residuals) / sum(map(len, branch_residuals))
-    piece_power = np.mean(fft.dct(level_residuals, norm="ortho", axis=1) ** 2, axis=0)
+    piece_power = np.mean(scipy.fft.dct(level_residuals, norm="ortho", axis=1) ** 2, axis=0)
     piece_angles = np.pi * np.arange(len(piece_power)) / len(piece_power)
     is_fast = piece_angles >= angles[0]
     piece_power, piece_angles = piece_power[is_fast], piece_angles[is_fast]

@@ -20,7 +20,7 @@ from itertools import pairwise
 from typing import Literal, TypeAlias
 
 import numpy as np
-from scipy.special import ndtri
+import scipy
 
 from labpipe.records.arrays import Floats, Samples
 from labpipe.records.causes import RESOLUTION_OF_FORCE
@@ -295,7 +295,7 @@ class Replicates:
         # The draws are stratified: there is one in each of `count` equal parts of the distribution.
         quantiles = (rng.permutation(count) + rng.uniform(0.0, 1.0, count)) / count
         compute_errors: dict[Distribution, Callable[[Floats], Floats]] = {
-            "normal": ndtri,
+            "normal": scipy.special.ndtri,
             "uniform": lambda x: np.sqrt(3.0) * (2.0 * x - 1.0),
             "step": np.negative,
             "ends": lambda x: -np.rint(x),
