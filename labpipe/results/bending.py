@@ -326,7 +326,7 @@ def fit_secant_stiffness(
     scaled_time = centred_time / np.abs(centred_time).max()
     residuals = f - slope * d
     noise = residuals - np.polynomial.Polynomial.fit(scaled_time, residuals, 3)(scaled_time)
-    variance = estimate_long_run_variance(noise, parameters=4)
+    variance = estimate_long_run_variance(noise, n_parameters=4)
     error = float(np.sqrt(variance * (centred_time @ centred_time)) / abs(travel))
     return Estimate(slope, error, count)
 
