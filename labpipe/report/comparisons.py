@@ -81,7 +81,7 @@ def list_single_field_pairs(campaign: Campaign) -> list[Pair]:
     return [Pair(groups[first], groups[second], tuple(run)) for (first, second), run in runs]
 
 
-class Question(NamedTuple):
+class FieldComparison(NamedTuple):
     """Comparisons of groups that differ in a single field, which is the same for all.
 
     Parameters
@@ -96,36 +96,36 @@ class Question(NamedTuple):
     families: Sequence[Family]
 
     @property
-    def answers(self) -> Table:
+    def verdict_table(self) -> Table:
         """Table of the verdicts, a row per pair."""
         headings = ("Comparison", "Verdict", "Difference (95 %, corrected)", "n")
-        rows = list(map(make_answer_cells, self.pairs))
+        rows = list(map(make_verdict_cells, self.pairs))
         return Table(f"Verdicts: {name_field(self.field)}", headings, rows)
 
     @property
-    def tables(self) -> list[Table]:
+    def pair_tables(self) -> list[Table]:
         """Table of each pair, with a row per number."""
         return list(map(make_pair_table, self.pairs))
 
     @property
     def summary(self) -> tuple[str, str, str, str]:
-        """Question, verdict, difference and counts of the pair that differs most.
+        """Name, verdict, difference and counts of the pair that differs most.
 
-        With several pairs, the question lists the values of the field, and the verdict is the count
-        of each verdict.
+        With several pairs, the name lists the values of the field, and the verdict is the count of
+        each verdict.
         """
         pairs = self.pairs
         largest_pair = max(pairs, key=_make_pair_sort_key)
-        question, verdict, difference, counts = make_answer_cells(largest_pair)
+        name, verdict, difference, counts = make_verdict_cells(largest_pair)
         if len(pairs) == 1:
-            return question.text, verdict.text, difference, counts
+            return name.text, verdict.text, difference, counts
         values = {value for pair in pairs for value in pair.differences[0].fields[self.field]}
         sorted_values = sorted(values, key=lambda value: make_field_sort_key(self.field, value))
-        question_text = f"{name_field(self.field)}: {', '.join(sorted_values)}"
+        name_text = f"{name_field(self.field)}: {', '.join(sorted_values)}"
         n_pairs = Counter(pair.differences[0].verdict for pair in pairs)
         verdicts = [f"{str(kind).upper()} {n_pairs[kind]}" for kind in Verdict if n_pairs[kind]]
         difference_text = f"{difference}, largest of {len(pairs)} pairs"
-        return question_text, ", ".join(verdicts), difference_text, counts
+        return name_text, ", ".join(verdicts), difference_text, counts
 
 
 def _make_pair_sort_key(pair: Pair) -> tuple[bool, float]:
@@ -135,7 +135,7 @@ def _make_pair_sort_key(pair: Pair) -> tuple[bool, float]:
     return difference.verdict is Verdict.DIFFERENT, abs(change) if isfinite(change) else 0.0
 
 
-def list_questions(campaign: Campaign) -> list[Question]:
+def list_field_comparisons(campaign: Campaign) -> list[FieldComparison]:
     """List the fields in which groups are compared, with their pairs and families.
 
     Parameters
@@ -144,10 +144,10 @@ def list_questions(campaign: Campaign) -> list[Question]:
 
     Returns
     -------
-    Questions in the order of the comparisons. A family of more than `MAX_COMPARED_GROUPS` groups is
+    The fields in the order of their pairs. A family of more than `MAX_COMPARED_GROUPS` groups is
     split; its first group, the reference, is in each of the smaller families.
     """
-    questions = []
+    field_comparisons = []
     for field, run in groupby(list_single_field_pairs(campaign), key=lambda pair: pair.field):
         pairs, families = list(run), list[Family]()
         groups = {group.name: group for pair in pairs for group in (pair.first, pair.second)}
@@ -158,8 +158,8 @@ def list_questions(campaign: Campaign) -> list[Question]:
             reference, *other_groups = (groups[name] for name in names)
             subsets = split_pages(other_groups, MAX_COMPARED_GROUPS - 1)
             families += [Family(field, (reference, *subset)) for subset in subsets]
-        questions.append(Question(field, pairs, families))
-    return questions
+        field_comparisons.append(FieldComparison(field, pairs, families))
+    return field_comparisons
 
 
 def _collect_linked_sets(names: Sequence[str], links: set[frozenset[str]]) -> Iterator[list[str]]:
@@ -277,7 +277,7 @@ def make_pair_table(pair: Pair) -> Table:
     return tabulate(f"{name_comparison(pair)}, {equal_fields}", rows, notes=notes)
 
 
-def make_answer_cells(pair: Pair) -> tuple[Cell, Cell, str, str]:
+def make_verdict_cells(pair: Pair) -> tuple[Cell, Cell, str, str]:
     """Make the cells of the comparison of a pair in its first number.
 
     Parameters
@@ -367,7 +367,8 @@ def list_family_figures(campaign: Campaign) -> Iterator[Page]:
     ----------
     campaign : groups and their differences
     """
-    families = [family for question in list_questions(campaign) for family in question.families]
+    field_comparisons = list_field_comparisons(campaign)
+    families = [family for comparison in field_comparisons for family in comparison.families]
     contexts = [describe_context(family.groups, family.field) for family in families]
     fields = [family.field for family in families]
     names = make_stems(map("difference {}: {}".format, fields, contexts))
@@ -377,7 +378,9 @@ def list_family_figures(campaign: Campaign) -> Iterator[Page]:
             field, labels = name_field(family.field), ", ".join(family.labels)
             equal_fields = describe_equal_fields(family.groups, family.field)
             caption = f"{field}: {labels}; {equal_fields}. Protocol: {family.groups[0].protocol}."
-            yield group_plots.make_page(name, f"{field}  \u00b7  {context}", panels, 3, caption)
+            yield group_plots.make_group_page(
+                name, f"{field}  \u00b7  {context}", panels, 3, caption
+            )
 
 
 def make_family_plots(

@@ -79,7 +79,7 @@ _MAX_LEGEND_CYCLES = 6
 The cycles of a test have the colours of the style up to this number, and colours of a colour map
 beyond it.
 """
-_LINE_STYLES: dict[Direction, Any] = {Direction.LOADING: "-", Direction.UNLOADING: DASHED}
+_BRANCH_DASHES: dict[Direction, Any] = {Direction.LOADING: "-", Direction.UNLOADING: DASHED}
 """Dash of the line of a branch, keyed by the direction of the branch."""
 
 
@@ -124,13 +124,16 @@ def _make_curve_lines(result: TestResult) -> Iterator[Line]:
         # one more sample makes the lines of neighbouring branches meet
         rows = slice(branch.start, branch.stop + 1)
         label = f"cycle {branch.cycle}" if n_cycles > 1 and branch.cycle in legend_cycles else ""
-        settings = {"color": colours[branch.cycle - 1], "linestyle": _LINE_STYLES[branch.direction]}
+        settings = {
+            "color": colours[branch.cycle - 1],
+            "linestyle": _BRANCH_DASHES[branch.direction],
+        }
         yield make_thinned_line("branch", x[rows], y[rows], label=label, **settings)
     legend_colour = GREY if n_cycles > 1 else colours[0]
     directions = {branch.direction for branch in branches}
-    for direction, style in _LINE_STYLES.items() if n_cycles > 1 or len(directions) > 1 else ():
+    for direction, dash in _BRANCH_DASHES.items() if n_cycles > 1 or len(directions) > 1 else ():
         if direction in directions:
-            settings = {"color": legend_colour, "linestyle": style}
+            settings = {"color": legend_colour, "linestyle": dash}
             yield plots.make_legend_line("branch", label=str(direction), **settings)
     _, cycle_numbers = curve.assign_samples()
     for cycle, colour in enumerate(colours, start=1):

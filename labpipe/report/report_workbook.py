@@ -84,7 +84,7 @@ def _list_tables(campaign: Campaign) -> Iterator[Table | None]:
     has_scaled_bands = any(group.scaled_band is not None for group in campaign.groups)
     lot_records = (_make_lot_record(group, group.lot) for group in campaign.groups if group.lot)
     yield _tabulate_unless_empty("lots", lot_records)
-    yield _tabulate_unless_empty("answers", map(_make_answer_record, pairs))
+    yield _tabulate_unless_empty("answers", map(_make_verdict_record, pairs))
     yield tabulate("key numbers", map(_make_key_record, sorted_groups))
     yield tabulate("means", _list_means(campaign))
     yield _tabulate_tests(campaign)
@@ -125,7 +125,7 @@ def _make_lot_record(group: Group, lot: Lot) -> Record:
     }
 
 
-def _make_answer_record(pair: comparisons.Pair) -> Record:
+def _make_verdict_record(pair: comparisons.Pair) -> Record:
     """Make the record of the verdict on the first number of a pair."""
     difference = pair.differences[0]
     record = _make_difference_record(difference, wording.get_display(pair.first))

@@ -77,6 +77,11 @@ def shorten(text: str, max_length: int) -> str:
     return f"{text[: max_length - 1 - tail_length]}…{text[len(text) - tail_length :]}"
 
 
+def format_percent(ratio: float, digits: int = 2) -> str:
+    """Format a ratio in per cent with significant digits, such as ``12 %`` or ``1200 %``."""
+    return f"{float(f'{100.0 * ratio:.{digits}g}'):g} %"  # 1.2e+03 becomes 1200
+
+
 def format_count(count: int, noun: str) -> str:
     """Format a count with its noun, such as ``1 sample`` or ``3 samples``."""
     return f"{count} {noun}{'s' * (count != 1)}"
@@ -420,8 +425,8 @@ def _round_together(numbers: Sequence[float], last_place: int) -> list[str]:
 
 def _round_to_place(number: float, last_place: int) -> str:
     """Format a number down to a power of ten, such as ``52.3`` for the power -1."""
-    rounded = round(number, -last_place)
-    return f"{rounded + 0.0:.{max(-last_place, 0)}f}"  # + 0.0 removes the sign of a zero
+    # + 0.0 removes the sign of a zero
+    return f"{round(number, -last_place) + 0.0:.{max(-last_place, 0)}f}"
 
 
 def format_with_interval(

@@ -21,7 +21,7 @@ from labpipe.report.harness_figures import (
     make_harness_page,
     make_loop_page,
     make_sweep_page,
-    make_view,
+    make_view_plot,
 )
 from labpipe.report.page_tables import make_bounds_table
 from tests.approved import Approve
@@ -91,7 +91,7 @@ SWEEP = DrawnSweep(
 
 
 def test_a_view_has_the_line_with_its_radius() -> None:
-    lines = {line.look: line for line in make_view(HARNESS, "side").lines}
+    lines = {line.look: line for line in make_view_plot(HARNESS, "side").lines}
     shown, band = lines["harness_line"], lines["harness_band"]
     assert (shown.x[0], shown.y[0], shown.x[-1], shown.y[-1]) == pytest.approx((0.0, 0.0, 0.1, 0.1))
     assert shown.values == pytest.approx(np.full(11, 0.1))
