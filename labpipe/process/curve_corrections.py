@@ -278,7 +278,7 @@ def _filter_branches(test: ReducedTest, loss_start: int | Failure | None) -> Red
     cut_times = [branch.start_time for branch in curve.branches]
     cut_times += [branch.stop_time for branch in curve.branches]
     cut_times += [float(curve.time[loss_start])] if isinstance(loss_start, int) else []
-    unfiltered_signals = {**signals.raw, signals.force: test.unfiltered or test.raw_force}
+    unfiltered_signals = {**signals.raw, signals.force: test.unfiltered_force or test.raw_force}
     curve_values = {"force": curve.force, "displacement": curve.displacement}
     for name, quantity in signals.quantities.items():
         if name not in signals.filters:
@@ -376,10 +376,9 @@ def measure_slack(test: ReducedTest, read_slack: Choice) -> MeasuredNumber | Fai
     # The line of a taut specimen may meet zero force before the curve begins, by this fraction of
     # the travel.
     taut_fraction = 1e-3
-    measured = return_failure(test.measure)(read_slack)
-    if isinstance(measured, Failure):
-        return measured
-    slack, trace = measured[0], make_trace(test)
+    slack, trace = return_failure(test.measure_number)(read_slack), make_trace(test)
+    if isinstance(slack, Failure):
+        return slack
     if np.isnan(slack.deviations).mean() > max_falling_fraction:
         return Failure.of("process.not_rising")
     start = select_first_loading(trace).start

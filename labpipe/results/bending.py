@@ -31,7 +31,7 @@ from labpipe.records.estimates import Estimate, Failure, UnavailableError, retur
 from labpipe.records.quality import Finding, Reason
 from labpipe.results import kinds
 from labpipe.results.curves import compute_slope, require_samples, require_travel
-from labpipe.results.kinds import Kind, Part, ReducedTest, Stiffness
+from labpipe.results.kinds import Kind, MeasuredItem, ReducedTest, Stiffness
 from labpipe.results.stiffness import DerivedKind, RangeKind
 from labpipe.signal.turning_points import estimate_noise_level
 from labpipe.uncertainty.autocorrelation import estimate_long_run_variance
@@ -262,7 +262,7 @@ class BendingStiffness(DerivedKind):
             rigidity = slope * compute_beam_factor(trace.sizes[self.length_key], self.support)
             return np.asarray(rigidity / (np.nan if isinstance(ratio, Failure) else ratio[0]))
 
-        return test.measure_one(combine_numbers(compute_rigidity, stiffness.choose_samples))
+        return test.measure_number(combine_numbers(compute_rigidity, stiffness.choose_samples))
 
     def collect_context(self, test: ReducedTest, stiffness: Stiffness) -> dict[str, Any]:
         """Return a remark on the corrections and their sizes."""
@@ -350,7 +350,7 @@ class TipTravel(Kind):
         "largest distance of the last point of the shape from its mean over five frames"
     )
 
-    def measure(self, test: ReducedTest) -> Iterator[Part]:
+    def measure(self, test: ReducedTest) -> Iterator[MeasuredItem]:
         """Measure the largest distance of the last point of the shape from its first position."""
         if test.shape is None:
             raise UnavailableError.of("results.no_shape")
@@ -378,13 +378,13 @@ class MomentCurvature(Kind):
     ] = "secant"
     name: Annotated[SnakeName, "Such as bending_stiffness_at_20"] = "bending_stiffness"
 
-    def measure(self, test: ReducedTest) -> Iterator[Part]:
+    def measure(self, test: ReducedTest) -> Iterator[MeasuredItem]:
         """Measure the secant or tangent stiffness of the law at a curvature."""
         bending = test.require(test.bending, Failure.of("results.no_bent_loading"))
         law = test.require(bending.law or bending.reason, Failure.of("results.no_law"))
         outcome = return_failure(self._read_stiffness)(law)
         scale = 0.0 if isinstance(outcome, Failure) else law.scale_error * abs(outcome.value)
-        error, period = {SCALE_OF_FORCE: scale}, test.find_loading_interval()
+        error, period = {SCALE_OF_FORCE: scale}, test.find_loading_period()
         doubts = tuple(self.list_doubts(test, bending, law))
         yield self.make_result(test, outcome, error, period=period, doubts=doubts)
 
@@ -463,7 +463,7 @@ class MidSpan(RangeKind):
             "curvature at mid-span where the motion turns, against rest",
         )
 
-    def measure(self, test: ReducedTest) -> Iterator[Part]:
+    def measure(self, test: ReducedTest) -> Iterator[MeasuredItem]:
         """Measure the slope of moment against mid-span curvature, and the curvature at the turn."""
         frames = _SpanFrames.of(test)
         shape = frames.span.shape
@@ -477,7 +477,7 @@ class MidSpan(RangeKind):
                 errors[SHAPE] = abs(alternative.value - outcome.value) / sqrt(3.0)
                 errors[MARKER_SIDE] = shape.side_change * abs(outcome.value) / sqrt(3.0)
                 errors |= kinds.compute_scale_error(test, outcome) if output == 0 else {}
-            period = test.find_loading_interval()
+            period = test.find_loading_period()
             yield self.make_result(test, outcome, errors, output=output, period=period)
 
     def _fit_stiffness(self, frames: _SpanFrames, curvature: Floats) -> Estimate:
@@ -595,7 +595,7 @@ class Twist(Kind):
         "the motion turns"
     )
 
-    def measure(self, test: ReducedTest) -> Iterator[Part]:
+    def measure(self, test: ReducedTest) -> Iterator[MeasuredItem]:
         """Measure how far a section rotates from rest to the turn of the motion, without sign."""
         frames = _SpanFrames.of(test)
         shape = frames.span.shape
@@ -611,4 +611,4 @@ class Twist(Kind):
         twist = measure(shape.twist[:, section], frames, "twist", similar_twists)
         if isinstance(twist, Estimate) and twist.value < 0.0:
             twist = measure(-shape.twist[:, section], frames, "twist", similar_twists)
-        yield self.make_result(test, twist, period=test.find_loading_interval())
+        yield self.make_result(test, twist, period=test.find_loading_period())

@@ -27,7 +27,7 @@ from labpipe.records.signals import Stretch
 from labpipe.results import cycles
 from labpipe.results.curves import Quantity, SampleNoise, find_finite_samples
 from labpipe.results.cycles import WORK_QUANTITIES, CycleKind, PeakForce
-from labpipe.results.kinds import FailurePoint, Kind, Part, ReducedTest
+from labpipe.results.kinds import FailurePoint, Kind, MeasuredItem, ReducedTest
 from labpipe.statistics.lots import FORCE_LIMIT, PEAK_OVER_LIMIT, judge_sample
 from labpipe.uncertainty.autocorrelation import estimate_fast_noise
 from labpipe.uncertainty.replicates import Extractor, Trace
@@ -186,10 +186,10 @@ class FailureResult(Kind):
             "force at the first sample of the final loss",
         )
 
-    def measure(self, test: ReducedTest) -> Iterator[Part]:
+    def measure(self, test: ReducedTest) -> Iterator[MeasuredItem]:
         """Measure displacement and force at the failure."""
         period, doubts = _describe_failure(test)
-        displacement, force = test.measure(partial(_choose_failure_samples, test))
+        displacement, force = test.measure_numbers(partial(_choose_failure_samples, test))
         at_end = period[1], period[1]
         yield self.make_result(test, displacement, period=at_end, doubts=doubts)
         yield self.make_result(test, force, output=1, period=period, doubts=doubts)
@@ -272,7 +272,7 @@ def _make_noise_function(
 ) -> Callable[[Quantity, tuple[int, ...]], Floats]:
     """Make a function that draws the noise of a quantity in the loading up to a sample."""
     loading = slice(find_loading_before(trace, sample).start, sample + 1)
-    select_noise = cache(partial(SampleNoise.select, test, trace, stretch=loading, centre=sample))
+    select_noise = cache(partial(SampleNoise.select, test, trace, part=loading, centre=sample))
 
     def draw_noise(quantity: Quantity, shape: tuple[int, ...]) -> Floats:
         noise = select_noise(quantity)
@@ -337,7 +337,7 @@ class PeakForceDisplacement(CycleKind):
         Output("displacement_at_peak_force", "m", "Displacement at peak force", first=1),
     )
     n_complete_branches: ClassVar = 1
-    read_range: ClassVar = (0.0, 1.25)
+    branch_range: ClassVar = (0.0, 1.25)
     peak_quantity: ClassVar = "force"
     method: ClassVar = (
         "displacement at the largest force of the cycle, in the sense of loading; between"
@@ -376,10 +376,10 @@ class EnergyToBreak(Kind):
 
     method: ClassVar = "integral of force up to the failure, trapezoids"
 
-    def measure(self, test: ReducedTest) -> Iterator[Part]:
+    def measure(self, test: ReducedTest) -> Iterator[MeasuredItem]:
         """Integrate the force up to the failure."""
         period, doubts = _describe_failure(test)
-        outcome = test.measure_one(partial(_choose_work_to_break, test))
+        outcome = test.measure_number(partial(_choose_work_to_break, test))
         yield self.make_result(test, outcome, period=period, doubts=doubts)
 
 
@@ -462,7 +462,7 @@ class ForceLimit(Kind):
             source = f"column {self.column} of a card: {self.card.source}"
         return source, "largest force over the smallest force allowed"
 
-    def measure(self, test: ReducedTest) -> Iterator[Part]:
+    def measure(self, test: ReducedTest) -> Iterator[MeasuredItem]:
         """Divide the largest force by the limit for the conductor of the test sheet."""
         limit, section = self._find_limit(test.setup.labels.get(CONDUCTOR, ""))
         (limit_method, ratio_method), status = self.list_methods(test), Status.OK

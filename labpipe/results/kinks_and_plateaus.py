@@ -18,7 +18,7 @@ from labpipe.records.quality import Finding, Reason
 from labpipe.records.result import Result
 from labpipe.results import curves, kinds
 from labpipe.results.cycles import find_truncation_doubts
-from labpipe.results.kinds import Kind, Outcome, Part, ReducedTest, Stiffness
+from labpipe.results.kinds import Kind, MeasuredItem, Outcome, ReducedTest, Stiffness
 from labpipe.results.stiffness import RangeKind
 from labpipe.uncertainty.intervals import MeasuredNumber, measure_numbers
 from labpipe.uncertainty.replicates import Choice, Extractor, Input, Replicates, Trace
@@ -335,7 +335,7 @@ class _TwoLineKind(RangeKind):
         segments : fields of `Segments`, with their replicates
         hinges : candidate breaks of the curve
         """
-        segments = test.measure(self.choose_samples)
+        segments = test.measure_numbers(self.choose_samples)
         _, hinges = self._choose_hinges(curves.make_trace(test))
         require(segments, hinges)
         return segments, hinges
@@ -400,11 +400,11 @@ class TwoSegments(_TwoLineKind):
         Output("break_point", "m", "Break point of the two segments"),
     )
 
-    def measure(self, test: ReducedTest) -> Iterator[Part]:
+    def measure(self, test: ReducedTest) -> Iterator[MeasuredItem]:
         """Measure the slopes of the two best segments that meet, and their break."""
         segments, hinges = self.fit(test, require_bend)
         break_point, (start, stop) = segments[0], hinges.ends
-        period = test.find_loading_interval(start, stop)
+        period = test.find_loading_period(start, stop)
         sample_doubts = find_contact_doubts(segments, hinges)
         sample_doubts += kinds.find_pause_doubts(test, hinges.ends)
         doubts = kinds.find_slip_doubts(test, hinges.ends) + sample_doubts
@@ -430,14 +430,14 @@ class Kink(_TwoLineKind):
         Output("kink_force", "N", "Kink force"),
     )
 
-    def measure(self, test: ReducedTest) -> Iterator[Part]:
+    def measure(self, test: ReducedTest) -> Iterator[MeasuredItem]:
         """Measure the point at which the slope of the first loading decreases."""
         segments, hinges = self.fit(test, require_kink)
         displacement, _, _, force = segments
         doubts = kinds.find_slip_doubts(test, hinges.ends)
         doubts += kinds.find_pause_doubts(test, hinges.ends)
         doubts += find_break_doubts(displacement.interval, hinges)
-        period = test.find_loading_interval(*hinges.ends)
+        period = test.find_loading_period(*hinges.ends)
         yield from self.make_results(test, (displacement, force), period=period, doubts=doubts)
         yield from _make_lines(segments, hinges, ("before_kink", "behind_kink"))
 
@@ -774,19 +774,19 @@ class Plateau(Kind):
     )
     over: Annotated[Length, "Length of a tangent"] = 0.005
 
-    def compute(self, test: ReducedTest) -> list[Part]:
+    def compute(self, test: ReducedTest) -> list[MeasuredItem]:
         """Measure the plateau, without its onset if the slope at the end is not available."""
         end_slope, *onset = super().compute(test)
         has_end_slope = isinstance(end_slope, Result) and end_slope.value is not None
         return [end_slope, *onset] if has_end_slope else [end_slope]
 
-    def measure(self, test: ReducedTest) -> Iterator[Part]:
+    def measure(self, test: ReducedTest) -> Iterator[MeasuredItem]:
         """Measure the slope at the end of the first loading, and the onset of a plateau."""
         missing = Failure.of("results.no_stiffness", name=self.of)
         stiffness = test.require(test.stiffnesses.get(self.of), missing)
         choose_samples = partial(self._choose_end_samples, choose_initial=stiffness.choose_samples)
-        outcome = test.measure_one(choose_samples)
-        loading, period = test.cycles[0][:1], test.find_loading_interval()
+        outcome = test.measure_number(choose_samples)
+        loading, period = test.cycles[0][:1], test.find_loading_period()
         slip_doubts = kinds.find_slip_doubts(test, stiffness.slip_range)
         gap_doubts = _find_gap_doubts(test, loading[0])
         doubts = (

@@ -18,7 +18,7 @@ from labpipe.records.declarations import Needs, Output
 from labpipe.records.estimates import Estimate, Failure, UnavailableError, return_failure
 from labpipe.records.quality import Reason
 from labpipe.results import curves
-from labpipe.results.kinds import Kind, Part, ReducedTest, compute_scale_error
+from labpipe.results.kinds import Kind, MeasuredItem, ReducedTest, compute_scale_error
 from labpipe.uncertainty.autocorrelation import (
     build_polynomial_basis,
     cut_smooth_stretches,
@@ -422,7 +422,7 @@ class SlipResults(Kind):
     )
     needs: ClassVar = Needs(branches=True, correction="slips")
 
-    def measure(self, test: ReducedTest) -> Iterator[Part]:
+    def measure(self, test: ReducedTest) -> Iterator[MeasuredItem]:
         """Yield the position and the loss of force of each slip of the ledger."""
         slack_error, doubts = 0.0, tuple[Reason, ...]()
         if isinstance(test.slack, MeasuredNumber):
@@ -592,7 +592,7 @@ class SlackResult(Kind):
 
     method: ClassVar = "toe compensation, ASTM D638 annex A1"
 
-    def measure(self, test: ReducedTest) -> Iterator[Part]:
+    def measure(self, test: ReducedTest) -> Iterator[MeasuredItem]:
         """Yield the displacement at which the line of the linear region meets zero force."""
-        slack, period = return_failure(test.require)(test.slack), test.find_loading_interval()
+        slack, period = return_failure(test.require)(test.slack), test.find_loading_period()
         yield self.make_result(test, slack, period=period)

@@ -26,7 +26,7 @@ from labpipe.records.estimates import Estimate, Failure, UnavailableError, retur
 from labpipe.records.quality import Reason
 from labpipe.results import kinds
 from labpipe.results.curves import make_trace, require_samples
-from labpipe.results.kinds import Kind, Part, ReducedTest
+from labpipe.results.kinds import Kind, MeasuredItem, ReducedTest
 from labpipe.results.stiffness import compute_area
 from labpipe.uncertainty.autocorrelation import LinearFit, estimate_fast_noise, fit_linear
 from labpipe.uncertainty.intervals import MeasuredNumber
@@ -348,7 +348,7 @@ class TensionResult(Kind):
     def list_quantities(self, test: ReducedTest, pull: Pull) -> Sequence[PullQuantity]:
         """List the quantities of a pull, in the order of the outputs."""
 
-    def measure(self, test: ReducedTest) -> Iterator[Part]:
+    def measure(self, test: ReducedTest) -> Iterator[MeasuredItem]:
         """Measure each quantity, also with every input changed by its standard uncertainty."""
         pull = test.require(test.pull)
         if pull.line_failure is not None and self.needs_line:
@@ -490,7 +490,7 @@ class ElasticModulus(TensionResult):
         errors = {causes.RESOLUTION_OF_DISPLACEMENT: float(rounding)}
         return [PullQuantity(_read_slope, sample_range, errors=errors, doubts=doubts)]
 
-    def measure(self, test: ReducedTest) -> Iterator[Part]:
+    def measure(self, test: ReducedTest) -> Iterator[MeasuredItem]:
         """Measure the slope, and yield the line for figures."""
         yield from super().measure(test)
         pull = test.require(test.pull)

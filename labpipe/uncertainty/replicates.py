@@ -222,7 +222,7 @@ class Input:
     ----------
     cause : name of the cause of the error, a key of `labpipe.records.causes.IS_COMMON`
     perturb : function that returns a trace with the input changed by a number of units. The unit is
-        the standard uncertainty, or a step for ``step`` and ``ends``
+        the standard uncertainty or, for ``step`` and ``ends``, a step
     distribution : distribution of the error
     moves_curve : whether a change of the input changes the curve; windows are then chosen again
     drawn_errors : shape (replicates,), errors in units of `perturb`; None to draw them from
