@@ -506,13 +506,10 @@ def _find_block_starts(corners: Sequence[int], curve: Curve) -> Ints:
     min_blocks, max_blocks, min_branch_blocks = 6_000, 20_000, 500
     n_samples = len(curve.time)
     shortest = min(branch.stop - branch.start for branch in curve.branches)
-    block_samples = min(n_samples // min_blocks, shortest // min_branch_blocks)
-    block_samples = max(block_samples, -(-n_samples // max_blocks))  # rounded up
+    width = min(n_samples // min_blocks, shortest // min_branch_blocks)
+    width = max(width, -(-n_samples // max_blocks))  # rounded up
     pieces = pairwise([0, *corners, n_samples])
-    starts = [
-        np.arange(start, max(stop - block_samples, start) + 1, block_samples)
-        for start, stop in pieces
-    ]
+    starts = [np.arange(start, max(stop - width, start) + 1, width) for start, stop in pieces]
     return np.concatenate(starts)
 
 
@@ -651,7 +648,7 @@ def _list_inputs(
     for index, slip in enumerate(_list_repaired_slips(test), start=1):
         is_after_slip = np.arange(len(starts)) >= np.searchsorted(starts, slip.stop)
         error = np.where(is_after_slip, slip.drop_interval.standard_error, 0.0)
-        add_drop = partial(_add_force, change=error)
+        add_drop = partial(_add_force, change=error, compliance=0.0)
         yield Input(causes.REPAIRED_SLIPS, add_drop, stream=f"{causes.REPAIRED_SLIPS} {index}")
 
 
@@ -746,9 +743,7 @@ def _find_zero_time(test: ReducedTest) -> float:
     return first if first - time[0] < time[-1] - last else last
 
 
-def _add_force(
-    trace: Trace, n_units: float, *, change: float | Floats, compliance: float = 0.0
-) -> Trace:
+def _add_force(trace: Trace, n_units: float, *, change: float | Floats, compliance: float) -> Trace:
     """Add a multiple of a force to a trace, and subtract the displacement of the load frame."""
     shift = n_units * compliance * np.nan_to_num(change)
     force, displacement = trace.force + n_units * change, trace.displacement - shift

@@ -169,25 +169,21 @@ def _extrapolate_foot(time: Floats, force: Floats, limits: Floats) -> tuple[Floa
     columns = slice(max(int(first.min()), 0), max(int(last.max()), 0) + 1)
     indices = np.arange(columns.start, columns.stop)
     is_foot = (indices >= first[:, np.newaxis]) & (indices <= last[:, np.newaxis])
-    mean_time, mean_force, slope = curves.fit_chosen_lines(
-        is_foot, time[columns], force[:, columns]
-    )
+    mean_t, mean_f, slope = curves.fit_chosen_lines(is_foot, time[columns], force[:, columns])
     is_falling = (slope < 0.0) & (is_foot.sum(axis=1) >= _MIN_FORCE_FOOT_SAMPLES)
-    zero_times = np.where(is_falling, mean_time - divide(mean_force, slope), time[last])
+    zero_times = np.where(is_falling, mean_t - divide(mean_f, slope), time[last])
     return zero_times, np.where(is_falling, slope, 0.0), last
 
 
-def _choose_zero_crossing(
-    finite_samples: Ints, time: Floats, force: Floats, limit: float
-) -> UnloadingEnd:
+def _choose_zero_crossing(indices: Ints, time: Floats, force: Floats, limit: float) -> UnloadingEnd:
     """Choose the samples around the zero crossing of a force that continues below zero.
 
-    `time` and `force` have the values at the finite samples.
+    `time` and `force` are those of the samples of the branch with these indices.
     """
     crossing_time = time[min(int((force > 0.0).sum()), len(time) - 1)]
     is_near_crossing = np.abs(time - crossing_time) <= 0.1 * (time[-1] - time[0])
     curves.require_samples(int(is_near_crossing.sum()), _MIN_CROSSING_SAMPLES, " near zero force")
-    samples = convert_to_slice(finite_samples[is_near_crossing])
+    samples = convert_to_slice(indices[is_near_crossing])
     near_time = time[is_near_crossing] - crossing_time
     weights = curves.compute_polynomial_weights(near_time, degree=2).T
 

@@ -3,8 +3,8 @@
 Stress is force over the original area, strain is displacement over the gauge length. Elongations
 and the strain of a proof stress begin where the elastic line meets zero stress (toe compensation).
 
-**Uncertainty**: each quantity is computed again with every input changed by its standard
-uncertainty (JCGM 100:2008, 5.1.3). The elastic line has an interval for correlated residuals.
+**Uncertainty**: each quantity is computed again with each input changed by its standard uncertainty
+(JCGM 100:2008, 5.1.3). The interval of the elastic line is that for correlated residuals.
 """
 
 from __future__ import annotations
@@ -37,23 +37,21 @@ MIN_ELASTIC_SAMPLES = 8
 """Smallest number of samples of an elastic line."""
 MIN_ELASTIC_RANGE = 0.1
 """Smallest range of stress of an elastic line, as a fraction of the largest stress."""
-MAX_BEND = 0.03
-"""Relative difference of the slopes of both halves of an elastic line, above which it is
-doubtful."""
-MAX_EXTENSION = 1.1
-"""Ratio of the extension of the gauge length to the travel of the machine, above which both are
-doubtful."""
-MAX_YIELD_ONSET = 5e-3
+MAX_SLOPE_DIFFERENCE = 0.03
+"""Largest relative difference of the slopes of both halves of an elastic line without a doubt."""
+MAX_HALF_LINE_CHANGE = 0.005
+"""Largest relative change of another quantity between the lines of both halves without a doubt."""
+MAX_EXTENSION_RATIO = 1.1
+"""Largest ratio of the extension of the gauge length to the travel of the machine without a
+doubt."""
+MAX_YIELD_ONSET_STRAIN = 5e-3
 """Largest plastic strain at an upper yield stress."""
 MIN_YIELD_STRAIN = 5e-4
 """Smallest plastic strain of a yield with a falling stress."""
 MIN_STRAIN_JUMP = 1e-4
 """Smallest jump of the strain that is reported."""
-MAX_CHANGE_BY_BEND = 0.005
-"""Relative difference of another quantity with the lines of both halves, above which it is
-doubtful."""
 _CLEAR_DEVIATIONS = 6.0
-"""Number of standard deviations above which a change is distinguished from noise."""
+"""Number of standard deviations of noise above which a change is significant."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +61,7 @@ class ElasticWindow:
     Parameters
     ----------
     start, stop : ends of a stated window; None for the longest straight part
-    of : quantity of the two ends: ``strain``, or ``strength`` for fractions of the largest stress
+    of : quantity of both ends: ``strain``, or ``strength`` for fractions of the largest stress
     straight : smallest square of the correlation coefficient of the longest straight part
     """
 
@@ -83,14 +81,14 @@ class Pull:
     Parameters
     ----------
     time : shape (n,), s
-    strain, stress : shape (n,), 1 and Pa; strain is counted from the first sample, or from the end
-        of the slack, and is NaN where the extensometer is off
+    strain, stress : shape (n,), 1 and Pa; strain is counted from the first sample or, if slack was
+        subtracted, from the end of the slack; NaN while the extensometer is off
     window : samples of the elastic line
-    is_line_searched : whether the line is the longest straight part, not a stated window
+    is_line_searched : whether the line is that of the longest straight part, not a stated window
     stress_noise, strain_noise : Pa and 1, standard deviations of single samples
-    slope_estimate : slope of the elastic line, Pa, with its interval
+    slope_estimate : Pa, slope of the elastic line with its interval
     slope : Pa, slope of the elastic line
-    mean_strain, mean_stress : 1 and Pa, means over the samples of the line, a point of the line
+    mean_strain, mean_stress : 1 and Pa, means over the samples of the line; a point on the line
     line_failure : reason why there is no elastic line; None if there is one
     """
 
@@ -197,7 +195,7 @@ def _fit_line(strain: Floats, stress: Floats) -> LinearFit:
 def _select_loading(trace: Trace) -> Ints:
     """Select the samples of the loading up to a failure, without those of unloading loops.
 
-    A loop ends where the displacement exceeds that at which the loop began.
+    A loop ends when the displacement exceeds that at which the loop began.
     """
     stop = len(trace.time) if trace.failed_at is None else trace.failed_at + 1
     samples, largest_so_far = [np.empty(0, dtype=np.intp)], -np.inf
@@ -231,9 +229,9 @@ def _average_blocks(strain: Floats, stress: Floats) -> tuple[Floats, Floats]:
     """Average strain and stress over at most 1000 blocks of the samples that have both."""
     is_finite = ~np.isnan(strain) & ~np.isnan(stress)
     strain, stress = strain[is_finite], stress[is_finite]
-    size = 1 + len(strain) // 1000
-    count = size * (len(strain) // size)
-    x, y = (values[:count].reshape(-1, size).mean(axis=1) for values in (strain, stress))
+    width = 1 + len(strain) // 1000
+    stop = width * (len(strain) // width)
+    x, y = (values[:stop].reshape(-1, width).mean(axis=1) for values in (strain, stress))
     return x, y
 
 
@@ -250,7 +248,7 @@ def _choose_elastic_window(pull: Pull, settings: ElasticWindow) -> slice:
 
 
 def _find_longest_straight_part(pull: Pull, min_correlation: float) -> slice:
-    """Find the longest range of stress in which the curve is straight, and not steeper below.
+    """Find the longest range of stress in which the curve is straight; it is not steeper below it.
 
     The square of the correlation coefficient in the range is at least `min_correlation`, or that of
     a straight line with the noise of both signals. One minus this square is the normalised residual
@@ -258,15 +256,15 @@ def _find_longest_straight_part(pull: Pull, min_correlation: float) -> slice:
     That method uses the window with the smallest residual. The longest window within a limit
     depends less on noise. Its ends are searched in steps of 1 % of the largest stress.
 
-    The elastic range is the steepest part of a curve. The line of a later part that is straight
-    lies far above the curve where the curve begins.
+    The elastic range is the steepest part of a curve. The line of a later straight part is far
+    above the curve at the first sample, and is rejected.
     """
     strain, stress = pull.strain, pull.stress
     is_finite = ~np.isnan(strain) & ~np.isnan(stress)
     largest = float(np.nanmax(stress[is_finite])) if is_finite.any() else np.nan
-    levels = np.arange(0.0, 1.0, 0.01) * largest
+    limits = np.arange(0.0, 1.0, 0.01) * largest
     finite_stress = np.where(is_finite, stress, -np.inf)
-    ends = np.array([int(np.argmax(finite_stress >= level)) for level in levels])
+    ends = np.array([int(np.argmax(finite_stress >= limit)) for limit in limits])
     x, y = np.where(is_finite, strain, 0.0), np.where(is_finite, stress / largest, 0.0)
     x = x / np.abs(x).max(initial=1e-30)
     count, *sums = (
@@ -291,7 +289,7 @@ def _find_longest_straight_part(pull: Pull, min_correlation: float) -> slice:
     # At the first sample, the line is at most `MIN_ELASTIC_RANGE` above the curve.
     x_from_first, y_from_first = sx / n - x[is_finite][:1], sy / n - y[is_finite][:1]
     is_low = (y_from_first - MIN_ELASTIC_RANGE) * spread_x <= product * x_from_first
-    ranges = 0.01 * np.subtract.outer(np.arange(len(levels)), np.arange(len(levels))).T
+    ranges = 0.01 * np.subtract.outer(np.arange(len(limits)), np.arange(len(limits))).T
     ranges = np.where(is_straight & is_low, ranges, -1.0)
     start, stop = np.unravel_index(int(np.argmax(ranges)), ranges.shape)
     if ranges[start, stop] < MIN_ELASTIC_RANGE:
@@ -320,12 +318,13 @@ def get_gauge_length(sizes: Mapping[str, float]) -> float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PullQuantity:
-    """A quantity of a pull, with the samples and errors on which it depends.
+    """A quantity of a pull, with the samples on which it depends, errors and doubts.
 
     Parameters
     ----------
     compute : function that computes the quantity of a pull
-    sample_range : first sample on which the quantity depends, and last one or the one after it
+    sample_range : first and last sample on which the quantity depends; the stop of a window may
+        replace the last one
     has_line : whether the quantity depends on the elastic line
     errors : further standard errors of the quantity, by cause
     doubts : further reasons to doubt the quantity
@@ -349,7 +348,7 @@ class TensionResult(Kind):
         """List the quantities of a pull, in the order of the outputs."""
 
     def measure(self, test: ReducedTest) -> Iterator[MeasuredItem]:
-        """Measure each quantity, also with every input changed by its standard uncertainty."""
+        """Measure each quantity, and its changes with each input."""
         pull = test.require(test.pull)
         if pull.line_failure is not None and self.needs_line:
             raise UnavailableError(pull.line_failure)
@@ -360,7 +359,7 @@ class TensionResult(Kind):
                 errors[cause] = float(np.hypot(errors.get(cause, 0.0), change))
             errors |= quantity.errors
             outcome = Estimate(value, 0.0, pull.slope_estimate.n)
-            if quantity.compute is _read_slope:
+            if quantity.compute is _get_slope:
                 outcome = pull.slope_estimate
             elif quantity.has_line:
                 steeper_pull = replace(pull, slope=pull.slope + pull.slope_estimate.error)
@@ -386,10 +385,11 @@ def _change_inputs(test: ReducedTest, pull: Pull) -> Iterator[tuple[str, Pull]]:
     for name, error in setup.uncertainties.items():
         if name not in sizes:
             continue
-        larger = {**sizes, name: sizes[name] + error}
+        larger_sizes = {**sizes, name: sizes[name] + error}
         cause = causes.LENGTH if name in ("length", "gauge_length") else causes.SECTION
-        area, length = compute_area(sizes) / compute_area(larger), get_gauge_length(sizes)
-        yield cause, pull.scale(area, length / get_gauge_length(larger))
+        stress_factor = compute_area(sizes) / compute_area(larger_sizes)
+        strain_factor = get_gauge_length(sizes) / get_gauge_length(larger_sizes)
+        yield cause, pull.scale(stress_factor, strain_factor)
     # This noise affects quantities from single samples; the elastic line has its own error.
     yield causes.NOISE, replace(pull, stress=pull.stress + pull.stress_noise)
     yield causes.NOISE_OF_DISPLACEMENT, replace(pull, strain=pull.strain + pull.strain_noise)
@@ -407,26 +407,27 @@ def _list_line_doubts(test: ReducedTest, pull: Pull, compute: PullFunction) -> I
     """Yield doubts about an elastic line, and about the displacement from which it is computed.
 
     The line is doubtful if it bends, or if the curve later rises above it. Metals do not stiffen,
-    so both show that an extensometer slips or jumps, or that the specimen is bent. A line in a
+    so both are signs of an extensometer that slips or jumps, or of a bent specimen. A line in a
     stated window is not examined, because the window defines it. Without an extensometer, the
     displacement may be that of the machine. With an extensometer, the extension cannot exceed the
-    travel of the machine, since the gauge length lies between the grips. If it does, a unit may be
-    wrong.
+    travel of the machine, because the gauge length lies between the grips. An extension that does
+    may have a wrong unit.
     """
     if pull.is_line_searched:
         strain, stress = (values[pull.window] for values in (pull.strain, pull.stress))
-        is_upper, halves = stress > 0.5 * (np.nanmin(stress) + np.nanmax(stress)), list[float]()
+        is_upper, half_values = stress > 0.5 * (np.nanmin(stress) + np.nanmax(stress)), []
         for is_in_half in (~is_upper, is_upper):
             x, y = _average_blocks(strain[is_in_half], stress[is_in_half])
-            slope, strain_mean, stress_mean = np.polyfit(x, y, 1)[0], x.mean(), y.mean()
-            half_pull = replace(pull, slope=slope, mean_strain=strain_mean, mean_stress=stress_mean)
-            halves.append(compute(half_pull))
-        value, change = compute(pull), halves[1] - halves[0]
-        limit = MAX_BEND if value == pull.slope else MAX_CHANGE_BY_BEND
-        if abs(change) > limit * abs(value):
+            slope, mean_strain, mean_stress = np.polyfit(x, y, 1)[0], x.mean(), y.mean()
+            half_pull = replace(pull, slope=slope, mean_strain=mean_strain, mean_stress=mean_stress)
+            half_values.append(compute(half_pull))
+        value, change = compute(pull), half_values[1] - half_values[0]
+        max_change = MAX_SLOPE_DIFFERENCE if value == pull.slope else MAX_HALF_LINE_CHANGE
+        if abs(change) > max_change * abs(value):
             yield Reason.of("results.elastic_line_bends", change=change / value)
-        tail = slice(pull.window.stop, max(pull.peak, pull.window.stop) + 1)
-        largest = float(np.fmax.reduce(_compute_stress_above_line(pull)[tail], initial=-np.inf))
+        until_peak = slice(pull.window.stop, max(pull.peak, pull.window.stop) + 1)
+        stress_above = _compute_stress_above_line(pull)[until_peak]
+        largest = float(np.fmax.reduce(stress_above, initial=-np.inf))
         end_stress = float(pull.stress[pull.window.stop - 1])
         noise = float(np.hypot(pull.stress_noise, pull.slope * pull.strain_noise))
         if largest > max(_CLEAR_DEVIATIONS * noise, 0.01 * end_stress):
@@ -440,12 +441,12 @@ def _list_line_doubts(test: ReducedTest, pull: Pull, compute: PullFunction) -> I
         extension = 1e3 * length * float(pull.strain[last] - np.nanmin(pull.strain))
         path = np.interp(pull.time[: last + 1], travel.time, travel.values)
         facts = {"extension": extension, "travel": 1e3 * float(np.ptp(path))}
-        if extension > MAX_EXTENSION * facts["travel"] > 0.0:
+        if extension > MAX_EXTENSION_RATIO * facts["travel"] > 0.0:
             yield Reason.of("results.extension_exceeds_travel", **facts)
 
 
 def _find_jump_doubts(pull: Pull, stop: int) -> tuple[Reason, ...]:
-    """Find a doubt if the strain jumps before a sample, as if a knife edge slipped."""
+    """Find a doubt if the strain jumps up to a sample, as in a slip of a knife edge."""
     finite_samples = np.flatnonzero(~np.isnan(pull.strain[: stop + 7]))
     counts = np.diff(finite_samples)
     steps = np.diff(pull.strain[finite_samples]) / counts  # per sample, so that a gap is no jump
@@ -473,7 +474,7 @@ class ElasticModulus(TensionResult):
     outputs: ClassVar = (Output("elastic_modulus", "Pa", "Modulus of elasticity"),)
 
     def list_methods(self, test: ReducedTest) -> tuple[str]:
-        """Return the method with the range of stress of the elastic line."""
+        """List the method, with the range of stress of the elastic line."""
         if not isinstance(test.pull, Pull) or test.pull.line_failure is not None:
             return ("slope of the elastic line",)
         stress = test.pull.stress[test.pull.window]
@@ -484,11 +485,11 @@ class ElasticModulus(TensionResult):
         """List the slope of the elastic line, whose residuals may be correlated."""
         del test
         window, doubts = pull.window, _find_jump_doubts(pull, pull.window.stop)
-        # Neighbouring values are rounded alike, so rounding moves both ends of the line.
+        # Neighbouring values have the same rounding error, so rounding moves both ends of the line.
         strain, sample_range = drop_missing(pull.strain[window]), (window.start, window.stop)
         rounding = np.sqrt(2.0) * pull.slope * _estimate_rounding(strain) / np.ptp(strain)
         errors = {causes.RESOLUTION_OF_DISPLACEMENT: float(rounding)}
-        return [PullQuantity(_read_slope, sample_range, errors=errors, doubts=doubts)]
+        return [PullQuantity(_get_slope, sample_range, errors=errors, doubts=doubts)]
 
     def measure(self, test: ReducedTest) -> Iterator[MeasuredItem]:
         """Measure the slope, and yield the line for figures."""
@@ -503,13 +504,13 @@ class ElasticModulus(TensionResult):
         yield FittedLine("elastic_modulus", slope, start_force, start, stop)
 
 
-def _read_slope(pull: Pull) -> float:
+def _get_slope(pull: Pull) -> float:
     """Return the slope of the elastic line, Pa."""
     return pull.slope
 
 
 class ProofStress(TensionResult):
-    """``<name>`` (Pa): stress where the curve meets the elastic line shifted by a strain."""
+    """``<name>`` (Pa): stress at which the curve meets the elastic line shifted by a strain."""
 
     result: ClassVar = "proof-stress"
     outputs: ClassVar = (Output("{name}", "Pa"),)
@@ -532,7 +533,7 @@ class ProofStress(TensionResult):
 
 
 def _compute_stress_above_line(pull: Pull, offset: float = 0.0) -> Floats:
-    """Compute the stress of every sample above the elastic line shifted by a strain, Pa."""
+    """Compute how far each stress is above the elastic line shifted by a strain, Pa."""
     return pull.stress - pull.slope * (pull.strain - pull.toe - offset)
 
 
@@ -547,7 +548,7 @@ def _find_meeting_sample(pull: Pull, offset: float) -> int:
 
 
 class YieldStress(TensionResult):
-    """``upper_yield_stress`` and ``lower_yield_stress`` (Pa): stresses at a yield with a fall."""
+    """``upper_yield_stress`` and ``lower_yield_stress`` (Pa) of a yield with a fall of stress."""
 
     result: ClassVar = "yield-stress"
     outputs: ClassVar = (
@@ -563,12 +564,12 @@ class YieldStress(TensionResult):
         """List the stress at the first fall, and the lowest stress while the specimen yields."""
         del test
         return [
-            PullQuantity(partial(_read_stress, sample=sample), (sample, sample), has_line=False)
+            PullQuantity(partial(_get_stress, sample=sample), (sample, sample), has_line=False)
             for sample in _find_yield_samples(pull)
         ]
 
 
-def _read_stress(pull: Pull, sample: int) -> float:
+def _get_stress(pull: Pull, sample: int) -> float:
     """Return the stress of a sample, Pa."""
     return float(pull.stress[sample])
 
@@ -577,8 +578,8 @@ def _find_yield_samples(pull: Pull) -> tuple[int, int]:
     """Find the samples of the upper and of the lower yield stress.
 
     The stress falls if it is below its largest value so far by more than six standard deviations of
-    noise and a thousandth of the peak. A fall that begins with much plastic strain is a serration
-    of later flow. After a slip of the grips or a pause, the stress before the fall is reached again
+    noise and more than a thousandth of the peak. A fall at a large plastic strain is a serration of
+    later flow. After a slip of the grips or a pause, the stress before the fall is reached again
     without more plastic strain. Any other fall is a yield.
     """
     stress, peak, upper = pull.stress, pull.peak, pull.window.stop
@@ -592,7 +593,7 @@ def _find_yield_samples(pull: Pull) -> tuple[int, int]:
         upper += int(np.nanargmax(until_peak[: int(np.argmax(is_fallen))]))
         higher = np.flatnonzero(stress[upper + 1 : peak + 1] > stress[upper])
         stop = upper + 1 + int(higher[0]) if len(higher) else peak + 1
-        if plastic_strain[upper] > MAX_YIELD_ONSET:
+        if plastic_strain[upper] > MAX_YIELD_ONSET_STRAIN:
             break
         if not len(higher) or plastic_strain[stop] - plastic_strain[upper] > MIN_YIELD_STRAIN:
             return upper, upper + _find_trough(stress[upper:stop], clear_fall)
@@ -603,7 +604,7 @@ def _find_yield_samples(pull: Pull) -> tuple[int, int]:
 def _find_trough(plateau: Floats, clear_change: float) -> int:
     """Find the index of the lowest stress of a plateau, without a transient first trough.
 
-    A trough is transient if the stress rises clearly after it, and falls again.
+    A trough is transient if the stress rises by more than `clear_change` after it, and falls again.
     """
     is_risen = plateau - np.fmin.accumulate(plateau) > clear_change
     start = int(np.argmax(is_risen)) if is_risen.any() else 0
@@ -623,7 +624,7 @@ class TensileStrength(TensionResult):
 
     def list_quantities(self, test: ReducedTest, pull: Pull) -> Sequence[PullQuantity]:
         """List the largest stress."""
-        strength, sample_range = partial(_read_stress, sample=pull.peak), (0, pull.peak)
+        strength, sample_range = partial(_get_stress, sample=pull.peak), (0, pull.peak)
         doubts = _find_peak_doubts(test, pull)
         return [PullQuantity(strength, sample_range, has_line=False, doubts=doubts)]
 
@@ -637,7 +638,7 @@ def _find_peak_doubts(test: ReducedTest, pull: Pull) -> tuple[Reason, ...]:
 
 
 def _find_extensometer_doubts(test: ReducedTest, pull: Pull) -> tuple[Reason, ...]:
-    """Find a doubt if the strain stops before the peak while the machine moves on.
+    """Find a doubt if the strain stays constant before the peak while the machine moves.
 
     After the peak, a specimen may neck outside of the gauge length.
     """
@@ -686,7 +687,7 @@ class MaximumForceElongation(TensionResult):
         if np.isnan(pull.strain[[first, last]]).any():
             raise _make_extensometer_error(pull, "the largest force")
         ends = pull.strain[[first, last]] - pull.strain[pull.peak]
-        # All strains between the ends are equally probable. The spread is the root of their second
+        # All strains between the ends are equally probable. Their spread is the root of the second
         # moment about the strain of the largest sample.
         spread = float(np.sqrt((ends @ ends + ends.prod()) / 3.0))
         sample_range = pull.window.start, last + 1
@@ -712,10 +713,10 @@ def _list_elongations(
     return [PullQuantity(x, sample_range, errors=errors, doubts=doubts) for x in functions]
 
 
-def _make_extensometer_error(pull: Pull, what: str) -> UnavailableError:
+def _make_extensometer_error(pull: Pull, event: str) -> UnavailableError:
     """Make the error for an extensometer that comes off before an event."""
     last = float(np.nanmax(pull.strain)) - pull.toe
-    return UnavailableError.of("results.extensometer_off", what=what, last=last)
+    return UnavailableError.of("results.extensometer_off", event=event, last=last)
 
 
 class BreakElongation(TensionResult):
