@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from math import inf, isclose
-from typing import Annotated, ClassVar
+from typing import Annotated, ClassVar, TypeAlias
 
 import numpy as np
 
@@ -225,14 +225,13 @@ def _choose_failure_samples(test: ReducedTest, trace: Trace) -> Extractor:
     return Extractor(compute_numbers, 1, compute_with_noise)
 
 
+Selector: TypeAlias = Callable[[Floats], Ints]
+"""Function of forces, shape (..., n), N, positive in loading, that returns the index of a sample of
+each row, shape (...)."""
+
+
 def _choose_selected(
-    test: ReducedTest,
-    trace: Trace,
-    sample: int,
-    samples: Ints,
-    select: Callable[[Floats], Ints],
-    *,
-    is_break: bool,
+    test: ReducedTest, trace: Trace, sample: int, samples: Ints, select: Selector, *, is_break: bool
 ) -> Extractor:
     """Choose displacement and force at the sample that a function selects in each curve.
 
@@ -241,8 +240,7 @@ def _choose_selected(
     test, trace : the test, and one of its curves
     sample : sample selected in that curve
     samples : indices of the samples with a force
-    select : function of the forces of these samples, positive in loading, that returns the index of
-        one of them for each row
+    select : function that selects one of these samples
     is_break : whether the specimen breaks within one sampling step after the selected sample
     """
     sign = cycles.find_loading_sign(trace, trace.force)
@@ -471,9 +469,7 @@ class ForceLimit(Kind):
         peak = max(PeakForce().compute_results(test), key=lambda peak: peak.value or -inf)
         doubts = test.collect_doubts(("observation",), None)
         reasons = tuple(dict.fromkeys([*peak.reasons, *doubts]))
-        status = Status.DOUBTFUL if reasons else Status.OK
-        if peak.value is None:
-            status = Status.FAILED
+        status = Status.DOUBTFUL if doubts and peak.status is Status.OK else peak.status
         ratio = replace(
             peak,
             name=PEAK_OVER_LIMIT,

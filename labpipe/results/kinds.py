@@ -307,10 +307,9 @@ class ReducedTest:
             return None
         branch = curve.branches[0]
         samples = slice(branch.start, branch.stop)
-        time, is_begun = curve.time[samples], curve.displacement[samples] >= start
-        is_beyond = curve.displacement[samples] > stop
-        first_time = time[np.argmax(is_begun)] if is_begun.any() else branch.start_time
-        last_time = time[np.argmax(is_beyond)] if is_beyond.any() else branch.stop_time
+        time, d = curve.time[samples], curve.displacement[samples]
+        first_time = time[np.argmax(d >= start)] if (d >= start).any() else branch.start_time
+        last_time = time[np.argmax(d > stop)] if (d > stop).any() else branch.stop_time
         return float(first_time), float(last_time)
 
     def collect_doubts(self, quantities: Iterable[str], period: Stretch | None) -> list[Reason]:
@@ -493,8 +492,7 @@ class Kind(ABC):
             is_explained = outcome.code in _EXPLAINED_FAILURES
             all_reasons = [*curve_doubts, outcome] if is_explained else [outcome, *curve_doubts]
             reasons, unit = tuple(dict.fromkeys(all_reasons)), declaration.unit
-            failure: dict[str, Any] = {"value": None, "status": Status.FAILED, "reasons": reasons}
-            return Result(name, unit=unit, method=method, made_of=made_of, **failure)
+            return Result(name, None, unit, None, Status.FAILED, reasons, method, made_of=made_of)
         number_doubts = outcome.doubts if isinstance(outcome, MeasuredNumber) else ()
         quantities = "", *declaration.depends_on
         noise_doubts = [reason for quantity, reason in number_doubts if quantity in quantities]

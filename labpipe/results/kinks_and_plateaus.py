@@ -386,7 +386,7 @@ def _make_lines(
 
 
 class TwoSegments(_TwoLineKind):
-    """``segment_stiffness_first`` and ``segment_stiffness_second`` (N/m), ``break_point`` (m)."""
+    """``segment_stiffness_first``, ``segment_stiffness_second``, ``break_point``: two lines."""
 
     result: ClassVar = "two-segments"
     outputs: ClassVar = (
@@ -419,7 +419,7 @@ class TwoSegments(_TwoLineKind):
 
 
 class Kink(_TwoLineKind):
-    """``kink_displacement`` (m) and ``kink_force`` (N), at which the slope decreases."""
+    """``kink_displacement`` (m) and ``kink_force`` (N): point at which the slope decreases."""
 
     result: ClassVar = "kink"
     outputs: ClassVar = (

@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from math import sqrt
-from typing import Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
@@ -365,14 +365,6 @@ def measure_moment_curvature(test: ReducedTest) -> tuple[Bending | Failure | Non
     for index, branch in enumerate(curve.branches):
         is_in_branch = (shape.time >= branch.start_time) & (shape.time < branch.stop_time)
         branch_indices[is_in_branch], cycles[is_in_branch] = index, branch.cycle
-    errors = BendingErrors(
-        force_noise=float(force_at_rest.std()) if len(force_at_rest) else 0.0,
-        force_zero=test.force.zero_error,
-        force_scale=test.force.relative_error,
-        end_position=test.setup.offset_uncertainty,
-        alternative_tension=alternative_tension,
-        centre_offset=test.setup.centre_uncertainty,
-    )
     bending_test = BendingTest(
         shape=shape,
         force=force,
@@ -383,7 +375,14 @@ def measure_moment_curvature(test: ReducedTest) -> tuple[Bending | Failure | Non
         centre_offset=test.setup.centre_offset,
         free_tip=test.setup.free_tip,
         pull=pull,
-        errors=errors,
+        errors=BendingErrors(
+            force_noise=float(force_at_rest.std()) if len(force_at_rest) else 0.0,
+            force_zero=test.force.zero_error,
+            force_scale=test.force.relative_error,
+            end_position=test.setup.offset_uncertainty,
+            alternative_tension=alternative_tension,
+            centre_offset=test.setup.centre_uncertainty,
+        ),
     )
     try:
         bending = measure_bending(bending_test)
@@ -395,14 +394,9 @@ def measure_moment_curvature(test: ReducedTest) -> tuple[Bending | Failure | Non
     if law is not None:
         facts = {"largest": law.curvature[-1], "residual": 1e6 * law.residual, "floor": law.floor}
         law_clause = format_sentence("results.law_of_frames", frames=law.n_frames, **facts)
-    finding = Finding.of(
-        "results.moment_curvature",
-        "shape",
-        points=cloud.curvature.size,
-        frames=cloud.frames_per_mean,
-        places=len(cloud.arc_length),
-        law=law_clause,
-    )
+    cloud_facts: dict[str, Any] = {"points": cloud.curvature.size, "frames": cloud.frames_per_mean}
+    cloud_facts["places"] = len(cloud.arc_length)
+    finding = Finding.of("results.moment_curvature", "shape", **cloud_facts, law=law_clause)
     return bending, [*findings, finding]
 
 

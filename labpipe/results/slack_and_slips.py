@@ -249,8 +249,9 @@ def _estimate_correlation(f: Floats) -> float:
     squares = np.maximum(np.sum(residuals**2, axis=1), np.finfo(float).tiny)
     products = np.sum(residuals[:, 1:] * residuals[:, :-1], axis=1)
     noise_correlations, residual_correlations = _tabulate_correlations(width)
-    correlation = np.median(products / squares)
-    return float(np.interp(correlation, residual_correlations, noise_correlations))
+    return float(
+        np.interp(np.median(products / squares), residual_correlations, noise_correlations)
+    )
 
 
 @cache
@@ -267,8 +268,7 @@ def _tabulate_correlations(width: int) -> tuple[Floats, Floats]:
         noise_covariance = noise_correlation**lags
         cross_covariance = noise_covariance - basis @ (basis.T @ noise_covariance)
         covariance = cross_covariance - (cross_covariance @ basis) @ basis.T
-        correlation = float(np.trace(covariance, offset=1) / np.trace(covariance))
-        residual_correlations.append(correlation)
+        residual_correlations.append(np.trace(covariance, offset=1) / np.trace(covariance))
     return noise_correlations, np.array(residual_correlations)
 
 

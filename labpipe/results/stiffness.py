@@ -547,8 +547,7 @@ class LoadingStiffness(CycleKind):
     def list_doubts(self, test: ReducedTest, branches: list[Branch]) -> tuple[Reason, ...]:
         """List a doubt if over 10 % of the samples of the window are in its first fiftieth."""
         # At constant speed, a fiftieth of the samples is there; the limit is five times as many.
-        cycle = branches[0].cycle
-        window = return_failure(self._choose_window)(curves.make_trace(test), cycle)
+        window = return_failure(self._choose_window)(curves.make_trace(test), branches[0].cycle)
         if isinstance(window, Failure) or window.start_sample_fraction <= 0.1:
             return ()
         fraction, limit = window.start_sample_fraction, window.onset.limit

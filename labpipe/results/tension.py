@@ -26,7 +26,7 @@ from labpipe.records.estimates import Estimate, Failure, UnavailableError, retur
 from labpipe.records.quality import Reason
 from labpipe.results import kinds
 from labpipe.results.curves import make_trace, require_samples
-from labpipe.results.kinds import Kind, MeasuredItem, ReducedTest
+from labpipe.results.kinds import Errors, Kind, MeasuredItem, ReducedTest
 from labpipe.results.stiffness import compute_area
 from labpipe.uncertainty.autocorrelation import LinearFit, estimate_fast_noise, fit_linear
 from labpipe.uncertainty.intervals import MeasuredNumber
@@ -333,7 +333,7 @@ class PullQuantity:
     compute: PullFunction
     sample_range: tuple[int, int]
     has_line: bool = True
-    errors: Mapping[str, float] = field(default_factory=dict)
+    errors: Errors = field(default_factory=dict)
     doubts: tuple[Reason, ...] = ()
 
 
@@ -548,7 +548,7 @@ def _find_meeting_sample(pull: Pull, offset: float) -> int:
 
 
 class YieldStress(TensionResult):
-    """``upper_yield_stress`` and ``lower_yield_stress`` (Pa) of a yield with a fall of stress."""
+    """``upper_yield_stress`` and ``lower_yield_stress`` (Pa): stresses at a yield with a fall."""
 
     result: ClassVar = "yield-stress"
     outputs: ClassVar = (
@@ -696,10 +696,7 @@ class MaximumForceElongation(TensionResult):
 
 
 def _list_elongations(
-    sample: int,
-    sample_range: tuple[int, int],
-    errors: Mapping[str, float],
-    doubts: tuple[Reason, ...] = (),
+    sample: int, sample_range: tuple[int, int], errors: Errors, doubts: tuple[Reason, ...]
 ) -> list[PullQuantity]:
     """List the strain of a sample from the toe, with and without the elastic strain."""
 
