@@ -109,11 +109,11 @@ def fit_chosen_lines(is_chosen: Flags, x: Floats, y: Floats) -> tuple[Floats, Fl
     mean_x, mean_y : shape (rows,), a point of each line; NaN without chosen samples
     slope : shape (rows,); NaN without chosen samples, or if their `x` are equal
     """
-    count = is_chosen.sum(axis=1)
+    n_chosen = is_chosen.sum(axis=1)
     x, y = (np.where(is_chosen, values, 0.0) for values in (x, y))
-    mean_x, mean_y = (divide(values.sum(axis=1), count) for values in (x, y))
+    mean_x, mean_y = (divide(values.sum(axis=1), n_chosen) for values in (x, y))
     centred_x = np.where(is_chosen, x - mean_x[:, np.newaxis], 0.0)
-    spread, rounding = np.vecdot(centred_x, x), 4.0 * np.finfo(float).eps * count * mean_x**2
+    spread, rounding = np.vecdot(centred_x, x), 4.0 * np.finfo(float).eps * n_chosen * mean_x**2
     spread = np.where(spread > rounding, spread, 0.0)
     return mean_x, mean_y, divide(np.vecdot(centred_x, y), spread)
 
@@ -251,7 +251,7 @@ class SampleNoise:
 
     @classmethod
     def select(
-        cls, test: ReducedTest, trace: Trace, quantity: Quantity, part: slice, centre: int
+        cls, test: ReducedTest, trace: Trace, quantity: Quantity, allowed: slice, centre: int
     ) -> SampleNoise | None:
         """Select the single samples of a quantity around a sample of the curve.
 
@@ -260,7 +260,7 @@ class SampleNoise:
         test : reduced test with a curve
         trace : the curve without noise, with the samples of the replicates
         quantity : quantity whose samples are needed
-        part : samples of `trace` that may be used
+        allowed : samples of `trace` that may be used
         centre : index of the central sample, such as the peak
 
         Returns
@@ -285,8 +285,8 @@ class SampleNoise:
         if block_samples < min_block_samples:
             return None
         max_blocks = max(1, int(max_samples / block_samples))  # on each side of the centre
-        first_block = max(part.start, centre - max_blocks)
-        block_range = slice(first_block, min(part.stop, centre + max_blocks + 1))
+        first_block = max(allowed.start, centre - max_blocks)
+        block_range = slice(first_block, min(allowed.stop, centre + max_blocks + 1))
         block_time = trace.time[block_range]
         ends = [test.clocks.from_curve(float(end), signal.clock) for end in block_time[[0, -1]]]
         samples = slice(*np.searchsorted(signal.time, ends).tolist())
@@ -367,7 +367,7 @@ def have_no_effect(filters: Sequence[Filter]) -> bool:
     return all(np.array_equal(filter_function(pulse), pulse) for filter_function, _ in filters)
 
 
-def _interpolate_branches(trace: Trace, values: Floats, time: Floats, part: slice) -> Floats:
+def _interpolate_branches(trace: Trace, values: Floats, time: Floats, samples: slice) -> Floats:
     """Interpolate a part of a curve branch by branch, with linear extrapolation to the turns.
 
     Parameters
@@ -375,11 +375,11 @@ def _interpolate_branches(trace: Trace, values: Floats, time: Floats, part: slic
     trace : the curve
     values : shape (samples of the curve,), force or displacement of the curve
     time : shape (n,), s on the clock of the curve, times of the interpolated values
-    part : samples of the curve around these times
+    samples : samples of the curve around these times
     """
     interpolated = np.empty(len(time))
-    cuts = [cut for cut in _list_cuts(trace) if part.start < cut[0] < part.stop]
-    ends = [(part.start, -np.inf), *cuts, (part.stop, np.inf)]
+    cuts = [cut for cut in _list_cuts(trace) if samples.start < cut[0] < samples.stop]
+    ends = [(samples.start, -np.inf), *cuts, (samples.stop, np.inf)]
     for (first, start_time), (last, stop_time) in pairwise(ends):
         piece = slice(*np.searchsorted(time, [start_time, stop_time], side="right"))
         line = trace.time[first:last], values[first:last]

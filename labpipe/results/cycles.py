@@ -330,11 +330,11 @@ def find_truncation_doubts(
     branches : branches that must be complete
     quantities : quantities on which the number depends
     """
-    end = min((test.cut_times.get(quantity, np.inf) for quantity in quantities), default=np.inf)
-    if not branches or end == np.inf:
+    cut_time = min((test.cut_times.get(name, np.inf) for name in quantities), default=np.inf)
+    if not branches or cut_time == np.inf:
         return ()
     last, failure, curve = branches[-1], test.failure, test.required_curve
-    if end >= last.stop_time and last is not curve.branches[-1]:
+    if cut_time >= last.stop_time and last is not curve.branches[-1]:
         return ()
     if isinstance(failure, kinds.FailurePoint) and last.start <= failure.sample < last.stop:
         return ()  # the specimen broke, so the record is complete
@@ -343,7 +343,8 @@ def find_truncation_doubts(
         force = drop_missing(force)
         if len(force) and force[-3:].max() < 0.9 * force.max():
             return ()
-    end_text = f"{end:.3f} s" if curve.time_unit == "s" else f"sample {round(end) + 1}"
+    has_times = curve.time_unit == "s"
+    end_text = f"{cut_time:.3f} s" if has_times else f"sample {round(cut_time) + 1}"
     return (Reason.of("results.partial_cycle", end=end_text, direction=last.direction),)
 
 

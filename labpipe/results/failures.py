@@ -271,7 +271,7 @@ def _make_noise_function(
 ) -> Callable[[Quantity, tuple[int, ...]], Floats]:
     """Make a function that draws the noise of a quantity in the loading up to a sample."""
     loading = slice(find_loading_before(trace, sample).start, sample + 1)
-    select_noise = cache(partial(SampleNoise.select, test, trace, part=loading, centre=sample))
+    select_noise = cache(partial(SampleNoise.select, test, trace, allowed=loading, centre=sample))
 
     def draw_noise(quantity: Quantity, shape: tuple[int, ...]) -> Floats:
         noise = select_noise(quantity)
@@ -481,7 +481,7 @@ class ForceLimit(Kind):
             reasons=reasons,
             method=ratio_method,
             estimate=None if peak.estimate is None else peak.estimate / limit,
-            budget=tuple(replace(part, change=part.change / limit) for part in peak.budget),
+            budget=tuple(replace(x, change=x.change / limit) for x in peak.budget),
         )
         yield Result(FORCE_LIMIT, limit, "N", method=limit_method, remark=section)
         yield replace(ratio, remark=judge_sample(ratio).text)

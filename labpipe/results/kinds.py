@@ -442,7 +442,7 @@ class Kind(ABC):
 
     def compute_results(self, test: ReducedTest) -> list[Result]:
         """Compute the results that `compute` returns, without stiffnesses, lines and notes."""
-        return [part for part in self.compute(test) if isinstance(part, Result)]
+        return [item for item in self.compute(test) if isinstance(item, Result)]
 
     def make_results(
         self, test: ReducedTest, outcomes: Iterable[Outcome], *, first: int = 0, **common: Any

@@ -812,25 +812,25 @@ class Plateau(Kind):
         yield FittedLine("slope_at_end", slope, force, start, stop)
 
     def _choose_tangents(self, trace: Trace, choose_initial: Choice) -> tuple[Tangents, Extractor]:
-        """Choose the tangents of the first loading, and the samples for the slope at its start."""
-        extractor = choose_initial(trace)
-        value = float(extractor.compute_numbers(trace)[0])
-        if value <= 0.0:
-            raise UnavailableError.of("results.no_initial_slope", value=value)
-        return Tangents.of(*_cut_loading(trace), length=self.over), extractor
+        """Choose the tangents of the first loading, and the samples for the initial slope."""
+        initial = choose_initial(trace)
+        initial_slope = float(initial.compute_numbers(trace)[0])
+        if initial_slope <= 0.0:
+            raise UnavailableError.of("results.no_initial_slope", value=initial_slope)
+        return Tangents.of(*_cut_loading(trace), length=self.over), initial
 
     def _choose_end_samples(self, trace: Trace, *, choose_initial: Choice) -> Extractor:
         """Choose the samples for the ratio of the slope at the end to that at the start."""
-        tangents, extractor = self._choose_tangents(trace, choose_initial)
+        tangents, initial = self._choose_tangents(trace, choose_initial)
         change_per_step = self._compute_change_per_step(trace, tangents)
 
         def compute_ratio(trace: Trace) -> tuple[Floats]:
             d, f = _cut_loading(trace)
             end_slope = tangents.compute_end_slope(f, d) + trace.steps_to_event * change_per_step
-            return (np.asarray(end_slope / extractor.compute_numbers(trace)[0], dtype=np.float64),)
+            return (np.asarray(end_slope / initial.compute_numbers(trace)[0], dtype=np.float64),)
 
-        n, ends_at_samples = len(tangents.end_samples), extractor.ends_at_samples
-        return Extractor(compute_ratio, n, ends_at_samples=ends_at_samples)
+        n_samples, ends_at_samples = len(tangents.end_samples), initial.ends_at_samples
+        return Extractor(compute_ratio, n_samples, ends_at_samples=ends_at_samples)
 
     def _compute_change_per_step(self, trace: Trace, tangents: Tangents) -> float:
         """Compute the change of the slope at the end over the last sampling step, N/m.
@@ -844,11 +844,10 @@ class Plateau(Kind):
         return float(tangents.compute_end_slope(f) - earlier_tangents.compute_end_slope(f[:-1]))
 
     def _find_onset(
-        self, trace: Trace, choice: tuple[Tangents, Extractor]
+        self, trace: Trace, tangents: Tangents, initial: Extractor
     ) -> tuple[Floats, Floats, Floats]:
         """Find displacement (m) and force (N) at the onset, and the initial slope (N/m)."""
-        (tangents, extractor), (d, f) = choice, _cut_loading(trace)
-        initial_slope = extractor.compute_numbers(trace)[0]
+        (d, f), initial_slope = _cut_loading(trace), initial.compute_numbers(trace)[0]
         onset = tangents.find_onset(f, initial_slope, d, slope_below=self.slope_below)
         return *onset, initial_slope
 
@@ -856,23 +855,24 @@ class Plateau(Kind):
         self, trace: Trace, choose_initial: Choice, corner: _CornerError
     ) -> Extractor:
         """Choose the samples for displacement and force at the onset of the plateau."""
-        choice = self._choose_tangents(trace, choose_initial)
+        tangents, initial = self._choose_tangents(trace, choose_initial)
 
         def compute_onset(trace: Trace) -> tuple[Floats, Floats]:
-            onset, force, _ = self._find_onset(trace, choice)
+            onset, force, _ = self._find_onset(trace, tangents, initial)
             correction = trace.sizes.get(TANGENT, 0.0) * corner.error
             return onset + correction[0], force + correction[1]
 
         def compute_noisy_onset(trace: Trace) -> tuple[Floats, Floats]:
-            onset, force, _ = self._find_onset(trace, choice)
-            effect = corner.compute_noise_effect(self._measure_corners(trace, choice))
+            onset, force, _ = self._find_onset(trace, tangents, initial)
+            errors = self._measure_corners(trace, tangents, initial)
+            effect = corner.compute_noise_effect(errors)
             return onset + effect[0], force + effect[1]
 
         if np.isnan(compute_onset(trace)[1]):
             raise UnavailableError.of("results.no_onset")
-        return Extractor(compute_onset, len(choice[0].end_samples), compute_noisy_onset)
+        return Extractor(compute_onset, len(tangents.end_samples), compute_noisy_onset)
 
-    def _measure_corners(self, trace: Trace, choice: tuple[Tangents, Extractor]) -> Floats:
+    def _measure_corners(self, trace: Trace, tangents: Tangents, initial: Extractor) -> Floats:
         """Measure the largest error of the onset from the length of tangents, m and N, (2, ...)."""
         # The factors are multiples of the change with tangents of half the length. At a corner, the
         # error of the onset is in proportion to the length, and thus twice that change. In a smooth
@@ -882,9 +882,10 @@ class Plateau(Kind):
         force_factor = (
             2.0  # for a parabola over half the length, the error is 1 or 1/3 of the change
         )
-        (d, f), (onset, _, initial_slope) = _cut_loading(trace), self._find_onset(trace, choice)
+        d, f = _cut_loading(trace)
+        onset, _, initial_slope = self._find_onset(trace, tangents, initial)
         limit = self.slope_below * initial_slope
-        onset_change, force_change, slope = choice[0].measure_corner_changes(f, onset, limit, d)
+        onset_change, force_change, slope = tangents.measure_corner_changes(f, onset, limit, d)
         onset_error = onset_factor * onset_change
         return np.stack([onset_error, force_factor * force_change + onset_error * slope])
 
@@ -895,15 +896,14 @@ class Plateau(Kind):
         smooth curve may have other corners. If the smooth curve has no tangents or no initial
         slope, the effect is not removed.
         """
-        choose_tangents = partial(self._choose_tangents, choose_initial=choose_initial)
-        choice = choose_tangents(replicates.measured_trace)
-        error = self._measure_corners(replicates.measured_trace, choice)
-        smooth_choice = return_failure(choose_tangents)(replicates.smooth_trace)
+        measured, smooth = replicates.measured_trace, replicates.smooth_trace
+        error = self._measure_corners(measured, *self._choose_tangents(measured, choose_initial))
+        smooth_choice = return_failure(self._choose_tangents)(smooth, choose_initial)
         if isinstance(smooth_choice, Failure):
             return _CornerError(error, np.zeros(2), np.zeros(2))
-        smooth_error = self._measure_corners(replicates.smooth_trace, smooth_choice)
+        smooth_error = self._measure_corners(smooth, *smooth_choice)
         traces = replicates.iterate_traces()
-        noisy_errors = [self._measure_corners(trace, smooth_choice) for trace in traces]
+        noisy_errors = [self._measure_corners(trace, *smooth_choice) for trace in traces]
         noise = np.concatenate(noisy_errors, axis=1) - smooth_error[:, None]
         return _CornerError.of(error, smooth_error, noise)
 
@@ -921,8 +921,9 @@ class Plateau(Kind):
             return replace(trace, sizes={**trace.sizes, TANGENT: n_units})
 
         replicates, choose_initial = test.require(test.replicates), stiffness.choose_samples
-        choice = self._choose_tangents(replicates.measured_trace, choose_initial)
-        if np.isnan(self._find_onset(replicates.measured_trace, choice)[1]):
+        measured = replicates.measured_trace
+        tangents, initial = self._choose_tangents(measured, choose_initial)
+        if np.isnan(self._find_onset(measured, tangents, initial)[1]):
             return 2 * (Failure.of("results.no_onset"),)
         correction = Input(TANGENT, set_correction, distribution="ends")
         replicates = replace(replicates, inputs=(*replicates.inputs, correction))
@@ -946,5 +947,5 @@ def _find_gap_doubts(test: ReducedTest, branch: Branch) -> tuple[Reason, ...]:
     # Up to two samples are lost when two clocks are joined.
     if not len(finite_samples) or finite_samples[-1] >= len(d) - 3:
         return ()
-    end, missing = 1e3 * float(d[finite_samples[-1]]), len(d) - 1 - finite_samples[-1]
-    return (Reason.of("results.gap_at_end", end=end, missing=missing),)
+    last = finite_samples[-1]
+    return (Reason.of("results.gap_at_end", end=1e3 * float(d[last]), missing=len(d) - 1 - last),)

@@ -909,20 +909,18 @@ def fit_law(data: LawData, basis: LawBasis) -> LawFit:
         compliance = solution
         if relative_change < relative_tolerance:
             break
-    loaded_residuals, count = residuals[:-1, :, 0], int(is_measured.sum())
+    loaded_residuals, n_coordinates = residuals[:-1, :, 0], int(is_measured.sum())
     sensitivity = np.einsum("kj,nmj->knm", _invert(normal_matrix), design)[:, :-1]
-    degrees_of_freedom = max(float(count) - len(ones) - is_measured.shape[1], 1.0)
-    noise = (
-        _estimate_long_run_covariance(loaded_residuals, is_measured) * count / degrees_of_freedom
-    )
+    dof = max(float(n_coordinates) - len(ones) - is_measured.shape[1], 1.0)
+    noise = _estimate_long_run_covariance(loaded_residuals, is_measured) * n_coordinates / dof
     covariance = np.einsum("knm,ml,jnl->kj", sensitivity, noise, sensitivity, optimize=True)
     return LawFit(
         basis=basis,
         compliance=compliance,
         covariance=covariance,
         sensitivity=sensitivity,
-        residual=float(np.sqrt((loaded_residuals**2).sum() / max(count, 1))),
-        n_coordinates=count,
+        residual=float(np.sqrt((loaded_residuals**2).sum() / max(n_coordinates, 1))),
+        n_coordinates=n_coordinates,
         noise_variance=float(np.trace(covariance @ normal_matrix)) / len(ones),
     )
 

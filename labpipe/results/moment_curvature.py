@@ -395,8 +395,8 @@ def measure_moment_curvature(test: ReducedTest) -> tuple[Bending | Failure | Non
         facts = {"largest": law.curvature[-1], "residual": 1e6 * law.residual, "floor": law.floor}
         law_clause = format_sentence("results.law_of_frames", frames=law.n_frames, **facts)
     cloud_facts: dict[str, Any] = {"points": cloud.curvature.size, "frames": cloud.frames_per_mean}
-    cloud_facts["places"] = len(cloud.arc_length)
-    finding = Finding.of("results.moment_curvature", "shape", **cloud_facts, law=law_clause)
+    cloud_facts |= {"places": len(cloud.arc_length), "law": law_clause}
+    finding = Finding.of("results.moment_curvature", "shape", **cloud_facts)
     return bending, [*findings, finding]
 
 

@@ -267,12 +267,12 @@ def _find_longest_straight_part(pull: Pull, min_correlation: float) -> slice:
     ends = np.array([int(np.argmax(finite_stress >= limit)) for limit in limits])
     x, y = np.where(is_finite, strain, 0.0), np.where(is_finite, stress / largest, 0.0)
     x = x / np.abs(x).max(initial=1e-30)
-    count, *sums = (
+    counts, *sums = (
         np.concatenate([[0.0], np.cumsum(values)])[ends]
         for values in (is_finite.astype(np.float64), x, y, x * x, x * y, y * y)
     )
     # Each sum is over the samples from a start (row) to a stop (column).
-    n, sx, sy, sxx, sxy, syy = (np.subtract.outer(x, x).T for x in (count, *sums))
+    n, sx, sy, sxx, sxy, syy = (np.subtract.outer(x, x).T for x in (counts, *sums))
     is_enough = n >= MIN_ELASTIC_SAMPLES
     n = np.where(is_enough, n, 1.0)
     spread_x, spread_y, product = sxx - sx * sx / n, syy - sy * sy / n, sxy - sx * sy / n

@@ -414,9 +414,9 @@ def _is_constant(values: Floats, curve: Floats, n_parameters: int) -> bool:
     The criterion is the information criterion of Schwarz, Ann. Stat. 6 (1978) 461. A curve that
     follows the noise is highest at an end of the rest, and would raise a peak there.
     """
-    count = len(values)
+    n_samples = len(values)
     variance_about_mean, variance_about_curve = np.var(values), np.mean((values - curve) ** 2)
-    limit = np.exp((n_parameters - 1) * np.log(count) / count)
+    limit = np.exp((n_parameters - 1) * np.log(n_samples) / n_samples)
     return bool(variance_about_mean <= limit * variance_about_curve)
 
 
