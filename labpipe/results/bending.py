@@ -333,6 +333,8 @@ def fit_secant_stiffness(
 
 _MID_SPAN = "mid_span"
 """Name of the signal of mid-span from cameras, and of the quantity on which its results depend."""
+_MID_SPAN_QUANTITIES = ("displacement", "clock", _MID_SPAN)
+"""Quantities on which a result of the signal of mid-span alone depends."""
 
 
 class TipTravel(Kind):
@@ -366,7 +368,7 @@ class MomentCurvature(Kind):
     outputs: ClassVar = (Output("{name}", "N*m^2"),)
     needs: ClassVar = Needs(branches=True, shape="fit-shape", clamp=True)
     method: ClassVar = (
-        "{kind} at {at:g} 1/m of the monotone law that all shapes of the first loading obey"
+        "{kind} at {at:g} 1/m of the monotone law fitted to all shapes of the first loading"
     )
     at: Annotated[Curvature, "Curvature of the first loading"]
     kind: Annotated[
@@ -440,9 +442,7 @@ class MidSpan(RangeKind):
             "Mid-span bending stiffness",
             (*CURVE_QUANTITIES, _MID_SPAN),
         ),
-        Output(
-            "mid_span_curvature", "1/m", "Mid-span curvature", ("displacement", "clock", _MID_SPAN)
-        ),
+        Output("mid_span_curvature", "1/m", "Mid-span curvature", _MID_SPAN_QUANTITIES),
     )
     needs: ClassVar = Needs(branches=True, shape="three-point-shape")
     corrections: Annotated[
@@ -458,7 +458,7 @@ class MidSpan(RangeKind):
         return (
             f"slope of the moment {moment} against the curvature at mid-span "
             "from {start_mm:g} mm to {stop_mm:g} mm of the first loading, time as instrument",
-            "curvature at mid-span where the motion turns, against rest",
+            "curvature at mid-span at the turn of the motion, less that at rest",
         )
 
     def measure(self, test: ReducedTest) -> Iterator[MeasuredItem]:
@@ -558,8 +558,7 @@ def _measure_at_turn(
     Two parabolas that meet at the turn give the value there. The noise is estimated from this
     quantity and from `similar_signals`. `name` is the name of the random stream.
     """
-    min_rest_frames, min_side_frames = 8, 5
-    max_window = 2.0  # s, on each side of the turn
+    min_rest_frames, min_side_frames, max_window = 8, 5, 2.0  # window on each side, s
     is_finite = np.isfinite(values)
     is_at_rest = frames.span.is_at_rest & is_finite
     if is_at_rest.sum() < min_rest_frames:
@@ -591,8 +590,8 @@ class Twist(Kind):
     outputs: ClassVar = (Output("twist", "rad", "Twist", ("displacement", "clock")),)
     needs: ClassVar = Needs(branches=True, shape="three-point-shape")
     method: ClassVar = (
-        "size of the turn of the markers of the section nearest to mid-span about the axis, where "
-        "the motion turns"
+        "rotation about the axis of the markers of the section nearest to mid-span, at the turn of "
+        "the motion"
     )
 
     def measure(self, test: ReducedTest) -> Iterator[MeasuredItem]:

@@ -268,8 +268,8 @@ class SampleNoise:
         The noise; None if the replicates have all samples, or if fewer than 20 samples have a
         value.
         """
-        max_samples, min_samples, min_block_samples = 20_000, 20, 1.5
-        max_scatter_ratio = 30.0  # deviation of a sample over the usual deviation
+        # The scatter ratio is that of the deviation of a sample to the usual deviation.
+        max_samples, min_samples, min_block_samples, max_scatter_ratio = 20_000, 20, 1.5, 30.0
         name, signal = getattr(test.signals, quantity), test.force
         has_other_clock = quantity == "force" and test.force.clock != test.clocks.curve_clock
         if not has_other_clock:

@@ -343,8 +343,7 @@ def find_truncation_doubts(
         force = drop_missing(force)
         if len(force) and force[-3:].max() < 0.9 * force.max():
             return ()
-    has_times = curve.time_unit == "s"
-    end_text = f"{cut_time:.3f} s" if has_times else f"sample {round(cut_time) + 1}"
+    end_text = f"{cut_time:.3f} s" if curve.time_unit == "s" else f"sample {round(cut_time) + 1}"
     return (Reason.of("results.partial_cycle", end=end_text, direction=last.direction),)
 
 
@@ -481,7 +480,7 @@ class ResidualDisplacement(CycleKind):
     branch_range: ClassVar = (1.0, 2.0)
 
     method: ClassVar = (
-        "displacement once the force is back at zero, within {force_below:g} N or less"
+        "displacement at zero force after unloading, within {force_below:g} N or less"
     )
 
     def choose_samples(self, test: ReducedTest, trace: Trace, cycle: int) -> Extractor:

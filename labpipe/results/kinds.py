@@ -1,4 +1,4 @@
-"""Define what a kind of result is, and the test that it is measured on.
+"""Define the base class of kinds of results, and the record of a test that they measure.
 
 A kind of result is a class. Its fields are the settings of its entry in a protocol, and its class
 variables are its name, outputs, needs and methods. `Kind.measure` yields the numbers of a test,
@@ -40,7 +40,7 @@ from labpipe.uncertainty.replicates import Choice, Replicates
 
 if TYPE_CHECKING:
     from labpipe.markers.three_point_axis import SpanShape
-    from labpipe.results.tension import Pull
+    from labpipe.results.tension import TensileCurve
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,7 +185,8 @@ class ReducedTest:
         displacement
     slack : m, displacement before the specimen was taut, or why it is unknown; None if not
         requested
-    pull : stress and strain with the elastic line, or why there are none; None if not requested
+    tensile_curve : stress and strain with the elastic line, or why there are none; None if not
+        requested
     cut_times : s on the clock of the curve, time at which a record ends within a branch, by
         quantity
     stiffnesses : stiffnesses of earlier results by name
@@ -207,7 +208,7 @@ class ReducedTest:
     slips: tuple[Slip, ...] = ()
     compliance: float = 0.0
     slack: MeasuredNumber | Failure | None = None
-    pull: Pull | Failure | None = None
+    tensile_curve: TensileCurve | Failure | None = None
     cut_times: Mapping[str, float] = field(default_factory=dict)
     stiffnesses: Mapping[str, Stiffness] = field(default_factory=dict)
     findings: Findings = field(default_factory=Findings)
