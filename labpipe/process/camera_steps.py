@@ -343,7 +343,7 @@ def fit_three_point_shape(
     if count < min_rest_frames:
         reason = Failure.of("process.no_sections_at_rest", count=count, needed=min_rest_frames)
         return _reject_span(prepared, reason)
-    variance = estimate_long_run_variance(rest_values, parameters=1) / count
+    variance = estimate_long_run_variance(rest_values, n_parameters=1) / count
     mid_span = take.make_signal(time, deflection - rest_values.mean())
     mid_span = replace(mid_span, zero_error=float(np.sqrt(variance)))
     signals = prepared.signals.add_signal("mid_span", mid_span)

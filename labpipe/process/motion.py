@@ -600,8 +600,8 @@ def _select_repeat(repeat: CycleLag | None, fit: ClockFit) -> tuple[CycleLag | N
 def _fit_events(events: Floats, repeat: CycleLag | None) -> ClockFit:
     """Fit the relation of the clocks to events and to the lag of a repeated cycle, if any."""
     motion_times, force_times, errors, shape_errors = events
-    # The error from the shape of the force is common to all events but one, so that it must not
-    # average out.
+    # The error from the shape of the force, which each of the n errors contains once, is common to
+    # all events. With n of its squares in each error, it does not average out.
     errors = np.hypot(errors, sqrt(len(errors) - 1) * shape_errors)
     method = "turning points: lines through the travel, smooth pieces of the force"
     method = method if repeat is None else f"{method}; lag of the repeated cycle"

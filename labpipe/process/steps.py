@@ -589,7 +589,7 @@ def average_level(values: Floats, other_values: Floats) -> tuple[float, float]:
         fit = fit_linear(np.ones((len(values), 1)), values, other_stretches=stretches)
         return float(fit.coefficients[0]), float(fit.half_widths[0]) / NORMAL_95
     blocks = average_blocks(values, _MIN_BLOCKS, has_remainder=False)
-    error = float(np.sqrt(estimate_long_run_variance(blocks, parameters=1) / len(blocks)))
+    error = float(np.sqrt(estimate_long_run_variance(blocks, n_parameters=1) / len(blocks)))
     return float(values.mean()), error
 
 

@@ -29,11 +29,11 @@ REJECTED_STATE = "rejected"
 
 
 class PageTest(NamedTuple):
-    """A test on the page of a report, or in a figure of its group.
+    """Test on the page of a report, or in a figure of its group.
 
     Parameters
     ----------
-    number : row of the test in the table of tests, from 0; None in a figure
+    row_index : row of the test in the table of tests, from 0; None in a figure
     sample : specimen and results of the test
     state : ``ok``, ``doubtful``, ``failed`` or ``rejected``; empty in a figure
     group : group of the test; None in a figure, or for a rejected test that matches no group
@@ -42,7 +42,7 @@ class PageTest(NamedTuple):
     rejection : reason, person and day of a rejection; empty for other tests
     """
 
-    number: int | None
+    row_index: int | None
     sample: Sample
     state: str
     group: Group | None = None
@@ -62,7 +62,7 @@ class PageTest(NamedTuple):
 
 
 class GroupView(NamedTuple):
-    """A group on the page of a report, or in a figure.
+    """Group on the page of a report, or in a figure.
 
     Parameters
     ----------
@@ -107,7 +107,7 @@ def make_figure_view(group: Group) -> GroupView:
 
 
 def arrange_tests(campaign: Campaign) -> tuple[list[GroupView], list[PageTest]]:
-    """Arrange the tests of a report in groups and number them; rejected tests are last.
+    """Arrange the tests of a report in groups, and in the rows of the table of tests.
 
     Parameters
     ----------
@@ -115,15 +115,15 @@ def arrange_tests(campaign: Campaign) -> tuple[list[GroupView], list[PageTest]]:
 
     Returns
     -------
-    The groups, and all tests in the order of their numbers.
+    The groups, and all tests in the order of their rows; rejected tests are last.
     """
     stems = make_stems(group.name for group in campaign.groups)
-    stems_by_group = {group.name: stem for group, stem in zip(campaign.groups, stems, strict=True)}
+    stems_by_group = dict(zip((group.name for group in campaign.groups), stems, strict=True))
     tests: list[PageTest] = []
     for group, stem in zip(campaign.groups, stems, strict=True):
         for test in make_figure_view(group).tests:
             state = combine_states(test.sample)
-            tests.append(test._replace(number=len(tests), state=state, group=group, stem=stem))
+            tests.append(test._replace(row_index=len(tests), state=state, group=group, stem=stem))
     for sample in campaign.rejected_samples:
         matching_group = find_group_of_rejected(sample, campaign)
         rejection = campaign.rejected.get(sample.source, sample.decision)
@@ -132,9 +132,9 @@ def arrange_tests(campaign: Campaign) -> tuple[list[GroupView], list[PageTest]]:
         tests.append(test._replace(rejection=rejection))
     groups = []
     for group, stem in zip(campaign.groups, stems, strict=True):
-        members = [test for test in tests if test.stem == stem]
-        included = [test for test in members if test.state != REJECTED_STATE]
-        rejected = [test for test in members if test.state == REJECTED_STATE]
+        group_tests = [test for test in tests if test.stem == stem]
+        included = [test for test in group_tests if test.state != REJECTED_STATE]
+        rejected = [test for test in group_tests if test.state == REJECTED_STATE]
         groups.append(GroupView(group, stem, included, rejected))
     return groups, tests
 
@@ -172,18 +172,14 @@ def find_group_of_rejected(sample: Sample, campaign: Campaign) -> Group | None:
     the fields by which tests are grouped, except the spool. If several groups qualify, the one with
     the most fields in common is returned.
     """
-    fields = list_fields(sample.specimen)
+    fields, compared_names = list_fields(sample.specimen), {*campaign.grouping_fields} - {SPOOL}
     matches = [
         group
         for group in campaign.groups
         if group.protocol == sample.protocol
-        and all(fields.get(x) == group.fields.get(x) for x in {*campaign.grouping_fields} - {SPOOL})
+        and all(fields.get(name) == group.fields.get(name) for name in compared_names)
     ]
-
-    def count_common_fields(group: Group) -> int:
-        return sum(fields.get(name) == value for name, value in group.fields.items())
-
-    return max(matches, key=count_common_fields, default=None)
+    return max(matches, key=lambda group: len(fields.items() & group.fields.items()), default=None)
 
 
 def combine_states(sample: Sample) -> str:
@@ -194,7 +190,7 @@ def combine_states(sample: Sample) -> str:
 
 
 def compute_report_id(campaign: Campaign) -> str:
-    """Compute the identifier of a report, ten hexadecimal digits.
+    """Compute the identifier of a report, which has ten hexadecimal digits.
 
     Parameters
     ----------
@@ -264,8 +260,7 @@ def list_instruments(samples: Sequence[Sample]) -> list[InstrumentLine]:
     lines = []
     for instrument, tests in tests_by_instrument.items():
         due = instrument.due
-        dates = [test.date for test in tests if test.date is not None]
-        n_overdue = sum(due is not None and date > due for date in dates)
+        n_overdue = sum(bool(due and test.date and test.date > due) for test in tests)
         text = "no due date stated" if due is None else f"calibration due {due}"
         if n_overdue:
             text = f"calibration OVERDUE since {due} in {wording.format_count(n_overdue, 'test')}"
@@ -314,7 +309,7 @@ def make_number_table(group: Group) -> Table:
     for index, number in enumerate(group.numbers):
         scale = wording.choose_number_scale(group, number)
         rows.append([
-            Cell(wording.format_heading(number.name, scale), tip=number.name),
+            Cell(wording.format_heading(number.name, scale), tooltip=number.name),
             Cell("", drawing=_make_strip(number) if index < max_plots and number.values else None),
             *_make_mean_cells(group, number, scale.factor),
             *(_make_sample_cell(number, sample, scale.factor) for sample in samples),
@@ -327,7 +322,7 @@ def _make_mean_cells(group: Group, number: GroupNumber, factor: float) -> tuple[
     """Make the cells of the mean, its count and the standard deviation of a number."""
     mean = number.mean
     if not number.values:
-        return Cell(DASH, tip="no sample has this number"), Cell("0"), Cell(DASH)
+        return Cell(DASH, tooltip="no sample has this number"), Cell("0"), Cell(DASH)
     count_text = f"{mean.chosen.n}"
     if not mean.is_pooled:
         count_text = wording.format_count(mean.chosen.n, "spool")
@@ -335,15 +330,15 @@ def _make_mean_cells(group: Group, number: GroupNumber, factor: float) -> tuple[
         count_text = f"{mean.chosen.n} of {len(group.samples)}"
     return (
         Cell(wording.format_mean(mean.chosen, factor)),
-        Cell(count_text, tip=str(mean.decision) if len(mean.spool_means) > 1 else ""),
+        Cell(count_text, tooltip=str(mean.decision) if len(mean.spool_means) > 1 else ""),
         Cell(wording.format_number(mean.chosen.deviation, None, factor, digits=2).value),
     )
 
 
 def _make_strip(number: GroupNumber) -> MeanStrip:
-    """Make the drawing of samples, mean and interval of a number on a scale of this number."""
+    """Make the drawing of samples, mean and interval of a number on a scale of its own."""
     max_dots = 12  # more dots would overlap
-    max_extension = 1.5  # of the scale beyond the values at each end, relative to their range
+    max_extension = 1.5  # of the scale beyond the values at each end, as a fraction of their range
     values = [result.value for result in number.values.values() if result.value is not None]
     interval, mean = number.mean.chosen.interval, number.mean.chosen.mean
     interval_ends = () if interval is None else (interval.lower, interval.upper)
@@ -369,7 +364,7 @@ def make_result_cell(result: Result | None, factor: float, *, is_outlier: bool =
     is_outlier : whether the result is an outlier among the samples of its group
     """
     if result is None or result.value is None:
-        return Cell(DASH, tip="" if result else "not requested")
+        return Cell(DASH, tooltip="" if result else "not requested")
     mark = ("?" if result.status is Status.DOUBTFUL else "") + ("!" if is_outlier else "")
     return Cell(wording.format_result(result, factor), mark=mark)
 
@@ -440,7 +435,7 @@ def make_sample_tables(view: GroupView) -> list[Table]:
             sample = test.sample
             row: Record = {"Test": sample.test}
             if not tables:
-                link = f"#t{test.number}"
+                link = f"#t{test.row_index}"
                 row = {"Test": Cell(sample.test, link=link), "Spool": sample.specimen.spool}
             for number in numbers:
                 scale = wording.choose_number_scale(group, number)
@@ -551,10 +546,10 @@ def describe_observations(samples: Sequence[Sample]) -> str:
     ----------
     samples : samples of one group
     """
-    sheets = [sample.specimen.observed for sample in samples]
-    questions = dict.fromkeys(question for sheet in sheets for question in sheet)
-    counts = Counter(sheet.get(name, NOT_STATED) for name in questions for sheet in sheets)
-    return ", ".join(f"{answer} {count}" for answer, count in counts.most_common())
+    observations = [sample.specimen.observed for sample in samples]
+    names = dict.fromkeys(name for observed in observations for name in observed)
+    counts = Counter(observed.get(name, NOT_STATED) for name in names for observed in observations)
+    return ", ".join(f"{value} {count}" for value, count in counts.most_common())
 
 
 def make_lot_table(groups: Iterable[GroupView]) -> Table | None:
@@ -565,8 +560,9 @@ def make_lot_table(groups: Iterable[GroupView]) -> Table | None:
     groups : groups of the report
     """
     rows, rules = list[Record](), set[str]()
-    for group, stem, *_ in groups:
-        if (lot := group.lot) is None:
+    for view in groups:
+        group, lot = view.group, view.group.lot
+        if lot is None:
             continue
         scale = choose_lot_scale(group, lot)
         limit, bound, smallest = (
@@ -575,9 +571,9 @@ def make_lot_table(groups: Iterable[GroupView]) -> Table | None:
             else DASH
             for ratio in (1.0, lot.tolerance_bound, lot.minimum)
         )
-        no_common_limit = Cell(DASH, tip="the samples have several limits")
+        no_common_limit = Cell(DASH, tooltip="the samples have several limits")
         rows.append({
-            "Lot": Cell(group.name, link=f"#group-{stem}"),
+            "Lot": Cell(group.name, link=f"#group-{view.stem}"),
             "Answer": str(lot.answer).upper(),
             "Why": wording.join_sentences(lot.reasons),
             "Limit": no_common_limit if lot.limit is None else limit,
@@ -603,8 +599,8 @@ def make_verdict_table(group: Group) -> Table | None:
     if group.lot is None:
         return None
     force = wording.choose_scale("", "N", wording.get_display(group))
-    sheets = [sample.specimen.observed for sample in group.samples]
-    questions = dict.fromkeys(question for sheet in sheets for question in sheet)
+    observations = [sample.specimen.observed for sample in group.samples]
+    observed_names = dict.fromkeys(name for observed in observations for name in observed)
     rows = []
     for sample in group.samples:
         verdict = group.lot.verdicts.get(sample.test)
@@ -616,9 +612,9 @@ def make_verdict_table(group: Group) -> Table | None:
         for name in ("peak_force.1", FORCE_LIMIT):
             result = find_result(sample.results, name)
             row[wording.format_heading(name, force)] = make_result_cell(result, force.factor)
-        for question in questions:
-            answer = sample.specimen.observed.get(question, NOT_STATED)
-            row[question.replace("_", " ").capitalize()] = answer
+        for name in observed_names:
+            heading = name.replace("_", " ").capitalize()
+            row[heading] = sample.specimen.observed.get(name, NOT_STATED)
         rows.append(row)
     return tabulate(f"{group.name}: verdict on each sample", rows)
 
@@ -665,7 +661,7 @@ def make_bounds_table(campaign: Campaign) -> Table | None:
             scale.label("Nothing slips"): Cell(nothing_slips, directions),
             "Share of the range": Cell(degree_text, wording.join_sentences(stiffness.reasons)),
         })  # fmt: skip
-    notes = format_sentence("report.bounds_of_bundles"), format_sentence("report.share_of_the_way")
+    notes = format_sentence("report.bounds_of_bundles"), format_sentence("report.share_of_range")
     return tabulate("Between slipping and sticking", rows, notes=notes)
 
 
@@ -675,7 +671,7 @@ def make_cause_table(cause: Cause) -> Table:
         {
             "Test": Cell(", ".join(issue.tests) or "the whole group", issue.group),
             "What": issue.topic or DASH,
-            "Why": Cell(issue.reason, tip=issue.code),
+            "Why": Cell(issue.reason, tooltip=issue.code),
         }
         for issue in cause.issues
     ]
@@ -686,7 +682,7 @@ def make_note_table(causes: Iterable[Cause]) -> Table | None:
     """Make the table of the notes without consequences, a row per cause; None without causes."""
     rows: list[Record] = [
         {
-            "Note (first of its kind)": Cell(cause.issues[0].reason, tip=cause.code),
+            "Note (first of its kind)": Cell(cause.issues[0].reason, tooltip=cause.code),
             "Number": str(len(cause.issues)),
             "Where": cause.subject,
         }
@@ -707,7 +703,7 @@ def make_method_tables(campaign: Campaign) -> list[Table]:
         rows = []
         for name, methods in methods_by_number.items():
             method = wording.replace_names("; ".join(filter(None, methods)))
-            row: Record = {"Number": Cell(wording.format_label(name), tip=name)}
+            row: Record = {"Number": Cell(wording.format_label(name), tooltip=name)}
             rows.append(row | {"Method": method or "No sample has this number."})
         title = f"Protocol {protocol}: method of each number"
         tables.append(tabulate(title, rows, ("Number", "Method")))
@@ -731,6 +727,9 @@ def make_test_rows(tests: Iterable[PageTest]) -> list[dict[str, Any]]:
     for test in tests:
         page = name_page_file(test.sample.label or test.sample.test)
         numbers = () if test.group is None else test.group.numbers
+        bad_results = [entry for entry in test.sample.results if entry.status is not Status.OK]
+        reasons = (reason for result in bad_results for reason in result.reasons)
+        rejection = f"Rejected: {test.rejection}" if test.rejection else ""
         rows.append({
             "test": test,
             "first_cell": _make_first_number_cell(test.sample, numbers),
@@ -738,7 +737,7 @@ def make_test_rows(tests: Iterable[PageTest]) -> list[dict[str, Any]]:
             "grounds": test.rejection or test.sample.decision,
             "page": page,
             "address": quote(page, errors="replace"),
-            "reason": describe_problems(test),
+            "reason": rejection or wording.join_sentences(reasons),
         })  # fmt: skip
     return rows
 
@@ -767,19 +766,6 @@ def _make_first_number_cell(sample: Sample, numbers: Sequence[GroupNumber]) -> C
     scale = wording.choose_scale(name, result.unit, sample.display)
     cell = make_result_cell(result, scale.factor)
     return cell._replace(subtext=wording.format_heading(name, scale), sort_value=result.value)
-
-
-def describe_problems(test: PageTest) -> str:
-    """Describe why a test is rejected, or why results of the test are doubtful or failed.
-
-    Parameters
-    ----------
-    test : test of the page
-    """
-    if test.rejection:
-        return f"Rejected: {test.rejection}"
-    results = [result for result in test.sample.results if result.status is not Status.OK]
-    return wording.join_sentences(reason for result in results for reason in result.reasons)
 
 
 def make_source_table(tests: Iterable[PageTest]) -> Table:

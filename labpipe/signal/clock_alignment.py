@@ -313,7 +313,7 @@ def _compute_lag_correction(
     difference = (later_means - earlier_means)[is_used]
     solution = np.linalg.lstsq(design, difference, rcond=None)[0]
     residuals = difference - design @ solution
-    variance = estimate_long_run_variance(residuals, parameters=len(columns))
+    variance = estimate_long_run_variance(residuals, n_parameters=len(columns))
     covariance = np.linalg.pinv(design.T @ design)
     # A lag that is too large by tau gives y(t + lag) - y(t) = tau y'(t), so that the correction is
     # -tau. The residuals are differences of two cycles. Their variance is four times that of the

@@ -152,7 +152,7 @@ def _make_corner(
 
     The first parameter is the value, and the last one is the time since the time origin, s.
     """
-    variance = estimate_long_run_variance(residuals, parameters=jacobian.shape[1])
+    variance = estimate_long_run_variance(residuals, n_parameters=jacobian.shape[1])
     scale = np.linalg.norm(jacobian, axis=0)
     scale[scale == 0.0] = 1.0
     information = (jacobian / scale).T @ (jacobian / scale)
@@ -467,7 +467,7 @@ def _estimate_noise(t: Floats, y: Floats, grid: _Grid, variance: float, dwell: f
     design = _build_design(t, grid.times[[row]], dwell)[0]
     residuals = y - grid.coefficients[row, column] @ design
     n_parameters = int(np.ceil(np.trace(grid.inverse[row, column] @ grid.gram[row])))
-    noise = estimate_long_run_variance(residuals, parameters=n_parameters)
+    noise = estimate_long_run_variance(residuals, n_parameters=n_parameters)
     return max(noise, 1e-18 * float(np.ptp(y)) ** 2) if np.isfinite(noise) else variance
 
 

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import product
+from typing import Self
 
 import numpy as np
-from scipy.fft import dct, fft
-from scipy.special import beta, stdtr, stdtrit
+import scipy
 
 from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats, Ints
@@ -17,43 +17,43 @@ from labpipe.records.curve import Interval
 from labpipe.records.estimates import Estimate
 
 MAX_COSINES = 128
-"""Maximum number of coefficients of the discrete cosine transform from which noise is estimated."""
+"""Largest number of coefficients of the discrete cosine transform from which noise is estimated."""
 
 
-def estimate_long_run_variance(residuals: Floats, *, parameters: int) -> float:
+def estimate_long_run_variance(residuals: Floats, *, n_parameters: int) -> float:
     """Estimate n times the variance of the mean of n residuals.
 
     Parameters
     ----------
     residuals : shape (n,), evenly sampled; NaN are ignored
-    parameters : number of parameters of the fit with these residuals
+    n_parameters : number of parameters of the fit that leaves these residuals
 
     Returns
     -------
-    Long-run variance, in the squared unit of the residuals; NaN for fewer than `parameters` + 3
+    Long-run variance, in the squared unit of the residuals; NaN for fewer than `n_parameters` + 3
     residuals.
 
     Notes
     -----
     The estimator of Newey and West, Econometrica 55 (1987) 703, adds the autocovariances up to lag
     min(1.3 n^(1/2), n / 4), weighted by Bartlett's triangle. The sum is increased for the low
-    frequencies that the fit has removed, and scaled by n / (n - parameters). The result is at least
-    half the ordinary variance, and about equal to the variance for white noise.
+    frequencies that the fit has removed, and scaled by n / (n - p) for p parameters. The result is
+    at least half the ordinary variance, and about equal to the variance for white noise.
     """
     values = residuals[~np.isnan(residuals)]
-    count = len(values)
-    if count < parameters + 3:
+    n = len(values)
+    if n < n_parameters + 3:
         return float("nan")
     centred = values - values.mean()
-    max_lag = min(int(1.3 * np.sqrt(count)), count // 4)
-    variance = float(centred @ centred) / count
+    max_lag = min(int(1.3 * np.sqrt(n)), n // 4)
+    variance = float(centred @ centred) / n
     long_run = variance
     for lag in range(1, max_lag + 1):
-        covariance = float(centred[lag:] @ centred[:-lag]) / count
+        covariance = float(centred[lag:] @ centred[:-lag]) / n
         long_run += 2.0 * (1.0 - lag / (max_lag + 1.0)) * covariance
     # A fit removes low frequencies from its residuals, so the weighted sum is too small.
-    remaining_fraction = 1.0 - min(0.5, parameters * (max_lag + 1.0) / count)
-    return max(long_run / remaining_fraction, 0.5 * variance) * count / (count - parameters)
+    remaining_fraction = 1.0 - min(0.5, n_parameters * (max_lag + 1.0) / n)
+    return max(long_run / remaining_fraction, 0.5 * variance) * n / (n - n_parameters)
 
 
 def estimate_fast_noise(values: Floats) -> Floats:
@@ -73,31 +73,31 @@ def estimate_fast_noise(values: Floats) -> Floats:
     >>> round(float(estimate_fast_noise(3.0 + np.random.default_rng(0).normal(0.0, 0.01, 4000))), 3)
     0.01
     """
-    block_samples = 20
-    size = min(block_samples, values.shape[-1])
-    count = values.shape[-1] // size
-    rows = values[..., : count * size].reshape(*values.shape[:-1], count, size)
-    basis = build_polynomial_basis(size, 3)
-    residuals = rows - rows @ basis @ basis.T
-    return np.asarray(np.median(np.sqrt(np.sum(residuals**2, axis=-1) / (size - 3)), axis=-1))
+    width = min(20, values.shape[-1])  # samples of a block
+    n_blocks = values.shape[-1] // width
+    blocks = values[..., : n_blocks * width].reshape(*values.shape[:-1], n_blocks, width)
+    basis = build_polynomial_basis(width, 3)
+    residuals = blocks - blocks @ basis @ basis.T
+    return np.asarray(np.median(np.sqrt(np.sum(residuals**2, axis=-1) / (width - 3)), axis=-1))
 
 
-def scale_limit_by_noise(limit: float, rows: Floats) -> Floats:
+def scale_limit_by_noise(limit: float, records: Floats) -> Floats:
     """Scale a limit to the fast noise of each of many similar records.
 
     Parameters
     ----------
     limit : limit for a record with the mean noise, in any unit
-    rows : shape (m, n), one record per row; columns with a NaN are ignored
+    records : shape (m, n), one record per row; samples that are NaN in a record are ignored in
+        all records
 
     Returns
     -------
     Shape (m,): `limit` times the noise of each record, divided by the mean noise of all records;
     `limit` itself without noise.
     """
-    noise = estimate_fast_noise(rows[:, ~np.isnan(rows).any(axis=0)])
+    noise = estimate_fast_noise(records[:, ~np.isnan(records).any(axis=0)])
     mean_noise = float(noise.mean())
-    return limit * noise / mean_noise if mean_noise > 0.0 else np.full(len(rows), limit)
+    return limit * noise / mean_noise if mean_noise > 0.0 else np.full(len(records), limit)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,55 +110,55 @@ class Processes:
     ----------
     corner_frequency : frequency, rad per sample, below which the power of flicker noise is constant
     correlation : shape (g,) for g processes, lag-one correlation of the autoregressive part
-    floor : shape (g,), white noise, as a fraction of the spectrum at frequency zero
+    white_floor : shape (g,), white noise, as a fraction of the spectrum at frequency zero
     is_reciprocal : shape (g,), 1 for the reciprocal of an autoregressive spectrum, else 0
     prior : shape (g,), prior probability relative to that of white noise
-    time : shape (g,), correlation time, samples
+    correlation_time : shape (g,), samples; 0 for white noise and reciprocal spectra
     flicker_exponent : shape (g,), exponent s of flicker noise; 0 for other processes
-    crossing : shape (g,), frequency, rad per sample, at which white noise is as large as flicker
-        noise; infinite for other processes
+    crossing_frequency : shape (g,), frequency, rad per sample, at which white noise is as large as
+        flicker noise; infinite for other processes
     """
 
     corner_frequency: float
     correlation: Floats
-    floor: Floats
+    white_floor: Floats
     is_reciprocal: Floats
     prior: Floats
-    time: Floats
+    correlation_time: Floats
     flicker_exponent: Floats
-    crossing: Floats
+    crossing_frequency: Floats
 
-    def compute_spectra(self, angle: Floats, rows: Ints | slice = slice(None)) -> Floats:
+    def compute_spectra(self, frequency: Floats, indices: Ints | slice = slice(None)) -> Floats:
         """Compute the spectra of some or all processes, relative to frequency zero.
 
         Parameters
         ----------
-        angle : shape (k,), frequency, rad per sample
-        rows : indices of the processes, or a slice
+        frequency : shape (k,), rad per sample
+        indices : indices of the processes
 
         Returns
         -------
         Shape (processes, k).
         """
-        flicker_exponent, floor = self.flicker_exponent[rows], self.floor[rows, None]
-        a = self.correlation[rows, None]
-        spectra: Floats = (1.0 - a) ** 2 / (1.0 - 2.0 * a * np.cos(angle) + a * a)
+        flicker_exponent = self.flicker_exponent[indices]
+        white_floor, a = self.white_floor[indices, None], self.correlation[indices, None]
+        spectra: Floats = (1.0 - a) ** 2 / (1.0 - 2.0 * a * np.cos(frequency) + a * a)
         is_flicker = flicker_exponent > 0.0
-        powers = -0.5 * flicker_exponent[is_flicker, None]
-        spectra[is_flicker] = (1.0 + (angle / self.corner_frequency) ** 2) ** powers
-        mixed = floor + (1.0 - floor) * spectra
-        return np.where(self.is_reciprocal[rows, None] > 0.0, 1.0 / spectra, mixed)
+        exponents = -0.5 * flicker_exponent[is_flicker, None]
+        spectra[is_flicker] = (1.0 + (frequency / self.corner_frequency) ** 2) ** exponents
+        mixed_spectra = white_floor + (1.0 - white_floor) * spectra
+        return np.where(self.is_reciprocal[indices, None] > 0.0, 1.0 / spectra, mixed_spectra)
 
 
 def list_autoregressive_processes(
-    times: Floats, floors: Sequence[float]
+    correlation_times: Floats, white_floors: Sequence[float]
 ) -> list[tuple[float, ...]]:
     """List the parameters of white noise, and of autoregressive noise of several correlation times.
 
     Parameters
     ----------
-    times : shape (n,), correlation times, samples, increasing
-    floors : amounts of added white noise, as fractions of the spectrum at frequency zero
+    correlation_times : shape (n,), samples, increasing
+    white_floors : amounts of added white noise, as fractions of the spectrum at frequency zero
 
     Returns
     -------
@@ -172,34 +172,35 @@ def list_autoregressive_processes(
     # With this exponent, the intervals covered 95 % in simulations, for white noise and for noise
     # that is correlated over up to a tenth of the window.
     prior_exponent = -0.4
-    factors, priors = np.exp(-1.0 / times), (times / times[0]) ** prior_exponent
-    correlated, weight = list(zip(factors, priors, times, strict=True)), 0.5 / len(floors)
+    correlations = np.exp(-1.0 / correlation_times)
+    priors = (correlation_times / correlation_times[0]) ** prior_exponent
+    correlated = list(zip(correlations, priors, correlation_times, strict=True))
+    floor_weight = 0.5 / len(white_floors)
     return [
         (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, np.inf),
         *((a, 0.0, 1.0, prior, 0.0, 0.0, np.inf) for a, prior, _ in correlated),
         *((a, 0.0, 0.0, 0.5 * prior, time, 0.0, np.inf) for a, prior, time in correlated),
         *(
-            (a, floor, 0.0, weight * prior, time, 0.0, np.inf)
-            for floor, (a, prior, time) in product(floors, correlated)
+            (a, white_floor, 0.0, floor_weight * prior, time, 0.0, np.inf)
+            for white_floor, (a, prior, time) in product(white_floors, correlated)
         ),
     ]
 
 
 @lru_cache(maxsize=16)
-def choose_processes(count: int, terms: int) -> Processes:
-    """Choose the candidate processes for the noise of a fit.
+def choose_processes(n_samples: int, n_cosines: int) -> Processes:
+    """Choose the candidate processes for the noise of a fit, without flicker noise.
 
     Parameters
     ----------
-    count : number of samples of the longest stretch; the longest candidate correlation time is a
-        fifth of it
-    terms : number of coefficients of the cosine transform of that stretch that are used
+    n_samples : number of samples of the longest stretch; the longest candidate correlation time is
+        a fifth of it
+    n_cosines : number of coefficients of the cosine transform of that stretch that are used
     """
     n_times, max_time_fraction = 23, 0.2
-    times = np.geomspace(count / (4.0 * terms), max_time_fraction * count, n_times)
-    floors = (0.003, 0.01, 0.03, 0.1, 0.3)
-    rows = list_autoregressive_processes(times, floors)  # without flicker noise
-    return Processes(np.pi, *np.array(rows).T)
+    times = np.geomspace(n_samples / (4.0 * n_cosines), max_time_fraction * n_samples, n_times)
+    white_floors = (0.003, 0.01, 0.03, 0.1, 0.3)
+    return Processes(np.pi, *np.array(list_autoregressive_processes(times, white_floors)).T)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -210,11 +211,11 @@ class SpectrumLikelihood:
 
     Parameters
     ----------
-    spectra : shape (g, terms), power of each coefficient of the cosine transform
-    columns : shape (terms, p), cosine transforms of the basis
+    spectra : shape (g, cosines), power of each coefficient of the cosine transform
+    basis_cosines : shape (cosines, p), cosine transforms of the basis
     log_determinant_term : shape (g,), logarithm of the likelihood without the sum of squares
     squares : shape (g,), whitened sum of squares of the residuals
-    dof : degrees of freedom: transform coefficients minus p, summed over the stretches
+    dof : degrees of freedom: number of cosines less p, summed over the stretches
     shifts : shape (g, stretches, p), difference between the coefficients of generalised and of
         ordinary least squares
     unit_covariance : shape (g, p, p), covariance of the coefficients of generalised least squares
@@ -222,7 +223,7 @@ class SpectrumLikelihood:
     """
 
     spectra: Floats
-    columns: Floats
+    basis_cosines: Floats
     log_determinant_term: Floats
     squares: Floats
     dof: int
@@ -232,8 +233,8 @@ class SpectrumLikelihood:
     @classmethod
     def from_values(
         cls, basis: Floats, values: Floats, processes: Processes, n_cosines: int
-    ) -> SpectrumLikelihood:
-        """Compute the likelihood from the lowest frequencies of stretches.
+    ) -> Self:
+        """Compute the likelihood of stretches from their lowest frequencies.
 
         Parameters
         ----------
@@ -243,33 +244,34 @@ class SpectrumLikelihood:
         processes : candidate processes with the g spectra
         n_cosines : number of the lowest frequencies of the cosine transform to use
         """
-        n_coefficients, count = basis.shape
-        terms = min(count, n_cosines)
-        cosines = np.asarray(dct(np.vstack([basis, values]), norm="ortho"))[:, :terms]
-        spectra = processes.compute_spectra(np.pi * np.arange(terms) / count)
+        n_coefficients, n_samples = basis.shape
+        n_cosines = min(n_samples, n_cosines)
+        cosines = np.asarray(scipy.fft.dct(np.vstack([basis, values]), norm="ortho"))[:, :n_cosines]
+        spectra = processes.compute_spectra(np.pi * np.arange(n_cosines) / n_samples)
         return cls.from_cosines(spectra, cosines[n_coefficients:], cosines[:n_coefficients].T)
 
     @classmethod
-    def from_cosines(cls, spectra: Floats, waves: Floats, columns: Floats) -> SpectrumLikelihood:
+    def from_cosines(cls, spectra: Floats, cosines: Floats, basis_cosines: Floats) -> Self:
         """Compute the restricted likelihood of cosine transforms (Harville, JASA 72 (1977) 320).
 
         Parameters
         ----------
-        spectra : shape (g, terms), power of each coefficient of the transform
-        waves : shape (stretches, terms), cosine transforms of the values
-        columns : shape (terms, p), cosine transforms of the basis
+        spectra : shape (g, cosines), power of each coefficient of the transform
+        cosines : shape (stretches, cosines), cosine transforms of the values
+        basis_cosines : shape (cosines, p), cosine transforms of the basis
         """
-        inverse, (count, n_coefficients) = 1.0 / spectra, (len(waves), columns.shape[1])
-        information = _weigh_products(inverse, columns)
-        weighted = (waves[:, :, None] * columns).transpose(1, 0, 2).reshape(len(columns), -1)
-        score = (inverse @ weighted).reshape(len(inverse), count, n_coefficients)
+        inverse, n_stretches = 1.0 / spectra, len(cosines)
+        n_cosines, n_coefficients = basis_cosines.shape
+        information = _weigh_products(inverse, basis_cosines)
+        products = (cosines[:, :, None] * basis_cosines).transpose(1, 0, 2).reshape(n_cosines, -1)
+        score = (inverse @ products).reshape(len(inverse), n_stretches, n_coefficients)
         unit_covariance = np.asarray(np.linalg.inv(information), dtype=np.float64)
         shifts: Floats = score @ unit_covariance
         explained = np.sum(shifts * score, axis=(1, 2))
-        squares = np.maximum(inverse @ np.sum(waves**2, axis=0) - explained, 0.0)
+        squares = np.maximum(inverse @ np.sum(cosines**2, axis=0) - explained, 0.0)
         logs = np.log(spectra).sum(axis=1) + np.linalg.slogdet(information)[1]
-        dof = count * (len(columns) - n_coefficients)
-        return cls(spectra, columns, -0.5 * count * logs, squares, dof, shifts, unit_covariance)
+        log_term, dof = -0.5 * n_stretches * logs, n_stretches * (n_cosines - n_coefficients)
+        return cls(spectra, basis_cosines, log_term, squares, dof, shifts, unit_covariance)
 
     def compute_least_squares_covariance(self) -> Floats:
         """Compute the covariance of ordinary least squares under each spectrum, shape (g, p, p).
@@ -277,9 +279,9 @@ class SpectrumLikelihood:
         The covariance is scaled to a spectrum of 1 at frequency zero. Beyond the last frequency of
         the transform, the noise is assumed to have the power at that frequency.
         """
-        n_coefficients = self.columns.shape[1]
-        products_beyond = np.eye(n_coefficients) - self.columns.T @ self.columns
-        covariance = _weigh_products(self.spectra, self.columns)
+        basis_cosines = self.basis_cosines
+        products_beyond = np.eye(basis_cosines.shape[1]) - basis_cosines.T @ basis_cosines
+        covariance = _weigh_products(self.spectra, basis_cosines)
         return covariance + self.spectra[:, -1, None, None] * products_beyond
 
 
@@ -290,7 +292,8 @@ class SpectrumPosterior:
     Parameters
     ----------
     probabilities : shape (g,), which sum to 1
-    variances : shape (g,), estimated power at frequency zero if the spectrum is the true one
+    variances : shape (g,), estimated power at frequency zero for each spectrum, in the squared unit
+        of the signal
     dof : degrees of freedom of the variances
     """
 
@@ -299,8 +302,8 @@ class SpectrumPosterior:
     dof: int
 
     @classmethod
-    def combine(cls, likelihoods: Sequence[SpectrumLikelihood], prior: Floats) -> SpectrumPosterior:
-        """Compute the posterior from the prior and the likelihoods, with one common variance."""
+    def combine(cls, likelihoods: Sequence[SpectrumLikelihood], prior: Floats) -> Self:
+        """Combine likelihoods and prior probabilities (g,), with one variance for all stretches."""
         dof = sum(likelihood.dof for likelihood in likelihoods)
         squares = np.sum([likelihood.squares for likelihood in likelihoods], axis=0)
         logs = np.sum([likelihood.log_determinant_term for likelihood in likelihoods], axis=0)
@@ -323,30 +326,34 @@ def cut_smooth_stretches(values: Floats, *, width: int = 100) -> tuple[Floats, .
     the variance of its residuals about a cubic exceeds four times the median.
     """
     finite_values = values[~np.isnan(values)]
-    count = len(finite_values) // width
-    if count == 0:
+    n_stretches = len(finite_values) // width
+    if n_stretches == 0:
         return ()
-    pieces = finite_values[len(finite_values) - count * width :].reshape(count, width)
+    stretches = finite_values[len(finite_values) - n_stretches * width :].reshape(-1, width)
     cubics = build_polynomial_basis(width, 4)
-    variances = np.var(pieces - (pieces @ cubics) @ cubics.T, axis=1)
-    return tuple(pieces[variances <= 4.0 * np.median(variances)])
+    variances = np.var(stretches - (stretches @ cubics) @ cubics.T, axis=1)
+    return tuple(stretches[variances <= 4.0 * np.median(variances)])
 
 
 @lru_cache(maxsize=512)
-def build_polynomial_basis(count: int, columns: int) -> Floats:
-    """Build the first orthonormal polynomials over evenly spaced samples, shape (count, columns).
+def build_polynomial_basis(n_samples: int, n_polynomials: int) -> Floats:
+    """Build the first orthonormal polynomials over evenly spaced samples.
 
     Parameters
     ----------
-    count : number of samples
-    columns : number of polynomials, one more than the largest degree
+    n_samples : number of samples
+    n_polynomials : number of polynomials, one more than the largest degree
+
+    Returns
+    -------
+    Shape (n_samples, n_polynomials).
     """
-    x = np.linspace(-1.0, 1.0, count)
-    return np.linalg.qr(np.polynomial.legendre.legvander(x, columns - 1))[0]
+    x = np.linspace(-1.0, 1.0, n_samples)
+    return np.linalg.qr(np.polynomial.legendre.legvander(x, n_polynomials - 1))[0]
 
 
 def compute_covariance(basis: Floats, processes: Processes) -> Floats:
-    """Compute the covariance of projections of noise on a basis for each spectrum.
+    """Compute the covariance of projections of noise on a basis for each process.
 
     Parameters
     ----------
@@ -358,21 +365,20 @@ def compute_covariance(basis: Floats, processes: Processes) -> Floats:
     Shape (g, p, p): the sums over frequency of the spectrum times products of the Fourier
     transforms of the basis. The basis is padded with zeros over more than the correlation time.
     """
-    padding_times = 40.0
-    length = basis.shape[1] + int(padding_times * processes.time.max())
-    waves = fft(basis, length, axis=1).T / np.sqrt(length)
+    padding_times = 40.0  # correlation times
+    length = basis.shape[1] + int(padding_times * processes.correlation_time.max())
+    transforms = scipy.fft.fft(basis, length, axis=1).T / np.sqrt(length)
     spectra = processes.compute_spectra(2.0 * np.pi * np.arange(length) / length)
-    return _weigh_products(spectra, waves.real) + _weigh_products(spectra, waves.imag)
+    return _weigh_products(spectra, transforms.real) + _weigh_products(spectra, transforms.imag)
 
 
 def _weigh_products(weights: Floats, columns: Floats) -> Floats:
-    """Compute the sums of all products of two columns, shape (g, p, p).
+    """Compute the weighted sums of products of each pair of columns, shape (g, p, p).
 
-    The columns have the shape (terms, p), and the weights of their terms the shape (g, terms).
+    The columns have the shape (rows, p), and the weights of the rows the shape (g, rows).
     """
-    count = columns.shape[1]
     products = (columns[:, :, None] * columns[:, None, :]).reshape(len(columns), -1)
-    return (weights @ products).reshape(-1, count, count)
+    return (weights @ products).reshape(len(weights), columns.shape[1], -1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -439,29 +445,31 @@ def fit_linear(
 
     Given the spectrum, a coefficient follows Student's t-distribution. The interval is that of the
     mixture over spectra, weighted by their likelihood and their prior. The prior of a correlation
-    time, on a logarithmic scale, is proportional to its power -0.4. It is shared equally by noise
-    with and without added white noise. White noise alone has the prior of the shortest time.
+    time, on a logarithmic scale, is in proportion to the time to the power -0.4. It is divided
+    equally between noise with and without added white noise. White noise alone has the prior of the
+    shortest time.
 
-    Only the 128 lowest frequencies are used (all frequencies of the window if `is_weighted`). Hum,
-    filters and rounding contain no information about the mean over a window (as in the
-    equal-weighted cosine estimator: Lazarus et al., J. Bus. Econ. Stat. 36 (2018) 541). A curve
-    that the model does not fit looks like slow noise and widens the interval.
+    Only the 128 lowest frequencies are used (all frequencies of the window if `is_weighted`),
+    because higher ones, with hum, filters and rounding, contain no information about the mean over
+    a window (as in the equal-weighted cosine estimator: Lazarus et al., J. Bus. Econ. Stat. 36
+    (2018) 541). A misfit of the model counts as slow noise and widens the interval.
 
     Other stretches multiply the likelihood of each spectrum by theirs, with one common variance;
-    the longest of all stretches sets the range of correlation times. The window may then be shorter
-    than the correlation time, so the covariance of ordinary least squares is computed exactly.
+    the longest of window and stretches sets the range of correlation times. The window may then be
+    shorter than the correlation time, so the covariance of ordinary least squares is computed
+    exactly.
     """
-    count, n_coefficients = design.shape
-    needed = n_coefficients + (1 if other_stretches else 4)
-    if count < needed:
-        numbers = {"needed": needed, "coefficients": n_coefficients, "count": count}
-        raise ValueError(format_sentence("uncertainty.too_few", **numbers))
+    n_samples, n_coefficients = design.shape
+    n_needed = n_coefficients + (1 if other_stretches else 4)
+    if n_samples < n_needed:
+        facts = {"needed": n_needed, "coefficients": n_coefficients, "count": n_samples}
+        raise ValueError(format_sentence("uncertainty.too_few", **facts))
     basis, to_coefficients = orthonormalise(design)
     projections = basis @ values
-    max_samples = max([count, *map(len, other_stretches)])
-    max_cosines = max_samples if is_weighted else min(max_samples, MAX_COSINES)
-    processes = choose_processes(max_samples, max_cosines)
-    n_cosines, residuals = count if is_weighted else MAX_COSINES, values - projections @ basis
+    residuals = values - projections @ basis
+    longest = max([n_samples, *map(len, other_stretches)])
+    processes = choose_processes(longest, longest if is_weighted else min(longest, MAX_COSINES))
+    n_cosines = n_samples if is_weighted else MAX_COSINES
     window = SpectrumLikelihood.from_values(basis, residuals, processes, n_cosines)
     likelihoods = [window]
     for length in sorted(set(map(len, other_stretches))):
@@ -470,24 +478,24 @@ def fit_linear(
         stretches -= (stretches @ cubics) @ cubics.T  # against rounding errors of large values
         likelihood = SpectrumLikelihood.from_values(cubics.T, stretches, processes, MAX_COSINES)
         likelihoods.append(likelihood)
-    noise = SpectrumPosterior.combine(likelihoods, processes.prior)
+    posterior = SpectrumPosterior.combine(likelihoods, processes.prior)
     shifts, unit_covariance = window.shifts[:, 0], window.unit_covariance
     if not is_weighted:
         shifts = np.zeros_like(shifts)
         unit_covariance = window.compute_least_squares_covariance()
         if other_stretches:
             unit_covariance = compute_covariance(basis, processes)
-    shift = noise.probabilities @ shifts
-    covariances = unit_covariance * noise.variances[:, None, None]
+    mean_shift = posterior.probabilities @ shifts
+    covariances = unit_covariance * posterior.variances[:, None, None]
     covariances = to_coefficients @ covariances @ to_coefficients.T
-    offsets = (shifts - shift) @ to_coefficients.T
-    spread = np.einsum("g,gi,gj->ij", noise.probabilities, offsets, offsets)
+    offsets = (shifts - mean_shift) @ to_coefficients.T
+    offset_covariance = np.einsum("g,gi,gj->ij", posterior.probabilities, offsets, offsets)
     variances = np.diagonal(covariances, axis1=1, axis2=2)
     return LinearFit(
-        coefficients=to_coefficients @ (projections + shift),
-        covariance=np.tensordot(noise.probabilities, covariances, axes=1) + spread,
-        half_widths=_compute_half_widths(noise, variances, offsets),
-        n=count,
+        coefficients=to_coefficients @ (projections + mean_shift),
+        covariance=np.tensordot(posterior.probabilities, covariances, axes=1) + offset_covariance,
+        half_widths=_compute_half_widths(posterior, variances, offsets),
+        n=n_samples,
     )
 
 
@@ -501,37 +509,37 @@ def orthonormalise(design: Floats) -> tuple[Floats, Floats]:
     Returns
     -------
     basis : shape (p, n), orthonormal rows
-    to_coefficients : shape (p, p), matrix from coefficients of the basis to those of the columns
+    to_coefficients : shape (p, p), matrix from coefficients of the basis to those of the design
     """
-    scale = np.linalg.norm(design, axis=0)
-    columns, triangle = np.linalg.qr(design / scale)
-    return np.ascontiguousarray(columns.T), np.linalg.inv(triangle) / scale[:, None]
+    norms = np.linalg.norm(design, axis=0)
+    orthonormal_columns, triangle = np.linalg.qr(design / norms)
+    return np.ascontiguousarray(orthonormal_columns.T), np.linalg.inv(triangle) / norms[:, None]
 
 
-def _compute_half_widths(noise: SpectrumPosterior, variances: Floats, offsets: Floats) -> Floats:
-    """Compute the half widths that contain 95 % of the mixture of t-distributions.
+def _compute_half_widths(mixture: SpectrumPosterior, variances: Floats, offsets: Floats) -> Floats:
+    """Compute the half widths that contain 95 % of the mixture of t-distributions, shape (p,).
 
+    Each spectrum has a variance and an offset from the mean for each coefficient, shape (g, p).
     Newton's method is used. For large offsets, the coverage is not a concave function of the half
-    width, so half widths are limited to at least a tenth of the first one.
+    width, so half widths are limited to at least a tenth of the first estimate.
     """
-    # Spectra with a lower probability are ignored.
-    min_probability = 1e-15
+    min_probability = 1e-15  # spectra with a lower probability are ignored
     deviations = np.sqrt(np.maximum(variances, 0.0))
     positive_deviations = np.where(deviations > 0.0, deviations, 1.0)
-    mean_logarithm = noise.probabilities @ np.log(positive_deviations)
-    half_widths: Floats = stdtrit(noise.dof, 0.975) * np.exp(mean_logarithm)
-    smallest = 0.1 * half_widths
-    is_relevant = noise.probabilities > min_probability
-    weights, spreads = noise.probabilities[is_relevant], positive_deviations[is_relevant]
-    centres, dof = offsets[is_relevant] / spreads, noise.dof
+    mean_logarithm = mixture.probabilities @ np.log(positive_deviations)
+    half_widths: Floats = scipy.special.stdtrit(mixture.dof, 0.975) * np.exp(mean_logarithm)
+    min_half_widths = 0.1 * half_widths
+    is_relevant = mixture.probabilities > min_probability
+    weights, scales = mixture.probabilities[is_relevant], positive_deviations[is_relevant]
+    centres, dof = offsets[is_relevant] / scales, mixture.dof
     for _ in range(12):
-        upper, lower = half_widths / spreads - centres, half_widths / spreads + centres
-        coverage = weights @ (stdtr(dof, upper) - stdtr(dof, -lower))
+        upper, lower = half_widths / scales - centres, half_widths / scales + centres
+        coverage = weights @ (scipy.special.stdtr(dof, upper) - scipy.special.stdtr(dof, -lower))
         # Densities of Student's t-distribution.
         kernels = [(1.0 + t * t / dof) ** (-0.5 * (dof + 1)) for t in (upper, lower)]
-        density = sum(kernels) / (np.sqrt(dof) * beta(0.5, 0.5 * dof))
-        step = (0.95 - coverage) / (weights @ (density / spreads))
-        half_widths = np.maximum(half_widths + step, smallest)
+        density = sum(kernels) / (np.sqrt(dof) * scipy.special.beta(0.5, 0.5 * dof))
+        step = (0.95 - coverage) / (weights @ (density / scales))
+        half_widths = np.maximum(half_widths + step, min_half_widths)
         if np.all(np.abs(step) <= 1e-6 * half_widths):
             break
     return np.where(np.any(deviations > 0.0, axis=0), half_widths, 0.0)

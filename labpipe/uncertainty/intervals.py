@@ -112,10 +112,10 @@ def measure_numbers(replicates: Replicates, choose: Choice) -> tuple[MeasuredNum
     smooth_extractor = _choose_samples(replicates, choose, extractor)
     smooth = SmoothNumbers.of(choose, replicates.smooth_trace, smooth_extractor, replicates.cache)
     noisy_numbers = [*map(smooth_extractor.compute_replicates, replicates.iterate_traces())]
-    noise = np.concatenate(noisy_numbers, axis=1) - smooth.numbers[:, None]
-    corrections, sampling_spread = _draw_sampling_corrections(replicates, extractor, smooth)
-    deviations = noise - corrections
-    contributions, doubts = [(STEP, sampling_spread)], list[tuple[str, Reason]]()
+    noise_effects = np.concatenate(noisy_numbers, axis=1) - smooth.numbers[:, None]
+    corrections, sampling_spreads = _draw_sampling_corrections(replicates, extractor, smooth)
+    deviations = noise_effects - corrections
+    contributions, doubts = [(STEP, sampling_spreads)], list[tuple[str, Reason]]()
     input_doubts = list[tuple[Floats, Reason]]()
     for quantity in replicates.inputs:
         changes = np.array([smooth.compute_change(quantity, x) for x in (-1.0, 1.0)])
@@ -125,9 +125,9 @@ def measure_numbers(replicates: Replicates, choose: Choice) -> tuple[MeasuredNum
         lower, upper = changes  # of the numbers, with the input changed by minus and plus one unit
         z = replicates.draw_errors(quantity)
         deviations = deviations + np.where(z > 0.0, np.outer(-lower, z), np.outer(upper, z))
-        mean_change = 0.5 * (upper - lower) * quantity.standard_deviation
-        contributions.append((quantity.cause, mean_change))
-        input_doubts += [(np.abs(mean_change), reason) for reason in quantity.doubts]
+        mean_changes = 0.5 * (upper - lower) * quantity.standard_deviation
+        contributions.append((quantity.cause, mean_changes))
+        input_doubts += [(np.abs(mean_changes), reason) for reason in quantity.doubts]
     missing_fraction = float(np.isnan(deviations).any(axis=0).mean())
     not_repeatable = Reason.of("uncertainty.not_repeatable", missing=missing_fraction)
     if missing_fraction >= max_missing:
@@ -135,20 +135,21 @@ def measure_numbers(replicates: Replicates, choose: Choice) -> tuple[MeasuredNum
     if missing_fraction > max_missing_without_doubt:
         doubts.append(("", not_repeatable))
     noise_doubts = tuple(_list_slow_noise_doubts(replicates, smooth_extractor.n))
-    spread, negligible = np.nanstd(noise, axis=1), negligible_fraction * np.abs(values)
+    noise_spreads = np.nanstd(noise_effects, axis=1)
+    negligible_changes = negligible_fraction * np.abs(values)
     small_errors = small_error_fraction * np.nanstd(deviations, axis=1)
-    is_relevant = spread > np.maximum(negligible, small_errors)
+    is_relevant = noise_spreads > np.maximum(negligible_changes, small_errors)
     return tuple(
         MeasuredNumber(
             value,
             deviations[row],
-            _make_budget(float(spread[row]), contributions, row),
+            _make_budget([(NOISE, noise_spreads), *contributions], row),
             extractor.n,
             (
                 *doubts,
                 *_list_interval_doubts(value, deviations[row]),
                 *(noise_doubts if is_relevant[row] else ()),
-                *(("", reason) for size, reason in input_doubts if size[row] > negligible[row]),
+                *(("", why) for x, why in input_doubts if x[row] > negligible_changes[row]),
             ),
         )
         for row, value in enumerate(values)
@@ -167,17 +168,15 @@ def _draw_sampling_corrections(
         computed correction
     """
     measured = replicates.measured_trace
+    sampled = smooth
+    if extractor.depends_on_corners and len(measured.time) == len(replicates.smooth_trace.time):
+        sampled = SmoothNumbers.of(smooth.choose, measured, extractor)
+    correction = sampled.fine_numbers - sampled.numbers
     if extractor.sampling_correction is not None:
         correction = np.array(extractor.sampling_correction)
-    else:
-        if extractor.depends_on_corners and len(measured.time) == len(replicates.smooth_trace.time):
-            sampled = SmoothNumbers.of(smooth.choose, measured, extractor)
-        else:
-            sampled = smooth
-        correction = sampled.fine_numbers - sampled.numbers
-    deviation = 1.0 / np.sqrt(3.0)  # of a uniform distribution from -1/2 to 3/2, about 1/2
-    corrections = np.outer(correction, 0.5 + deviation * replicates.draw_errors(_SAMPLING))
-    spreads = deviation * correction
+    standard_deviation = 1.0 / np.sqrt(3.0)  # of a uniform distribution from -1/2 to 3/2
+    factors = 0.5 + standard_deviation * replicates.draw_errors(_SAMPLING)
+    corrections, spreads = np.outer(correction, factors), standard_deviation * correction
     longest_branch = max((branch.stop - branch.start for branch in measured.branches), default=0)
     ignores_sampling = extractor.sampling_correction is None and not extractor.ends_at_samples
     if longest_branch > SHORT_RECORD_SAMPLES or extractor.depends_on_corners or ignores_sampling:
@@ -206,7 +205,7 @@ def _choose_samples(replicates: Replicates, choose: Choice, extractor: Extractor
 
 
 def _list_interval_doubts(value: float, deviations: Floats) -> Iterator[tuple[str, Reason]]:
-    """Yield doubts about an interval without width, and about one that is widened to its value.
+    """Yield a doubt about an interval without width, or about one that is widened to the value.
 
     Small widenings cause no doubt. The largest of many noisy samples lies outside by a fraction of
     the noise, and the estimate is corrected for that.
@@ -220,8 +219,8 @@ def _list_interval_doubts(value: float, deviations: Floats) -> Iterator[tuple[st
         yield "", Reason.of("uncertainty.value_outside")
 
 
-def _list_slow_noise_doubts(replicates: Replicates, count: int) -> Iterator[tuple[str, Reason]]:
-    """Yield doubts about an interval because noise is slow, for a number from `count` samples."""
+def _list_slow_noise_doubts(replicates: Replicates, n_samples: int) -> Iterator[tuple[str, Reason]]:
+    """Yield doubts about the interval of a number of `n_samples` samples because of slow noise."""
     # Largest correlation times without a doubt, as fractions of the samples of a number and of the
     # record.
     max_window_fraction, max_record_fraction = 0.4, 0.04
@@ -230,12 +229,13 @@ def _list_slow_noise_doubts(replicates: Replicates, count: int) -> Iterator[tupl
     # A shorter record does not show whether its noise is slow.
     min_record_samples = 100
     for name, noise in replicates.noise_models.items():
-        time, total = noise.correlation_time, noise.count
-        if total < min_record_samples or time <= max_harmless_time:
+        time, record_samples = noise.correlation_time, noise.n_samples
+        if record_samples < min_record_samples or time <= max_harmless_time:
             continue
-        if time > total * max_record_fraction:  # one sentence for all numbers of a test
-            yield name, Reason.of("uncertainty.slow_noise", name=name, slowness=time, count=total)
-        elif count > 1 and time > count * max_window_fraction:
+        if time > record_samples * max_record_fraction:  # one sentence for all numbers of a test
+            facts = {"name": name, "slowness": time, "count": record_samples}
+            yield name, Reason.of("uncertainty.slow_noise", **facts)
+        elif n_samples > 1 and time > n_samples * max_window_fraction:
             yield name, Reason.of("uncertainty.slow_in_number", name=name, slowness=time)
 
 
@@ -281,7 +281,10 @@ class SmoothNumbers:
         return cls(choose, *original, *fine, smooth.cache)
 
     def compute_corner_change(self) -> Floats:
-        """Compute the change of the numbers if all sampling steps that allow corners have them."""
+        """Compute the change of the numbers if each sampling step that allows a corner has one.
+
+        The change is zero if the numbers cannot be computed on the curve with or without corners.
+        """
         parts_per_step = 8
         numbers = list[Floats]()
         for has_corners in (False, True):
@@ -292,35 +295,35 @@ class SmoothNumbers:
             numbers.append(_compute_numbers(extractor, fine_trace))
         return numbers[1] - numbers[0]
 
-    def compute_change(self, quantity: Input, shift: float) -> Floats:
+    def compute_change(self, quantity: Input, n_units: float) -> Floats:
         """Compute the change of the numbers with an input.
 
         Parameters
         ----------
         quantity : the input
-        shift : change of the input, in the unit of `Input.perturb`
+        n_units : change of the input, in units of `Input.perturb`
 
         Returns
         -------
         Shape (numbers,). If the input moves the curve, windows are chosen again.
         """
         if not quantity.moves_curve:
-            changed_trace = self._make_curve(quantity, shift, 1)
+            changed_trace = self._make_curve(quantity, n_units, 1)
             return _compute_numbers(self.extractor, changed_trace) - self.numbers
         parts = (len(self.fine_trace.time) - 1) // max(len(self.trace.time) - 1, 1)
-        changed_trace = self._make_curve(quantity, shift, parts)
+        changed_trace = self._make_curve(quantity, n_units, parts)
         outcome = return_failure(self.choose)(changed_trace)
         extractor = self.fine_extractor if isinstance(outcome, Failure) else outcome
         return _compute_numbers(extractor, changed_trace) - self.fine_numbers
 
-    def _make_curve(self, quantity: Input | None, shift: float, parts: int) -> Trace:
+    def _make_curve(self, quantity: Input | None, n_units: float, parts: int) -> Trace:
         """Make the curve with a changed input and divided steps, or take it from the cache."""
-        key = quantity, shift, parts
+        key = quantity, n_units, parts
         if key not in self.cache:
             if parts > 1:
-                self.cache[key] = self._make_curve(quantity, shift, 1).refine(parts)
+                self.cache[key] = self._make_curve(quantity, n_units, 1).refine(parts)
             else:
-                self.cache[key] = quantity.perturb(self.trace, shift) if quantity else self.trace
+                self.cache[key] = quantity.perturb(self.trace, n_units) if quantity else self.trace
         return self.cache[key]
 
 
@@ -328,16 +331,14 @@ def _compute_numbers(extractor: Extractor, trace: Trace) -> Floats:
     return np.array([float(number) for number in extractor.compute_numbers(trace)])
 
 
-def _make_budget(
-    noise: float, contributions: list[tuple[str, Floats]], row: int
-) -> tuple[Contribution, ...]:
-    """Make the budget of one number from its noise and the changes of all numbers by each cause.
+def _make_budget(contributions: list[tuple[str, Floats]], row: int) -> tuple[Contribution, ...]:
+    """Make the budget of one number from the changes of all numbers by each cause.
 
     The contributions of several inputs with the same cause are added in quadrature, without a sign.
     """
-    changes: dict[str, float] = {NOISE: noise}
+    changes: dict[str, float] = {}
     for cause, changes_by_cause in contributions:
-        sum_so_far, change = changes.get(cause, 0.0), float(changes_by_cause[row])
-        changes[cause] = hypot(sum_so_far, change) if sum_so_far else change
+        change = float(changes_by_cause[row])
+        changes[cause] = hypot(changes[cause], change) if changes.get(cause) else change
     min_change = 1e-9 * max(map(abs, changes.values()))  # smaller changes are rounding
     return tuple(make_contribution(*x) for x in changes.items() if abs(x[1]) > min_change)

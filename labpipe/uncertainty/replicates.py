@@ -17,10 +17,10 @@ import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
-from scipy.special import ndtri
+import scipy
 
 from labpipe.records.arrays import Floats, Samples
 from labpipe.records.causes import RESOLUTION_OF_FORCE
@@ -54,8 +54,8 @@ class Trace:
     branches : loading and unloading branches, in samples of the curve
     failed_at : index of the sample of the failure, or None
     sizes : dimensions of specimen and rig, m (an area m^2), keyed by their key in the protocol
-    steps_to_event : time from the last sample before a failure or turn to this event, in sampling
-        steps
+    steps_to_event : time from the last sample before a failure or a turn to the failure or turn, in
+        sampling steps
     parts_per_step : number of parts into which each original sampling step is divided
     is_smooth : whether the curve has no noise; limits that depend on noise are then taken from the
         measured curve
@@ -128,21 +128,21 @@ def _compute_corner_excess(values: Floats, parts: int) -> Floats:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Extractor:
-    """Functions that compute numbers from chosen samples.
+    """Functions that compute the numbers of a trace from chosen samples.
 
     Parameters
     ----------
     compute_numbers : function that computes the numbers of a trace with the same samples, each of
         shape (...); NaN for a curve without the number
-    n : number of samples used
-    compute_noisy_numbers : the function for curves with noise; None if it is `compute_numbers`
+    n : number of samples from which the numbers are computed
+    compute_noisy_numbers : function for curves with noise; None if it is `compute_numbers`
     ends_at_samples : whether the windows end at samples, and nothing else depends on the sampling.
         The numbers on finer samples then show the effect of the sampling
     depends_on_corners : whether this effect is computed on the measured curve, because the numbers
         depend on corners that the smooth curve rounds off
     sampling_correction : correction of each number to infinitely fine samples; None if unknown
-    values : the numbers of the measured curve if they use more samples than those of the trace,
-        else empty
+    values : numbers of the measured curve if they are computed from more samples than those of the
+        trace, else empty
     """
 
     compute_numbers: Callable[[Trace], tuple[Floats, ...]]
@@ -210,8 +210,8 @@ Filter: TypeAlias = Callable[[Floats], Floats]
 """Function that filters signals along their last axis."""
 Distribution: TypeAlias = Literal["normal", "uniform", "step", "ends"]
 """Distribution of the error of an input. Normal and uniform errors have a standard deviation of one
-unit of `Input.perturb`. If the true value is up to one step above the reading, the error is uniform
-between -1 and 0 steps (``step``), or -1 or 0 steps with equal probability (``ends``)."""
+unit of `Input.perturb`. For a true value up to one unit above the reading, the error is uniform
+between -1 and 0 units (``step``), or -1 or 0 units with equal probability (``ends``)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -222,10 +222,11 @@ class Input:
     ----------
     cause : name of the cause of the error, a key of `labpipe.records.causes.IS_COMMON`
     perturb : function that returns a trace with the input changed by a number of units. The unit is
-        the standard uncertainty, or a step for ``step`` and ``ends``
+        the standard uncertainty or, for ``step`` and ``ends``, a step
     distribution : distribution of the error
     moves_curve : whether a change of the input changes the curve; windows are then chosen again
-    drawn_errors : shape (replicates,), errors in the unit of `perturb`; None if not drawn yet
+    drawn_errors : shape (replicates,), errors in units of `perturb`; None to draw them from
+        `distribution`
     stream : name of the random stream; if empty, the cause is the name
     doubts : reasons why the uncertainty of the input, and of dependent numbers, may be wrong
     """
@@ -283,7 +284,7 @@ class Replicates:
             yield replace(self.smooth_trace, displacement=displacement, force=force)
 
     def draw_errors(self, quantity: Input) -> Floats:
-        """Draw the errors of an input, in the unit of `Input.perturb`, shape (replicates,).
+        """Draw the errors of an input, in units of `Input.perturb`, shape (replicates,).
 
         Parameters
         ----------
@@ -291,11 +292,13 @@ class Replicates:
         """
         if quantity.drawn_errors is not None:
             return quantity.drawn_errors
-        rng, count = make_generator(self.seed, quantity.stream or quantity.cause), len(self.force)
-        # The draws are stratified: there is one in each of `count` equal parts of the distribution.
-        quantiles = (rng.permutation(count) + rng.uniform(0.0, 1.0, count)) / count
+        rng = make_generator(self.seed, quantity.stream or quantity.cause)
+        # The draws are stratified: there is one in each of `n_draws` equal parts of the
+        # distribution.
+        n_draws = len(self.force)
+        quantiles = (rng.permutation(n_draws) + rng.uniform(0.0, 1.0, n_draws)) / n_draws
         compute_errors: dict[Distribution, Callable[[Floats], Floats]] = {
-            "normal": ndtri,
+            "normal": scipy.special.ndtri,
             "uniform": lambda x: np.sqrt(3.0) * (2.0 * x - 1.0),
             "step": np.negative,
             "ends": lambda x: -np.rint(x),
@@ -310,16 +313,12 @@ class Replicates:
         offset : m, length that is added to every displacement
         inputs : uncertain inputs on which the offset depends
         """
-        traces = self.measured_trace, self.averaged_trace, self.smooth_trace
-        shifted_traces = [replace(x, displacement=x.displacement + offset) for x in traces]
-        return replace(
-            self,
-            measured_trace=shifted_traces[0],
-            averaged_trace=shifted_traces[1],
-            smooth_trace=shifted_traces[2],
-            displacement=self.displacement + offset,
-            inputs=(*self.inputs, *inputs),
-        )
+        traces: dict[str, Any] = {}
+        for name in ("measured_trace", "averaged_trace", "smooth_trace"):
+            trace: Trace = getattr(self, name)
+            traces[name] = replace(trace, displacement=trace.displacement + offset)
+        displacement, all_inputs = self.displacement + offset, (*self.inputs, *inputs)
+        return replace(self, **traces, displacement=displacement, inputs=all_inputs)
 
 
 def make_generator(seed: bytes, name: str) -> np.random.Generator:
@@ -375,10 +374,6 @@ def fit_smooth_curve(
     `SHORT_RECORD_SAMPLES` samples, else cubic splines with equal intervals. Pieces at rest are
     splines, or constant where a spline fits no better than the mean.
     """
-    # Pieces at rest have fewer intervals. A spline that follows the noise of a plateau would reach
-    # its largest samples, and the uncertainty interval of a peak would lie too high.
-    max_rest_intervals = 4
-    min_rest_interval_samples = 50
     from scipy.interpolate import make_lsq_spline
 
     smooth, edges = values.copy(), sorted({0, len(values), *cuts})
@@ -399,9 +394,10 @@ def fit_smooth_curve(
             ]
             smooth[start:stop][is_finite] = np.concatenate(polynomials)
             continue
-        min_interval_samples = min_rest_interval_samples if is_rest else _MIN_INTERVAL_SAMPLES
-        max_count = max_rest_intervals if is_rest else max_intervals
-        n_intervals = int(np.clip(len(y) // min_interval_samples, 1, max_count))
+        # Pieces at rest have fewer intervals. A spline that follows the noise of a plateau would
+        # reach its largest samples, and the uncertainty interval of a peak would lie too high.
+        min_samples, max_count = (50, 4) if is_rest else (_MIN_INTERVAL_SAMPLES, max_intervals)
+        n_intervals = int(np.clip(len(y) // min_samples, 1, max_count))
         knots = np.concatenate([[0.0] * 4, np.arange(1, n_intervals) / n_intervals, [1.0] * 4])
         curve = make_lsq_spline(x, y, _select_supported_knots(knots, x), _SPLINE_DEGREE)(x)
         is_constant = is_rest and _is_constant(y, curve, n_intervals + _SPLINE_DEGREE)
@@ -413,14 +409,14 @@ def fit_smooth_curve(
 
 
 def _is_constant(values: Floats, curve: Floats, n_parameters: int) -> bool:
-    """Return whether the mean of a piece at rest fits as well as a curve.
+    """Return whether the mean of a piece at rest fits as well as a curve of `n_parameters`.
 
     The criterion is the information criterion of Schwarz, Ann. Stat. 6 (1978) 461. A curve that
     follows the noise is highest at an end of the rest, and would raise a peak there.
     """
-    count = len(values)
+    n_samples = len(values)
     variance_about_mean, variance_about_curve = np.var(values), np.mean((values - curve) ** 2)
-    limit = np.exp((n_parameters - 1) * np.log(count) / count)
+    limit = np.exp((n_parameters - 1) * np.log(n_samples) / n_samples)
     return bool(variance_about_mean <= limit * variance_about_curve)
 
 

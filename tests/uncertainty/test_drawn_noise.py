@@ -67,7 +67,8 @@ def test_remembering_noise_has_its_autocovariance(factor: float) -> None:
     that open.
     """
     noise = judged(autoregressive(factor, (20_000,), 2))
-    steep = _list_processes(noise.longest, noise.count).flicker_exponent[: len(noise.probabilities)]
+    processes = _list_processes(noise.longest_branch, noise.n_samples)
+    steep = processes.flicker_exponent[: len(noise.probabilities)]
     depends_on_history = np.where(steep > 0.0, 0.0, noise.probabilities)
     assert depends_on_history.sum() > (5.0 / 6.0 if factor < 0.98 else 1.0 / 3.0)
     drawn = replace(noise, probabilities=depends_on_history / depends_on_history.sum()).draw(
@@ -119,7 +120,7 @@ def test_processes_by_their_formulas() -> None:
     weights = [np.ones(1), prior, prior / 2.0, np.tile(prior / 14.0, 7), of_flicker]
     assert processes.prior == pytest.approx(np.concatenate(weights))
     # Of a short record up to twice the briefest memory at least.
-    assert np.unique(_list_processes(8, 8).time)[[1, -1]] == pytest.approx([0.4, 0.8])
+    assert np.unique(_list_processes(8, 8).correlation_time)[[1, -1]] == pytest.approx([0.4, 0.8])
 
 
 def cosines(count: int, terms: int) -> Floats:
@@ -136,7 +137,7 @@ def judged_by_contrasts(
     A part has its values and the number of powers that are its curve. Contrasts that no curve
     reaches are normal, of the covariance that a process gives them.
     """
-    processes = _list_processes(noise.longest, noise.count)
+    processes = _list_processes(noise.longest_branch, noise.n_samples)
     logs, squares, freedom = np.log(processes.prior), 0.0 * processes.prior, 0
     for values, powers in parts:
         waves = cosines(len(values), 48)
@@ -174,7 +175,7 @@ def test_a_record_is_judged_as_by_dense_matrices(*, at_rest: bool) -> None:
         *[(rest1[:270], 1), (rest2[40:], 3)][: 2 * at_rest],
     ]
     processes = _list_processes(2000, 3000)
-    steep, crossing = processes.flicker_exponent, processes.crossing
+    steep, crossing = processes.flicker_exponent, processes.crossing_frequency
     is_crossed = (crossing > np.pi * 12 / 166) & (crossing < np.pi * 48 / 166) | (crossing == np.pi)
     is_possible = at_rest | (steep == 0.0) | (is_crossed & (steep < 1.3))
     chances, squares, freedom = judged_by_contrasts(parts, noise, is_possible)
@@ -185,8 +186,8 @@ def test_a_record_is_judged_as_by_dense_matrices(*, at_rest: bool) -> None:
     power = (cosines(2000, 2000) @ long) ** 2 + np.repeat(cosines(1000, 1000) @ short, 2) ** 2 / 2.0
     edges = np.arange(256, 1984, 16)
     bands = np.add.reduceat(power, edges) / np.diff(np.append(edges, 2000))
-    np.testing.assert_allclose(noise.angles, np.pi * edges / 2000.0)
-    np.testing.assert_allclose(noise.power, bands * 2.0 / 3.0, rtol=1e-9)
+    np.testing.assert_allclose(noise.band_frequencies, np.pi * edges / 2000.0)
+    np.testing.assert_allclose(noise.band_power, bands * 2.0 / 3.0, rtol=1e-9)
 
 
 def test_whitened_squares_are_what_weighted_least_squares_leave() -> None:

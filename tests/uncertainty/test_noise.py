@@ -30,14 +30,13 @@ def test_long_run_variance() -> None:
     """White noise has its plain one; that of AR(1) is s^2 / (1 - a)^2 = 4 as well."""
     kicks = np.random.default_rng(1).normal(size=(100, 2000))
     for rows in (2.0 * kicks, lfilter([1.0], [1.0, -0.5], kicks)):
-        variances = [estimate_long_run_variance(row, parameters=1) for row in rows]
+        variances = [estimate_long_run_variance(row, n_parameters=1) for row in rows]
         assert np.mean(variances) == pytest.approx(4.0, rel=0.08)
     # Residuals that alternate have next to none: half of the plain one is kept.
     alternating = np.append(np.tile([1.0, -1.0], 50), np.nan)
-    assert estimate_long_run_variance(alternating, parameters=2) == pytest.approx(
-        0.5 * 100.0 / 98.0
-    )
-    assert np.isnan(estimate_long_run_variance(alternating[:4], parameters=2))
+    variance = estimate_long_run_variance(alternating, n_parameters=2)
+    assert variance == pytest.approx(0.5 * 100.0 / 98.0)
+    assert np.isnan(estimate_long_run_variance(alternating[:4], n_parameters=2))
 
 
 def test_fast_noise_does_not_see_the_curve() -> None:
@@ -76,7 +75,7 @@ def test_probable_spectra_and_their_covariances() -> None:
     on_floors = [f * white + (1.0 - f) * remembering for f in floors]
     covariances = np.vstack([white, mirrored, remembering, *on_floors])
     prior = (times / times[0]) ** -0.4
-    assert processes.time[24:47] == pytest.approx(times)
+    assert processes.correlation_time[24:47] == pytest.approx(times)
     assert processes.prior == pytest.approx(
         np.concatenate([[1.0], prior, prior / 2.0, np.tile(prior / 10.0, 5)])
     )

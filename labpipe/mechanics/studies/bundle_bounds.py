@@ -17,7 +17,7 @@ from labpipe.errors import ProcessingError, UsageError
 from labpipe.mechanics.studies.study_files import FIGURES_FOLDER, write_study
 from labpipe.mechanics.studies.wire_sheets import build_wire_error, read_wire_sheet
 from labpipe.mechanics.wire.bundle_layout import (
-    WANTED_FRACTION,
+    TARGET_PACKING_FRACTION,
     choose_bore,
     compute_bore,
     compute_packing_fraction,
@@ -48,7 +48,6 @@ from labpipe.records.quality import Reason
 from labpipe.records.result import TestResult, find_result
 from labpipe.records.wire import WireSpec, WireTable
 from labpipe.report.harness_figures import (
-    BUNDLE_FIGURE,
     LOOP_FIGURE,
     make_bundle_page,
     make_loop_page,
@@ -198,7 +197,7 @@ class ModelledBundle:
     name : composition of the bundle, or name of its test
     model : model of the bundle, with the bounds of its bending stiffness
     conduits : conduits that may be chosen, in the order given
-    wanted_bore : inner diameter of a conduit with the packing fraction `WANTED_FRACTION`, m
+    wanted_bore : inner diameter of a conduit with the packing fraction `TARGET_PACKING_FRACTION`, m
     folder : folder of the results
     files : paths of the files that were written
     friction : friction fitted to the cycles of a processed test; None without such a test
@@ -281,7 +280,7 @@ def model_bundle(
             modelled = replace(modelled, no_friction=str(error))
     earlier_files, pages = [], []
     if figures:
-        earlier_files = [f"{FIGURES_FOLDER}/{stem}.png" for stem in (BUNDLE_FIGURE, LOOP_FIGURE)]
+        earlier_files = [f"{FIGURES_FOLDER}/{LOOP_FIGURE}.{ending}" for ending in ("svg", "png")]
         pages = [make_bundle_page(model)]
     if figures and modelled.friction is not None:
         pages.append(make_loop_page(name, modelled.friction))
@@ -361,7 +360,7 @@ def build_json(modelled: ModelledBundle) -> dict[str, object]:
         "labpipe": __version__,
         **select_json(modelled, "name", "wanted_bore", "conduits", "no_friction"),
         "bundle": asdict(model.bundle),
-        "wanted_packing_fraction": WANTED_FRACTION,
+        "wanted_packing_fraction": TARGET_PACKING_FRACTION,
         **select_json(
             model, *_MODEL_FIELDS, doubtful="is_doubtful", doubtful_stick="is_doubtful_stick"
         ),

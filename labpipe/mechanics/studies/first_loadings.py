@@ -141,7 +141,7 @@ def estimate_zero_error(time: Floats, values: Floats, duration: float | None = N
     the number of values in `duration`.
     """
     finite_values = values[~np.isnan(values)]
-    variance = estimate_long_run_variance(finite_values, parameters=1)
+    variance = estimate_long_run_variance(finite_values, n_parameters=1)
     if np.isnan(variance):
         return 0.0
     total_duration = float(time[-1] - time[0])
@@ -284,7 +284,7 @@ def extract_first_loading(
         zero_error=estimate_force_zero_error(protocol, curve, branch),
         offset_error=estimate_offset_error(result, protocol, curve, branch),
         scale_error=common_scale_error,
-        own_scale_error=test_scale_error,
+        curve_scale_error=test_scale_error,
         self_weight=_get_self_weight(protocol),
     )
     channel = None if protocol.curve is None else protocol.channels.get(protocol.curve.force)
