@@ -90,7 +90,7 @@ def find_equilibrium(
     The equilibrium; None if Newton's method does not converge to an equilibrium nearby.
     """
     max_iterations = 10
-    max_idle_iterations = 2  # without progress; Newton's method may cycle at corners of the law
+    max_idle_iterations = 4  # without progress; Newton's method may cycle at corners of the law
     progress_ratio = 0.8  # largest turn of an iteration with progress / smallest turn before
     max_turn = 0.7  # rad, of an element in one iteration
     max_move = 0.35  # of a node in one iteration, relative to the length of the line
