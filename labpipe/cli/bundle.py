@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from labpipe.cli.terminal import shorten_path
 from labpipe.errors import UsageError
 from labpipe.mechanics.studies.bundle_bounds import ModelledBundle, build_json, model_bundle
-from labpipe.mechanics.wire.bundle_layout import WANTED_FRACTION
+from labpipe.mechanics.wire.bundle_layout import TARGET_PACKING_FRACTION
 from labpipe.report.harness_figures import describe_friction, describe_stiffness
 from labpipe.units import parse_quantity
 
@@ -71,7 +71,7 @@ def _format_conduits(bundle: ModelledBundle) -> Iterator[str]:
     no_fit = ": the wires do not fit"
     bore_text = f"{1e3 * bundle.wanted_bore:.5g} mm"
     bore_text += no_fit if bundle.wanted_bore < bundle.model.smallest_bore else ""
-    yield f"  bore for a packing fraction of {WANTED_FRACTION:g}: {bore_text}"
+    yield f"  bore for a packing fraction of {TARGET_PACKING_FRACTION:g}: {bore_text}"
     chosen_bore = bundle.model.bundle.conduit_bore
     for conduit in bundle.conduits:
         verdict = ": chosen" if conduit.bore == chosen_bore and len(bundle.conduits) > 1 else ""

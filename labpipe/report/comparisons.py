@@ -31,7 +31,7 @@ _BUNDLE_CONTEXT_FIELDS = (
     "type", "spool", "composition", "wire", "number", "arrangement", "tape", "taping", "conduit",
     group_samples.BORE,
 )  # fmt: skip
-"""Fields of bundles that a context omits, or lists by value without the name of the field."""
+"""Fields of bundles that `describe_context` omits, or lists by value without the field's name."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,11 +77,11 @@ def list_single_field_pairs(campaign: Campaign) -> list[Pair]:
     """List the pairs of groups that differ in one field alone, in the order of the differences."""
     groups = {group.name: group for group in campaign.groups}
     differences = (difference for difference in campaign.differences if difference.family)
-    pairs = groupby(differences, key=lambda difference: (difference.first, difference.second))
-    return [Pair(groups[first], groups[second], tuple(items)) for (first, second), items in pairs]
+    runs = groupby(differences, key=lambda difference: (difference.first, difference.second))
+    return [Pair(groups[first], groups[second], tuple(run)) for (first, second), run in runs]
 
 
-class Question(NamedTuple):
+class FieldComparison(NamedTuple):
     """Comparisons of groups that differ in a single field, which is the same for all.
 
     Parameters
@@ -96,45 +96,46 @@ class Question(NamedTuple):
     families: Sequence[Family]
 
     @property
-    def answers(self) -> Table:
+    def verdict_table(self) -> Table:
         """Table of the verdicts, a row per pair."""
         headings = ("Comparison", "Verdict", "Difference (95 %, corrected)", "n")
-        rows = list(map(make_answer_cells, self.pairs))
+        rows = list(map(make_verdict_cells, self.pairs))
         return Table(f"Verdicts: {name_field(self.field)}", headings, rows)
 
     @property
-    def tables(self) -> list[Table]:
+    def pair_tables(self) -> list[Table]:
         """Table of each pair, with a row per number."""
         return list(map(make_pair_table, self.pairs))
 
     @property
     def summary(self) -> tuple[str, str, str, str]:
-        """Question, verdict, difference and counts of the pair that differs most.
+        """Name, verdict, difference and counts of the pair that differs most.
 
-        With several pairs, the question lists the values of the field, and the verdict is the count
-        of each verdict.
+        With several pairs, the name lists the values of the field, and the verdict is the count of
+        each verdict.
         """
         pairs = self.pairs
-        question, verdict, difference, counts = make_answer_cells(max(pairs, key=_rank_pair))
+        largest_pair = max(pairs, key=_make_pair_sort_key)
+        name, verdict, difference, counts = make_verdict_cells(largest_pair)
         if len(pairs) == 1:
-            return question.text, verdict.text, difference, counts
+            return name.text, verdict.text, difference, counts
         values = {value for pair in pairs for value in pair.differences[0].fields[self.field]}
         sorted_values = sorted(values, key=lambda value: make_field_sort_key(self.field, value))
-        question_text = f"{name_field(self.field)}: {', '.join(sorted_values)}"
+        name_text = f"{name_field(self.field)}: {', '.join(sorted_values)}"
         n_pairs = Counter(pair.differences[0].verdict for pair in pairs)
         verdicts = [f"{str(kind).upper()} {n_pairs[kind]}" for kind in Verdict if n_pairs[kind]]
         difference_text = f"{difference}, largest of {len(pairs)} pairs"
-        return question_text, ", ".join(verdicts), difference_text, counts
+        return name_text, ", ".join(verdicts), difference_text, counts
 
 
-def _rank_pair(pair: Pair) -> tuple[bool, float]:
-    """Return the rank of a pair: whether it is different, then the size of its difference."""
+def _make_pair_sort_key(pair: Pair) -> tuple[bool, float]:
+    """Return whether the verdict of a pair is "different", and the magnitude of its difference."""
     difference = pair.differences[0]
-    size = difference.change if difference.change is not None else difference.difference.mean
-    return difference.verdict is Verdict.DIFFERENT, abs(size) if isfinite(size) else 0.0
+    change = difference.difference.mean if difference.change is None else difference.change
+    return difference.verdict is Verdict.DIFFERENT, abs(change) if isfinite(change) else 0.0
 
 
-def list_questions(campaign: Campaign) -> list[Question]:
+def list_field_comparisons(campaign: Campaign) -> list[FieldComparison]:
     """List the fields in which groups are compared, with their pairs and families.
 
     Parameters
@@ -143,12 +144,12 @@ def list_questions(campaign: Campaign) -> list[Question]:
 
     Returns
     -------
-    Questions in the order of the comparisons. A family of more than `MAX_COMPARED_GROUPS` groups is
-    split; its first group, the reference, is in each part.
+    The fields in the order of their pairs. A family of more than `MAX_COMPARED_GROUPS` groups is
+    split; its first group, the reference, is in each of the smaller families.
     """
-    questions = []
-    for field, items in groupby(list_single_field_pairs(campaign), key=lambda pair: pair.field):
-        pairs, families = list(items), list[Family]()
+    field_comparisons = []
+    for field, run in groupby(list_single_field_pairs(campaign), key=lambda pair: pair.field):
+        pairs, families = list(run), list[Family]()
         groups = {group.name: group for pair in pairs for group in (pair.first, pair.second)}
         values = {name: group.fields.get(field, "") for name, group in groups.items()}
         sorted_names = sorted(groups, key=lambda name: make_field_sort_key(field, values[name]))
@@ -157,8 +158,8 @@ def list_questions(campaign: Campaign) -> list[Question]:
             reference, *other_groups = (groups[name] for name in names)
             subsets = split_pages(other_groups, MAX_COMPARED_GROUPS - 1)
             families += [Family(field, (reference, *subset)) for subset in subsets]
-        questions.append(Question(field, pairs, families))
-    return questions
+        field_comparisons.append(FieldComparison(field, pairs, families))
+    return field_comparisons
 
 
 def _collect_linked_sets(names: Sequence[str], links: set[frozenset[str]]) -> Iterator[list[str]]:
@@ -171,7 +172,8 @@ def _collect_linked_sets(names: Sequence[str], links: set[frozenset[str]]) -> It
 
     Notes
     -----
-    The algorithm is greedy: it extends each pair that is not in any set yet to a large set.
+    Each pair that is not in an earlier set is extended to a maximal set: groups are added in order
+    if they are linked with all members.
     """
     covered_pairs: set[frozenset[str]] = set()
     for pair in combinations(names, 2):
@@ -236,8 +238,8 @@ def describe_context(groups: Sequence[Group], field: str) -> str:
     if "composition" not in _collect_field_names(groups[0]):
         return ", ".join(filter(None, [common_fields.get("type", ""), *named_fields]))
     stated_fields = {name: value for name, value in common_fields.items() if value != NONE}
-    wire_count = f"{stated_fields['number']} wires" if "number" in stated_fields else ""
-    wires = stated_fields.get("composition") or stated_fields.get("wire") or wire_count
+    count_text = f"{stated_fields['number']} wires" if "number" in stated_fields else ""
+    wires = stated_fields.get("composition") or stated_fields.get("wire") or count_text
     mixed_groups = [group for group in groups if "&" in group.fields.get("wire", "")]
     arrangements = sorted({group.fields.get("arrangement", "") for group in mixed_groups})
     tape = f"{stated_fields.get('taping', '')} {stated_fields.get('tape', '')}".strip()
@@ -275,7 +277,7 @@ def make_pair_table(pair: Pair) -> Table:
     return tabulate(f"{name_comparison(pair)}, {equal_fields}", rows, notes=notes)
 
 
-def make_answer_cells(pair: Pair) -> tuple[Cell, Cell, str, str]:
+def make_verdict_cells(pair: Pair) -> tuple[Cell, Cell, str, str]:
     """Make the cells of the comparison of a pair in its first number.
 
     Parameters
@@ -306,18 +308,20 @@ def count_values(pair: Pair) -> list[int]:
 
 def _format_difference(difference: Difference, display: Mapping[str, str]) -> str:
     """Format a difference in per cent or in its unit, with its corrected interval, if any."""
-    max_shown_ratio = 10.0  # the text of a larger upper end is "more than +1000 %"
-    ends, mean_difference, bound_text = difference.interval, difference.difference, ""
+    max_shown_change = 10.0  # the text of a larger upper end is "more than +1000 %"
+    interval, mean_difference, bound_text = difference.interval, difference.difference, ""
     if difference.change is None:
         scale = wording.choose_scale(difference.name, difference.unit, display)
         estimate = mean_difference.distinct_estimate
-        texts = wording.format_number(mean_difference.mean, ends, scale.factor, estimate=estimate)
+        mean = mean_difference.mean
+        texts = wording.format_number(mean, interval, scale.factor, estimate=estimate)
         unit = f" {scale.unit}".rstrip()
     else:
-        if ends is not None and ends.upper > max_shown_ratio:
-            ends = Interval(min(ends.lower, max_shown_ratio), max_shown_ratio, ends.level)
+        if interval is not None and interval.upper > max_shown_change:
+            shown_lower = min(interval.lower, max_shown_change)
+            interval = Interval(shown_lower, max_shown_change, interval.level)
             bound_text = "more than "
-        texts, unit = wording.format_number(difference.change, ends, 100.0), " %"
+        texts, unit = wording.format_number(difference.change, interval, 100.0), " %"
     interval_text = wording.join_sentences([mean_difference.reason])
     if texts.lower:
         lower, upper = map(_add_plus_sign, (texts.lower, texts.upper))
@@ -340,10 +344,11 @@ def list_pair_remarks(campaign: Campaign) -> list[str]:
         if not campaign.differences:
             remarks.append(format_sentence("report.no_pair_differs", field=name))
         option, pairs = campaign.compared_field, _format_pair_count(campaign.pairs_not_shown)
-        text = format_sentence("report.pairs_left_out", field=name, option=option, pairs=pairs)
-        remarks.append(text)
+        facts = {"field": name, "option": option, "pairs": pairs}
+        remarks.append(format_sentence("report.pairs_left_out", **facts))
     # a difference belongs to a family only if the groups differ in a single field
-    unjudged_pairs = {(item.first, item.second) for item in campaign.differences if not item.family}
+    unjudged = (difference for difference in campaign.differences if not difference.family)
+    unjudged_pairs = {(difference.first, difference.second) for difference in unjudged}
     if unjudged_pairs:
         pairs = _format_pair_count(len(unjudged_pairs))
         remarks.append(format_sentence("report.pairs_without_verdict", pairs=pairs))
@@ -356,16 +361,17 @@ def _format_pair_count(count: int) -> str:
 
 
 def list_family_figures(campaign: Campaign) -> Iterator[Page]:
-    """List a figure for each family of groups that differ in one field alone.
+    """Yield the figure of each family of groups that differ in one field alone.
 
     Parameters
     ----------
     campaign : groups and their differences
     """
-    families = [family for question in list_questions(campaign) for family in question.families]
+    field_comparisons = list_field_comparisons(campaign)
+    families = [family for comparison in field_comparisons for family in comparison.families]
     contexts = [describe_context(family.groups, family.field) for family in families]
-    pairs = zip(families, contexts, strict=True)
-    names = make_stems(f"difference {family.field}: {context}" for family, context in pairs)
+    fields = [family.field for family in families]
+    names = make_stems(map("difference {}: {}".format, fields, contexts))
     for family, context, name in zip(families, contexts, names, strict=True):
         panels = make_family_plots(family, has_scaled=True)
         if panels:
@@ -420,7 +426,7 @@ def _make_curve_plots(
     y_ends = np.array(plots.clip_range(means, edges, max_extension))
     x = plots.make_axis("Displacement", x_scale, [line.x for line in lines])
     y = plots.make_axis(y_name, y_scale, [y_ends])
-    legend += group_plots.list_legend_entries(lines, hidden=("mean",))
+    legend += group_plots.list_legend_entries(lines, unlisted=("mean",))
     title, size = f"Mean force against displacement of {group_count}.", (392, 200)
     yield Plot(x, y, lines, heading, legend=legend, kind="means", title=title, size=size)
 
@@ -437,16 +443,10 @@ def choose_main_number(family: Family) -> str:
     Name of the bending stiffness or, if not all groups have it, of the first number that all groups
     have; empty if there is no such number.
     """
-    groups = family.groups
-    names_by_group = [
-        {number.name for number in group.numbers if number.values} for group in groups
-    ]
-    common_names = [
-        number.name
-        for number in groups[0].numbers
-        if all(number.name in names for names in names_by_group)
-    ]
-    first_name = next(iter(common_names), "")
+    all_numbers = (group.numbers for group in family.groups)
+    names_by_group = [[item.name for item in numbers if item.values] for numbers in all_numbers]
+    common_names = set.intersection(*map(set, names_by_group))
+    first_name = next((name for name in names_by_group[0] if name in common_names), "")
     return "bending_stiffness" if "bending_stiffness" in common_names else first_name
 
 
@@ -457,7 +457,7 @@ def _make_mean_plots(family: Family, stems: Mapping[str, str]) -> Iterator[Plot]
         return
     numbers = [next(number for number in group.numbers if number.name == name) for group in groups]
     scale = wording.choose_scale(name, numbers[0].unit, wording.get_display(groups[0]))
-    sample_shift = 0.22  # of a row, from the mean to its samples
+    sample_shift = 0.22  # distance of the samples below their mean, in rows
     lines: list[Line] = []
     for row, (number, group) in enumerate(zip(numbers, groups, strict=True)):
         values = [result.value for result in number.values.values() if result.value is not None]

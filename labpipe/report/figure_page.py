@@ -29,14 +29,13 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-_STYLE_FILE = Path(__file__).with_name("labpipe.mplstyle")
-_JOURNAL_FILE = Path(__file__).with_name("journal.mplstyle")
 GREY = "#666666"
+"""Colour of titles, footnotes and reasons."""
 N_COLOURS = 8
 """Number of colours for spools, groups and wires."""
 _MM_PER_INCH, _POINTS_PER_INCH = 25.4, 72.0
 _LEFT_EDGE = 0.012
-"""Left edge of texts, as a fraction of the width of the page."""
+"""Left edge of title, footnote and legend, as a fraction of the width of the page."""
 DASHED = (0, (4, 1.6))
 """Dash of lines for unloading and for doubtful results."""
 _DASHES: tuple[Any, ...] = (
@@ -84,9 +83,10 @@ def read_looks() -> dict[str, dict[str, Any]]:
 
 
 def _read_settings(look: str) -> dict[str, Any]:
-    """Read the settings of a look, such as ``curve c2`` with the number of a colour."""
+    """Read the settings of a look, or of a look and a colour number, such as ``curve c2``."""
     look_name, _, colour_class = look.partition(" ")
-    settings = {name: value for name, value in read_looks()[look_name].items() if name != "sign"}
+    settings = dict(read_looks()[look_name])
+    settings.pop("group_label", None)
     if colour_class:
         colour_number = int(colour_class[1:])
         settings["color"] = f"C{colour_number}"
@@ -97,7 +97,7 @@ def _read_settings(look: str) -> dict[str, Any]:
 
 @contextmanager
 def use_style(*, is_journal: bool = False) -> Iterator[None]:
-    """Draw and save in the style of labpipe inside a block; global settings are restored after it.
+    """Apply the style of labpipe inside a block; global settings are restored after it.
 
     Parameters
     ----------
@@ -105,16 +105,18 @@ def use_style(*, is_journal: bool = False) -> Iterator[None]:
 
     Notes
     -----
-    Matplotlib's warning about a letter that is missing from all fonts is suppressed. The figure
-    shows a box instead of the letter; summary, page and workbook show the letter.
+    Matplotlib's warning about a character that is missing from all fonts is suppressed. The figure
+    shows a box instead of the character; summary, page and workbook show the character.
     """
     import matplotlib as mpl
     from matplotlib.font_manager import fontManager
 
     settings: Any = mpl.rcParams
-    with mpl.rc_context(fname=str(_STYLE_FILE)), warnings.catch_warnings():
+    folder = Path(__file__).parent
+    journal_file = folder / "journal.mplstyle"
+    with mpl.rc_context(fname=str(folder / "labpipe.mplstyle")), warnings.catch_warnings():
         if is_journal:
-            settings.update(mpl.rc_params_from_file(_JOURNAL_FILE, use_default_template=False))
+            settings.update(mpl.rc_params_from_file(journal_file, use_default_template=False))
         installed_fonts = set(fontManager.get_font_names())
         fonts = (font for family in settings["font.family"] for font in settings[f"font.{family}"])
         settings["font.family"] = [font for font in fonts if font in installed_fonts]
@@ -140,23 +142,23 @@ def draw_page(page: Page) -> Figure:
     figure = Figure(figsize=(page.width / _MM_PER_INCH, page.height / _MM_PER_INCH))
     letters = "abcdefghijkl"[: len(page.plots)]
     columns = min(page.columns, len(letters))
-    starts = range(0, len(letters), columns)
-    rows = [letters[start : start + columns].ljust(columns, ".") for start in starts]
+    row_starts = range(0, len(letters), columns)
+    layout_rows = [letters[start : start + columns].ljust(columns, ".") for start in row_starts]
     panels = figure.subplot_mosaic(
-        page.layout or ";".join(rows),
+        page.layout or ";".join(layout_rows),
         sharex="x" in page.shared_axes, sharey="y" in page.shared_axes,
         width_ratios=page.widths or None, height_ratios=page.heights or None,
     )  # fmt: skip
     has_letters = sum(bool(plot.heading) for plot in page.plots) > 1
     for letter, plot in zip(letters, page.plots, strict=True):
-        draw_plot(plot, panels[letter], page.colours)
+        draw_plot(plot, panels[letter], page.colour_axis)
         prefix = f"({letter}) " if has_letters and plot.heading else ""
         panels[letter].set_title(prefix + plot.heading, loc="left", linespacing=1.25)
-    if page.colours is not None:
+    if page.colour_axis is not None:
         right_panel = panels[letters[columns - 1]]
-        colour_bar = figure.colorbar(_make_colour_mapping(page.colours), ax=[right_panel])
-        colour_bar.set_label(page.colours.label)
-        _set_ticks(colour_bar.ax.yaxis, page.colours)
+        colour_bar = figure.colorbar(_make_colour_mapping(page.colour_axis), ax=[right_panel])
+        colour_bar.set_label(page.colour_axis.label)
+        _set_ticks(colour_bar.ax.yaxis, page.colour_axis)
     for axes in panels.values() if page.shared_axes else ():
         axes.label_outer()
     figure.align_ylabels()
@@ -173,8 +175,8 @@ def draw_page(page: Page) -> Figure:
 
 
 def _fit_texts(figure: Figure) -> None:
-    """Replace unprintable letters and shorten the lines of all texts."""
-    max_line_length = 150
+    """Replace unprintable characters and shorten the lines of all texts."""
+    max_line_length = 150  # characters
     from matplotlib.text import Text
 
     for text in figure.findobj(Text):
@@ -184,14 +186,14 @@ def _fit_texts(figure: Figure) -> None:
             text.set_text(fitted)
 
 
-def draw_plot(plot: Plot, axes: Axes, colours: Axis | None = None) -> None:
+def draw_plot(plot: Plot, axes: Axes, colour_axis: Axis | None = None) -> None:
     """Draw the lines of a plot, its axes and its labels, and add its legend entries.
 
     Parameters
     ----------
     plot : panel of a page
     axes : axes of matplotlib on which the plot is drawn
-    colours : axis of the values that colour lines; None without such lines
+    colour_axis : axis of the values that the colours of lines represent; None without such lines
     """
     if plot.reason and not plot.lines:
         axes.set_axis_off()
@@ -202,13 +204,13 @@ def draw_plot(plot: Plot, axes: Axes, colours: Axis | None = None) -> None:
         scale = "log" if axis.is_log else "linear"
         axes.set(**{f"{axis_name}label": axis.label, f"{axis_name}scale": scale})
     for line in plot.lines:
-        _draw_line(line, plot, axes, colours)
+        _draw_line(line, plot, axes, colour_axis)
     for entry in plot.legend:
         settings = {**_read_settings(entry.look), "label": shorten(entry.label, 100)}
         (axes.fill if entry.look.startswith("band") else axes.plot)([], [], **settings)
     axes.autoscale_view()
     for axis, drawn_axis in ((plot.x, axes.xaxis), (plot.y, axes.yaxis)):
-        low, high = (None if math.isnan(end) else end for end in axis.ends)
+        low, high = (None if math.isnan(limit) else limit for limit in axis.ends)
         set_limits = axes.set_xlim if drawn_axis is axes.xaxis else axes.set_ylim
         set_limits(low, high, auto=True)  # equal axis scales may extend the limits
         _set_ticks(drawn_axis, axis)
@@ -219,22 +221,22 @@ def draw_plot(plot: Plot, axes: Axes, colours: Axis | None = None) -> None:
         _draw_label(label, plot, axes)
 
 
-def _draw_line(line: Line, plot: Plot, axes: Axes, colours: Axis | None) -> None:
+def _draw_line(line: Line, plot: Plot, axes: Axes, colour_axis: Axis | None) -> None:
     """Draw a line or an area; one with infinite coordinates extends across the panel."""
     from matplotlib.collections import LineCollection, PolyCollection
 
     settings = {"label": "", **_read_settings(line.look), **line.settings}
     x, y = plot.x.scale.factor * line.x, plot.y.scale.factor * line.y
     is_full_width, is_full_height = (bool(np.isinf(values).any()) for values in (x, y))
-    if line.values is not None and colours is not None:
+    if line.values is not None and colour_axis is not None:
         points = np.column_stack([x, y])
         segments = np.stack([points[:-1], points[1:]], axis=1)
         settings.pop("color")  # it would replace the colours of the values
         coloured_line = LineCollection(list(segments), capstyle="round", **settings)
-        mapping = _make_colour_mapping(colours)
+        mapping = _make_colour_mapping(colour_axis)
         coloured_line.set(cmap=mapping.cmap, norm=mapping.norm)
         values = np.minimum(line.values[:-1], line.values[1:])
-        coloured_line.set_array(colours.scale.factor * values)
+        coloured_line.set_array(colour_axis.scale.factor * values)
         axes.add_collection(coloured_line)
     elif line.is_closed and is_full_height:
         axes.axvspan(x[0], x[1], **settings)
@@ -259,7 +261,7 @@ def _make_colour_mapping(axis: Axis) -> Any:
 
 
 def _draw_label(label: Label, plot: Plot, axes: Axes) -> None:
-    """Draw a label; an infinite coordinate is at the end of the axis."""
+    """Draw a label; an infinite coordinate is the lower or the upper end of the axis."""
     coordinates = [(label.x, plot.x.scale.factor), (label.y, plot.y.scale.factor)]
     x, y = (
         float(value > 0) if math.isinf(value) else factor * value for value, factor in coordinates
@@ -345,13 +347,13 @@ def _count_legend_columns(labels: Sequence[str], width_mm: float) -> int:
     from matplotlib.textpath import text_to_path
 
     font = FontProperties(size=mpl.rcParams["legend.fontsize"])
-    sizes = (text_to_path.get_text_width_height_descent(text, font, False) for text in labels)
-    widths = [handle_mm + points / _POINTS_PER_INCH * _MM_PER_INCH for points, *_ in sizes]
-    if sum(widths) <= width_mm:
-        return max(len(widths), 1)
-    max_columns = max(int(width_mm / max(widths)), 1)
-    n_rows = math.ceil(len(widths) / max_columns)
-    return math.ceil(len(widths) / n_rows)
+    text_sizes = (text_to_path.get_text_width_height_descent(text, font, False) for text in labels)
+    widths_mm = [handle_mm + width / _POINTS_PER_INCH * _MM_PER_INCH for width, *_ in text_sizes]
+    if sum(widths_mm) <= width_mm:
+        return max(len(widths_mm), 1)
+    max_columns = max(int(width_mm / max(widths_mm)), 1)
+    n_rows = math.ceil(len(widths_mm) / max_columns)
+    return math.ceil(len(widths_mm) / n_rows)
 
 
 def draw_for_notebook(page: Page) -> Figure:
@@ -380,7 +382,7 @@ def _encode_png(figure: Figure) -> bytes:
 
 
 def split_pages(items: Sequence[T], max_items: int) -> list[Sequence[T]]:
-    """Split items into pages of at most `max_items`."""
+    """Split items into runs of at most `max_items`, one run per page."""
     return [items[start : start + max_items] for start in range(0, len(items), max_items)]
 
 
@@ -406,14 +408,14 @@ def save_pages(
     pages : figures; each is drawn and released before the next
     folder : folder of the files; it is created if it does not exist
     say : function that is called with the name of each figure before it is drawn
-    run : key of the run of the figures, which is written to SVG and PNG; may be empty
+    run : key of the run that made the results, which is written to SVG and PNG; may be empty
     png, pdf : whether each figure is also written as PNG or PDF; the SVG does not depend on them
     dpi : dots per inch of the PNG
     is_journal : whether letters have serifs and colours are those of journals
 
     Returns
     -------
-    Paths of the files in the order of the figures. For each figure, SVG is before PNG and PDF.
+    Paths of the files in the order of the figures; for each figure SVG, then PNG, then PDF.
 
     Raises
     ------
@@ -431,11 +433,6 @@ def save_pages(
             say(page.name)
             files += _save_page(page, folder, run=run, dpi=dpi if png else None, is_pdf=pdf)
         return files
-
-
-def list_pngs(pages: Iterable[Page], folder: str) -> list[str]:
-    """List the paths that the PNG files of figures have in a folder, whether they exist or not."""
-    return [f"{folder}/{page.name}.png" for page in pages]
 
 
 @contextmanager
@@ -486,9 +483,9 @@ def encode_figure(page: Page) -> str:
 
     Returns
     -------
-    Address with an SVG. Its letters are drawn as outlines, so that it looks the same in every
+    Address with an SVG. Its characters are drawn as outlines, so that it looks the same in every
     browser.
     """
-    file = BytesIO()
-    draw_page(page).savefig(file, format="svg", metadata={"Date": None})
-    return f"data:image/svg+xml;base64,{base64.b64encode(file.getvalue()).decode()}"
+    image = BytesIO()
+    draw_page(page).savefig(image, format="svg", metadata={"Date": None})
+    return f"data:image/svg+xml;base64,{base64.b64encode(image.getvalue()).decode()}"

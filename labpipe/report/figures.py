@@ -76,11 +76,11 @@ def _read_protocol(result: TestResult) -> Protocol | None:
 _MAX_LEGEND_CYCLES = 6
 """Largest number of cycles in the legend of a figure.
 
-Up to this number, the cycles of a test have the colours of the style; otherwise, they have those of
-a colour map.
+The cycles of a test have the colours of the style up to this number, and colours of a colour map
+beyond it.
 """
-_LINE_STYLES: dict[Direction, Any] = {Direction.LOADING: "-", Direction.UNLOADING: DASHED}
-"""Dash of a branch, keyed by its direction."""
+_BRANCH_DASHES: dict[Direction, Any] = {Direction.LOADING: "-", Direction.UNLOADING: DASHED}
+"""Dash of the line of a branch, keyed by the direction of the branch."""
 
 
 def make_force_displacement_page(result: TestResult) -> Page:
@@ -124,13 +124,16 @@ def _make_curve_lines(result: TestResult) -> Iterator[Line]:
         # one more sample makes the lines of neighbouring branches meet
         rows = slice(branch.start, branch.stop + 1)
         label = f"cycle {branch.cycle}" if n_cycles > 1 and branch.cycle in legend_cycles else ""
-        settings = {"color": colours[branch.cycle - 1], "linestyle": _LINE_STYLES[branch.direction]}
+        settings = {
+            "color": colours[branch.cycle - 1],
+            "linestyle": _BRANCH_DASHES[branch.direction],
+        }
         yield make_thinned_line("branch", x[rows], y[rows], label=label, **settings)
     legend_colour = GREY if n_cycles > 1 else colours[0]
     directions = {branch.direction for branch in branches}
-    for direction, style in _LINE_STYLES.items() if n_cycles > 1 or len(directions) > 1 else ():
+    for direction, dash in _BRANCH_DASHES.items() if n_cycles > 1 or len(directions) > 1 else ():
         if direction in directions:
-            settings = {"color": legend_colour, "linestyle": style}
+            settings = {"color": legend_colour, "linestyle": dash}
             yield plots.make_legend_line("branch", label=str(direction), **settings)
     _, cycle_numbers = curve.assign_samples()
     for cycle, colour in enumerate(colours, start=1):
@@ -175,8 +178,8 @@ def make_stiffness_lines_page(result: TestResult) -> Page:
 
 def _make_fit_lines(result: TestResult) -> Iterator[Line]:
     """Yield each fitted line over its window, broad and pale; lines of segments are dotted."""
-    names = list(dict.fromkeys(fit.result for fit in result.lines))
-    window_names = [name for name in names if not name.startswith("segment")]
+    result_names = dict.fromkeys(fit.result for fit in result.lines)
+    window_names = [name for name in result_names if not name.startswith("segment")]
     for fit in result.lines:
         x = np.array([fit.start, fit.stop])
         y = fit.level + fit.slope * (x - fit.start)
@@ -239,23 +242,23 @@ def _compute_stress_strain(result: TestResult) -> _StressStrainCurve | None:
     specimen = protocol.specimen
     dimensions = {} if specimen.section is None else dict(vars(specimen.section))
     dimensions |= {"length": specimen.length, "gauge_length": specimen.gauge_length}
-    sizes = {name: size for name, size in dimensions.items() if size is not None}
+    stated_dimensions = {name: size for name, size in dimensions.items() if size is not None}
     try:
-        area, length = compute_area(sizes), get_gauge_length(sizes)
+        area, length = compute_area(stated_dimensions), get_gauge_length(stated_dimensions)
     except UnavailableError:
         return None
     rows = slice(branches[0].start, branches[-1].stop)
     x, force = curve.displacement[rows], curve.force[rows]
     x, force = compute_loading_sign(x) * x, compute_loading_sign(force) * force
     first_displacement = float(x[np.isfinite(x)][:1].sum())  # 0 if no displacement is finite
-    modulus, toe, ends = np.nan, first_displacement, np.zeros(0)
+    modulus, toe, window_ends = np.nan, first_displacement, np.zeros(0)
     for fit in result.lines:
         if fit.result == "elastic_modulus":
-            ends = np.sort(np.abs([fit.start, fit.stop]))
-            modulus, toe = fit.slope * length / area, ends[0] - fit.level / fit.slope
+            window_ends = np.sort(np.abs([fit.start, fit.stop]))
+            modulus, toe = fit.slope * length / area, window_ends[0] - fit.level / fit.slope
     requests = protocol.results
     offsets = {proof.name: proof.offset for proof in requests if isinstance(proof, ProofStress)}
-    strain, window = (x - toe) / length, (ends - toe) / length
+    strain, window = (x - toe) / length, (window_ends - toe) / length
     return _StressStrainCurve(strain, force / area, modulus, window=window, offsets=offsets)
 
 
@@ -287,24 +290,25 @@ def _make_tension_lines(result: TestResult, curve: _StressStrainCurve) -> Iterat
     """Yield the points of proof stress, yield stress, strength and break, and the elongation."""
     entries = {entry.name: entry for entry in result.results if entry.value is not None}
     values = {name: entry.value or 0.0 for name, entry in entries.items()}
-    points, index = [], 0
+    points, curve_index = [], 0
     for name, offset in curve.offsets.items():
         if name in values:
             strain = offset + values[name] / curve.modulus
             points.append((name, f"Rp{100.0 * offset:g}", strain, values[name]))
-    for name, symbol, array in (
+    for name, symbol, curve_values in (
         ("upper_yield_stress", "ReH", curve.stress),
         ("lower_yield_stress", "ReL", curve.stress),
         ("tensile_strength", "Rm", curve.stress),
         ("elongation_at_break", "At", curve.strain),
     ):
-        # each point is the nearest one after the previous point of the curve
-        if name in values and np.isfinite(array[index:]).any():
-            index += int(np.nanargmin(np.abs(array[index:] - values[name])))
-            points.append((name, symbol, curve.strain[index], curve.stress[index]))
-    for number, (name, symbol, strain, stress) in enumerate(points, start=1):
+        # these points follow each other along the curve: each is sought after the previous one
+        if name in values and np.isfinite(curve_values[curve_index:]).any():
+            deviations = np.abs(curve_values[curve_index:] - values[name])
+            curve_index += int(np.nanargmin(deviations))
+            points.append((name, symbol, curve.strain[curve_index], curve.stress[curve_index]))
+    for colour_number, (name, symbol, strain, stress) in enumerate(points, start=1):
         label = f"{symbol} {_describe_entry(result, entries[name])}"
-        colour = f"C{number % N_COLOURS}"
+        colour = f"C{colour_number % N_COLOURS}"
         yield make_line("tension_number", strain, stress, label=label, color=colour)
     if elongation := entries.get("elongation_at_maximum_force"):
         label = f"Agt {_describe_entry(result, elongation)}"
@@ -504,7 +508,7 @@ class FrameSelection(NamedTuple):
 
 def make_wire_shapes_page(result: TestResult) -> Page:
     """Make the page of the shapes in the plane of bending, or in two planes without a loading."""
-    panel_width_mm, frame_mm, gap_mm = 144.0, 17.0, 14.0
+    panel_width_mm, margins_mm, gap_mm = 144.0, 17.0, 14.0
     shape = result.shape
     if shape is None or not len(shape.time):
         empty_plot = Plot(reason=_explain_missing(result, "shape"))
@@ -523,7 +527,7 @@ def make_wire_shapes_page(result: TestResult) -> Page:
         panels.append(Plot(x_axis, side_axis, lines, heading, is_to_scale=True))
         aspect = (side_axis.high - side_axis.low) / (x_axis.high - x_axis.low)
         heights.append(panel_width_mm * aspect)
-    height = sum(heights) + frame_mm + gap_mm * (len(side_axes) - 1)
+    height = sum(heights) + margins_mm + gap_mm * (len(side_axes) - 1)
     layout: dict[str, Any] = {"height": height, "heights": heights, "columns": 1}
     note = _describe_offset(result, shape)
     return make_test_page(result, "wire-shapes", panels, note, **layout)
@@ -568,13 +572,14 @@ def choose_frames_at_steps(deflection: Floats, factor: float = 1.0) -> tuple[Int
     deflections : shape (n,), deflection of each step, m; at most seven, from zero upwards
     """
     max_steps, tolerance = 6, 1e-12  # tolerance of a deflection, m
-    largest = factor * float(np.max(deflection, initial=0.0, where=~np.isnan(deflection)))
-    decade = 10.0 ** floor(log10(largest / max_steps)) if largest > 0.0 else 1.0
-    step = next(n * decade for n in (1.0, 2.0, 5.0, 10.0) if n * decade * max_steps >= largest)
-    deflections = np.linspace(0.0, max_steps * step / factor, max_steps + 1)
-    frames_beyond = [np.flatnonzero(deflection >= level - tolerance) for level in deflections]
-    frames = np.array([rows[0] for rows in frames_beyond if len(rows)], dtype=np.int64)
-    return frames, deflections[: len(frames)]
+    max_deflection = factor * float(np.max(deflection, initial=0.0, where=~np.isnan(deflection)))
+    decade = 10.0 ** floor(log10(max_deflection / max_steps)) if max_deflection > 0.0 else 1.0
+    steps = (n * decade for n in (1.0, 2.0, 5.0, 10.0))
+    step = next(step for step in steps if step * max_steps >= max_deflection)
+    nominal = np.linspace(0.0, max_steps * step / factor, max_steps + 1)
+    frames_beyond = [np.flatnonzero(deflection >= value - tolerance) for value in nominal]
+    first_frames = [frames[0] for frames in frames_beyond if len(frames)]
+    return np.array(first_frames, dtype=np.int64), nominal[: len(first_frames)]
 
 
 def _compute_tip_excursion(positions: Floats) -> Floats:
@@ -618,17 +623,19 @@ def _is_clamped(shape: Shape) -> bool:
 
 
 def _describe_offset(result: TestResult, shape: Shape) -> str:
-    """State the offset of the markers from the axis of a clamped specimen; empty if negligible."""
+    """Describe the offset of the markers from the axis of a clamped specimen; empty if negligible.
+
+    The text is also empty for a shape without fitted curves.
+    """
     min_offset = 1e-5  # m; a smaller offset is not visible in the figure
-    has_curve = bool(shape.coefficients.shape[2])
-    protocol = _read_protocol(result)
+    n_terms, protocol = shape.coefficients.shape[2], _read_protocol(result)
     markers = None if protocol is None else protocol.markers
     centre_offset = 0.0 if markers is None else abs(markers.centre_offset)
-    if not _is_clamped(shape) or centre_offset < min_offset or not has_curve:
+    if not _is_clamped(shape) or centre_offset < min_offset or not n_terms:
         return ""
     scale = wording.get_scale(result.display, "displacement")
-    offset = centre_offset * scale.factor
-    return format_sentence("report.markers_beside_axis", offset=offset, unit=scale.unit)
+    facts = {"offset": centre_offset * scale.factor, "unit": scale.unit}
+    return format_sentence("report.markers_beside_axis", **facts)
 
 
 def make_shape_lines(
@@ -679,26 +686,27 @@ FLAG_COLOURS = {
     PointFlag.MISSING: "#1a1a1a",
 }
 """Colour of a flag in the figure of the flags, keyed by flag."""
-_FLAGS_BY_RANK = (
+_FLAGS_BY_SEVERITY = (
     PointFlag.CONSTRUCTED, PointFlag.MEASURED, PointFlag.RELABELLED, PointFlag.FILLED,
     PointFlag.MISSING,
 )  # fmt: skip
 """Flags of points in order of severity; the worst is last."""
 _MAX_TIME_BINS = 900
-"""Largest number of bins in time, about one per pixel."""
+"""Largest number of bins in time, about one bin per pixel."""
 
 
 def make_marker_quality_page(result: TestResult) -> Page:
     """Make the page of the flags of each marker and of the error of each body against time."""
-    row_mm, min_panel_mm, frame_mm = 4.2, 25.0, 30.0
-    times = [take.markers.time for take in result.recordings.values() if take.markers]
+    row_mm, min_panel_mm, margins_mm = 4.2, 25.0, 30.0
+    recordings = result.recordings.values()
+    times = [recording.markers.time for recording in recordings if recording.markers]
     times = times if result.shape is None else [result.shape.time, *times]
     time = plots.make_axis("Time", wording.get_scale(result.display, "time"), times, margin=0.01)
     panels = [make_flag_plot(result, time), _make_tracking_plot(result, time)]
     heights = [max(row_mm * len(panels[0].y.row_names), min_panel_mm), min_panel_mm]
     return make_test_page(
         result, "marker-quality", panels, columns=1, shared_axes="x",
-        height=sum(heights) + frame_mm, heights=heights,
+        height=sum(heights) + margins_mm, heights=heights,
     )  # fmt: skip
 
 
@@ -720,7 +728,7 @@ def make_flag_plot(result: TestResult, time: Axis) -> Plot:
         return Plot(time, reason=_explain_missing(result, "shape"))
     is_marker = ~(shape.flags == PointFlag.CONSTRUCTED).all(axis=0)
     names = tuple(name for name, has_row in zip(shape.names, is_marker, strict=True) if has_row)
-    flags = plots.thin_flags(shape.flags[:, is_marker], _FLAGS_BY_RANK, n_bins=_MAX_TIME_BINS)
+    flags = plots.thin_flags(shape.flags[:, is_marker], _FLAGS_BY_SEVERITY, n_bins=_MAX_TIME_BINS)
     edges = np.linspace(shape.time[0], shape.time[-1], len(flags) + 1)
     bars = []
     for flag, colour in FLAG_COLOURS.items():
@@ -739,8 +747,8 @@ def _make_tracking_plot(result: TestResult, time: Axis) -> Plot:
 
     The first recording with marker tracks is drawn. If there is none, the panel states the reason.
     """
-    takes = (recording.markers for recording in result.recordings.values())
-    tracks = next(filter(None, takes), None)
+    recorded_tracks = (recording.markers for recording in result.recordings.values())
+    tracks = next(filter(None, recorded_tracks), None)
     if tracks is None or not len(tracks.time):
         return Plot(time, reason=_explain_missing(result, "take"))
     error_lines = []
@@ -771,15 +779,15 @@ def make_budget_page(result: TestResult) -> Page:
     -------
     The page. If there is no bar, it gives the reason.
     """
-    row_mm, frame_mm = 6.0, 26.0
+    row_mm, margins_mm = 6.0, 26.0
     candidates = (entry for entry in result.results if budgets.has_budget_bar(entry.name))
     entries = [entry for entry in candidates if entry.largest_cause is not None][: budgets.MAX_BARS]
     bars = []
     for entry in entries:
-        causes = [contribution.cause for contribution in entry.budget]
-        shares = dict(zip(causes, entry.fractions, strict=True))
+        pairs = zip(entry.budget, entry.fractions, strict=True)
+        shares = {contribution.cause: share for contribution, share in pairs}
         bars.append(budgets.make_budget_bar(entry, shares, entry.interval, result.display))
-    panel, height = budgets.make_budget_plot(bars), frame_mm + row_mm * len(bars)
+    panel, height = budgets.make_budget_plot(bars), margins_mm + row_mm * len(bars)
     has_cycles = any("." in entry.name for entry in entries)
     note = "Numbers per cycle: first cycle only." if has_cycles else ""
     return make_test_page(result, "uncertainty-budget", [panel], note, height=height)

@@ -24,9 +24,8 @@ from labpipe.report.plot_records import Axis, LegendEntry, Line, Page, Plot, joi
 from labpipe.statistics.lots import FORCE_LIMIT, PEAK_OVER_LIMIT
 
 MAX_DOT_NUMBERS, MAX_DOT_ROWS = 6, 24
-"""Largest number of panels with dots, one for each number, and of samples with rows in a panel."""
-
-
+"""Largest number of panels with dots, one panel per number, and of samples with rows of their own.
+"""
 _SMALL_PLOT_SIZE = (262, 150)
 """Width and height of the area between the axes of a small plot, points."""
 
@@ -47,9 +46,9 @@ def make_group_plots(view: GroupView) -> list[Plot]:
 
 
 def _choose_point_count(view: GroupView) -> int:
-    """Choose the number of points of a first loading; on the page, a test has less than 3 kB.
+    """Choose the number of points of a first loading; on the page, a test takes less than 3 kB.
 
-    The other branches have a third of this number together, but at least eight points each.
+    The other branches together have a third of this number, but at least eight points each.
     """
     if not view.stem:
         return 240
@@ -63,8 +62,8 @@ def _make_plot(
     lines: Sequence[Line],
     title: str,
     *,
-    mean: str = "mean",
-    hidden: Sequence[str] = (),
+    band: Band | None = None,
+    unlisted: Sequence[str] = (),
     **settings: Any,
 ) -> Plot:
     """Make a plot of the lines of a group with their legend.
@@ -78,8 +77,8 @@ def _make_plot(
     kind, title : see `Plot`; the name of the group is appended to the title
     axes : horizontal and vertical axis
     lines : lines in the order of drawing
-    mean : label of the mean in the legend
-    hidden : looks without an entry in the legend
+    band : mean curve that the plot shows; None without a mean
+    unlisted : looks without an entry in the legend
     settings : other fields of `Plot`
     """
     spools = {test.sample.specimen.spool: test.colour for test in view.tests}
@@ -92,7 +91,8 @@ def _make_plot(
             LegendEntry(f"curve {test.colour}", test.sample.test, "t", str(test.number))
             for test in view.tests
         ]
-    legend = [*entries, *list_legend_entries(lines, "class", hidden, mean=mean)]
+    labels = {} if band is None else {"mean": f"mean of {band.n} {band.members}"}
+    legend = [*entries, *list_legend_entries(lines, "class", unlisted, **labels)]
     all_settings = {"legend": legend, "group": view.stem, "size": _SMALL_PLOT_SIZE, **settings}
     x, y = axes
     return Plot(x, y, lines, kind=kind, title=f"{title} {view.group.name}.", **all_settings)
@@ -112,7 +112,7 @@ def make_file_plots(group: Group) -> dict[str, list[Plot]]:
     """
     all_plots = [*make_group_plots(make_figure_view(group)), *_make_number_plots(group)]
     plots_by_kind = groupby(all_plots, key=lambda plot: plot.kind)
-    return {kind: list(members) for kind, members in plots_by_kind}
+    return {kind: list(plots_of_kind) for kind, plots_of_kind in plots_by_kind}
 
 
 def make_page(name: str, title: str, panels: Sequence[Plot], columns: int, caption: str) -> Page:
@@ -124,20 +124,20 @@ def make_page(name: str, title: str, panels: Sequence[Plot], columns: int, capti
     title, columns, caption : see `Page`
     panels : plots with a size, at least one
     """
-    frame_mm, mm_per_point, single_panel_mm = 14.0, 0.3, 68.0
+    margins_mm, mm_per_point, single_panel_mm = 14.0, 0.3, 68.0
     panel = panels[0]
     panel_height = mm_per_point * panel.size[1] if len(panels) > 1 else single_panel_mm
     width = plots.SINGLE_COLUMN if len(panels) <= 2 else plots.DOUBLE_COLUMN
     if panel.is_to_scale:
-        panel_height = (width - frame_mm) * panel.size[1] / panel.size[0]
+        panel_height = (width - margins_mm) * panel.size[1] / panel.size[0]
     note = " ".join(dict.fromkeys(panel.caption for panel in panels))
-    height = math.ceil(len(panels) / columns) * (frame_mm + panel_height)
+    height = math.ceil(len(panels) / columns) * (margins_mm + panel_height)
     size: dict[str, Any] = {"height": height, "width": width, "columns": columns}
     return Page(name, title, panels, note, caption=caption, alt=panel.title, **size)
 
 
 def list_group_figures(group: Group) -> Iterator[Page]:
-    """List the figures for which a group has data.
+    """Yield the figures for which a group has data.
 
     Parameters
     ----------
@@ -181,9 +181,8 @@ def _make_curve_plots(view: GroupView) -> Iterator[Plot]:
     forces = [*(curve.force for curve in curves), np.array(limits)]
     y = _make_force_axis("Force", view.get_scale("force"), forces, band)
     title = f"Force against displacement of {wording.format_count(len(group.samples), 'sample')}:"
-    mean, caption = f"mean of {band.n} {band.members}", wording.join_sentences([band.reason])
-    size = 660, 240
-    yield _make_plot(view, "curves", (x, y), lines, title, mean=mean, caption=caption, size=size)
+    caption, size = wording.join_sentences([band.reason]), (660, 240)
+    yield _make_plot(view, "curves", (x, y), lines, title, band=band, caption=caption, size=size)
 
 
 def _make_force_axis(name: str, scale: wording.Scale, forces: Sequence[Floats], band: Band) -> Axis:
@@ -244,17 +243,17 @@ def _make_fit_lines(test: PageTest) -> Iterator[Line]:
 
 def _make_event_lines(test: PageTest) -> Iterator[Line]:
     """Yield slips and failure of a test as dots on its curve."""
-    sample, curve, number = test.sample, test.first_loading, test.number
+    sample, curve = test.sample, test.first_loading
     if curve is None:
         return
     is_finite = np.isfinite(curve.displacement) & np.isfinite(curve.force)
     positions = np.array([slip.position for slip in sample.slips])
     if len(positions) and is_finite.any():
         forces = np.interp(positions, curve.displacement[is_finite], curve.force[is_finite])
-        yield Line("slip", join_with_gaps(positions), join_with_gaps(forces), number)
+        yield Line("slip", join_with_gaps(positions), join_with_gaps(forces), test.number)
     position, force = (test.find_value(f"failure_{name}") for name in ("displacement", "force"))
     if position is not None and force is not None:
-        yield Line("failure", np.array([position, nan]), np.array([force, nan]), number)
+        yield Line("failure", np.array([position, nan]), np.array([force, nan]), test.number)
 
 
 def make_band_lines(band: Band, colour: str = "", group: str = "") -> Iterator[Line]:
@@ -279,7 +278,7 @@ def make_band_lines(band: Band, colour: str = "", group: str = "") -> Iterator[L
 
 
 def _choose_band_rows(band: Band, values: Floats) -> Ints:
-    """Choose the points that preserve the shape of a band or a mean."""
+    """Choose the indices of points that preserve the shape of a band or a mean."""
     return plots.find_shape_samples(band.displacement, values, max_points=28, tolerance=0.001)
 
 
@@ -293,16 +292,16 @@ def make_mean_lines(band: Band, colour: str = "", group: str = "") -> Iterator[L
     """
     if not len(band.displacement) or (band.n < 2 and not group):
         return
-    rows, marks = _choose_band_rows(band, band.mean), band.interval_indices
+    rows, interval_rows = _choose_band_rows(band, band.mean), band.interval_indices
     yield Line(f"mean {colour}".strip(), band.displacement[rows], band.mean[rows], group=group)
-    if len(marks):
-        x = join_with_gaps(band.displacement[marks], band.displacement[marks])
-        ends = join_with_gaps(band.lower[marks], band.upper[marks])
+    if len(interval_rows):
+        x = join_with_gaps(band.displacement[interval_rows], band.displacement[interval_rows])
+        ends = join_with_gaps(band.lower[interval_rows], band.upper[interval_rows])
         yield Line(f"interval {colour}".strip(), x, ends, group=group)
 
 
 def list_legend_entries(
-    lines: Sequence[Line], attribute: str = "", hidden: Sequence[str] = (), **labels: str
+    lines: Sequence[Line], attribute: str = "", unlisted: Sequence[str] = (), **labels: str
 ) -> list[LegendEntry]:
     """List the legend entries for the looks of lines, in the order of ``looks.toml``.
 
@@ -310,16 +309,15 @@ def list_legend_entries(
     ----------
     lines : lines of the plot
     attribute : attribute by which the entries show and hide lines; empty for none
-    hidden : looks without an entry
-    labels : labels of looks, instead of those in ``looks.toml``
+    unlisted : looks without an entry
+    labels : labels of looks, instead of their `group_label` in ``looks.toml``
     """
-    drawn_looks = {line.look.partition(" ")[0] for line in lines}.difference(hidden)
-    looks = read_looks().items()
-    default_labels = {look: settings["sign"] for look, settings in looks if "sign" in settings}
+    drawn_looks = {line.look.partition(" ")[0] for line in lines}.difference(unlisted)
+    default_labels = {look: settings.get("group_label") for look, settings in read_looks().items()}
     return [
         LegendEntry(look, label, attribute, look if attribute else "")
         for look, label in (default_labels | labels).items()
-        if look in drawn_looks
+        if label and look in drawn_looks
     ]
 
 
@@ -374,7 +372,7 @@ def _make_moment_plots(view: GroupView) -> Iterator[Plot]:
     caption = "Measured from the shapes, first loading."
     caption += " Area: 95 % interval of each sample." if areas else ""
     axes = x_axis, y_axis
-    yield _make_plot(view, "moment", axes, all_lines, title, hidden=("band",), caption=caption)
+    yield _make_plot(view, "moment", axes, all_lines, title, unlisted=("band",), caption=caption)
 
 
 def _make_scaled_plots(view: GroupView) -> Iterator[Plot]:
@@ -394,9 +392,9 @@ def _make_scaled_plots(view: GroupView) -> Iterator[Plot]:
     x = plots.make_axis("Displacement", view.get_scale("displacement"), [line.x for line in lines])
     force_ratios = [line.y for line in curves]
     y = _make_force_axis("Force / peak force", plots.PLAIN_NUMBER, force_ratios, band)
-    mean, caption = f"mean of {band.n} {band.members}", format_sentence("report.scaled_caption")
     title = "Force over peak force against displacement of"
-    yield _make_plot(view, "scaled", (x, y), lines, title, mean=mean, caption=caption)
+    caption = format_sentence("report.scaled_caption")
+    yield _make_plot(view, "scaled", (x, y), lines, title, band=band, caption=caption)
 
 
 def _make_number_plots(group: Group) -> Iterator[Plot]:
@@ -419,7 +417,7 @@ def _make_number_plots(group: Group) -> Iterator[Plot]:
             make_dot_axis(number.name, wording.choose_number_scale(group, number), lines),
             Axis(low=0.5 - len(rows), high=0.5, row_names=tuple(rows)),
             lines,
-            legend=list_legend_entries(lines, hidden=("interval",)),
+            legend=list_legend_entries(lines, unlisted=("interval",)),
             kind="numbers",
             title=f"Each sample's numbers, with 95 % intervals: {group.name}.",
             caption=caption if table_only_names else "",

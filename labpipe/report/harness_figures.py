@@ -20,8 +20,8 @@ from labpipe.report.plot_records import Axis, Line, Page, Plot, make_line
 from labpipe.report.wire_report import MOMENT_SCALE, STIFFNESS_SCALE, make_curvature_axis
 from labpipe.report.wording import FORCE_SCALE, LENGTH_SCALE, format_number, join_sentences
 
-FIGURE, SWEEP_FIGURE = "harness", "harness-sweep"
-"""Names of the figures of a harness and their files, without extension."""
+SWEEP_FIGURE = "harness-sweep"
+"""Name of the figure of the lengths of a harness and of its files, without extension."""
 
 _BOUNDARY_KINDS = ("clip", "pin", "grip", "ring", "string", "load")
 """Kinds of boundaries, in the order of the legend."""
@@ -50,8 +50,8 @@ class DrawnShape:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class DrawnMark:
-    """A boundary that holds or pulls the line of a harness.
+class DrawnBoundary:
+    """Boundary that holds or pulls the line of a harness.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ class DrawnMark:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DrawnHarness:
-    """Contents of the figure of a harness.
+    """Data that the figure of a harness shows.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ class DrawnHarness:
     note : footnote
     arc_length : shape (n + 1,), distance of the nodes from the start along the line, m
     shapes : shape at each step; the last is drawn with its band and colours, others as thin lines
-    marks : clips, grips and other boundaries of the line
+    boundaries : clips, grips and other boundaries of the line
     planes : a point (m) and the unit normal of each plane that the line may touch
     allowed_radius : smallest allowed bend radius, m
     """
@@ -91,7 +91,7 @@ class DrawnHarness:
     note: str
     arc_length: Floats
     shapes: tuple[DrawnShape, ...]
-    marks: tuple[DrawnMark, ...]
+    boundaries: tuple[DrawnBoundary, ...]
     planes: tuple[tuple[Floats, Floats], ...]
     allowed_radius: float
 
@@ -101,7 +101,7 @@ def list_harness_figures(harness: DrawnHarness, sweep: DrawnSweep | None) -> lis
 
     Parameters
     ----------
-    harness : contents of the figure of the harness
+    harness : data that the figure of the harness shows
     sweep : results for several lengths; None without a sweep
     """
     return [make_harness_page(harness), *([] if sweep is None else [make_sweep_page(sweep)])]
@@ -112,33 +112,35 @@ def make_harness_page(harness: DrawnHarness) -> Page:
 
     Parameters
     ----------
-    harness : contents of the figure
+    harness : data that the figure shows
     """
     max_radius_ratio = 40.0  # larger radii, relative to the allowed radius, have one colour
     low, high = harness.allowed_radius, max_radius_ratio * harness.allowed_radius
-    colours = Axis("Bend radius", LENGTH_SCALE, low, high, is_log=True)
-    panels = [*(make_view(harness, view) for view in _VIEWS), _make_radius_plot(harness)]
+    colour_axis = Axis("Bend radius", LENGTH_SCALE, low, high, is_log=True)
+    panels = [*(make_view_plot(harness, view) for view in _VIEWS), _make_radius_plot(harness)]
     title, widths = f"{harness.name}  ·  shape", (1.35, 1.0)
-    return Page(FIGURE, title, panels, harness.note, height=118.0, widths=widths, colours=colours)
+    return Page(
+        "harness", title, panels, harness.note, height=118.0, widths=widths, colour_axis=colour_axis
+    )
 
 
-def make_view(harness: DrawnHarness, view: str) -> Plot:
+def make_view_plot(harness: DrawnHarness, view: str) -> Plot:
     """Make the panel of the line of a harness, its planes and its boundaries from one side.
 
     Parameters
     ----------
-    harness : contents of the figure
+    harness : data that the figure shows
     view : ``side``, ``end`` or ``top``
 
     Returns
     -------
     A plot in which the line of the last step is coloured by its bend radius.
     """
-    axes, marks = list(_VIEWS[view]), harness.marks
+    axes = list(_VIEWS[view])
     *earlier_shapes, last_shape = harness.shapes
     positions = np.vstack([shape.positions for shape in harness.shapes])
     extent = float(np.max(np.ptp(positions, axis=0)))
-    lines = [line for plane in harness.planes for line in _make_plane(plane, extent, axes)]
+    lines = list(_make_plane_lines(harness, extent, axes))
     step_label = f"step {', '.join(str(shape.step) for shape in earlier_shapes)}"
     for shape in earlier_shapes:
         lines.append(make_line("earlier_step", *shape.positions[:, axes].T, label=step_label))
@@ -146,13 +148,9 @@ def make_view(harness: DrawnHarness, view: str) -> Plot:
         lines.append(_make_band(*(edge[:, axes] for edge in last_shape.band)))
     harness_line = make_line("harness_line", *last_shape.positions[:, axes].T)
     lines.append(replace(harness_line, values=last_shape.radius))
-    for kind in _BOUNDARY_KINDS:
-        marks_of_kind = [mark for mark in marks if mark.kind == kind]
-        label = f"{kind} {', '.join(mark.name for mark in marks_of_kind)}"
-        for mark in marks_of_kind:
-            lines += _make_mark(mark, extent, axes, label)
-    mark_points = [points for mark in marks for points in (mark.position[None], mark.path)]
-    all_points = np.vstack([positions, *mark_points])[:, axes]
+    lines += _make_boundary_lines(harness, extent, axes)
+    boundary_points = [np.vstack([item.position, item.path]) for item in harness.boundaries]
+    all_points = np.vstack([positions, *boundary_points])[:, axes]
     names = ["xyz"[axis] for axis in axes]
     x, y = plots.make_axes_to_scale(names, LENGTH_SCALE, all_points, min_aspect=0.24)
     return Plot(x, y, lines, f"From the {view}", is_to_scale=True)
@@ -167,45 +165,50 @@ def _make_band(lower: Floats, upper: Floats) -> Line:
     """
     from scipy.spatial import ConvexHull, QhullError
 
-    outlines, edges = [np.full((1, 2), np.nan)], (lower, upper)
+    gap, edges = np.full((1, 2), np.nan), (lower, upper)
+    outlines = [gap]
     corners = [np.stack([x[:, 0], y[:, 1]], axis=1) for x in edges for y in edges]
     for node in range(len(lower) - 1):
         points = np.vstack([corner[node : node + 2] for corner in corners])
         try:
-            outlines += [points[ConvexHull(points).vertices], outlines[0]]
+            outlines += [points[ConvexHull(points).vertices], gap]
         except QhullError:
             continue
     return make_line("harness_band", *np.vstack(outlines).T, is_closed=True)
 
 
-def _make_plane(plane: tuple[Floats, Floats], extent: float, axes: list[int]) -> Iterator[Line]:
-    """Yield the line of a plane that is seen from the side; none if the plane faces the reader.
+def _make_plane_lines(harness: DrawnHarness, extent: float, axes: list[int]) -> Iterator[Line]:
+    """Yield the lines of the planes that are seen from the side, not of those that face the reader.
 
     Parameters
     ----------
-    plane : a point of the plane, m, and its unit normal
+    harness : data that the figure shows
     extent : largest extent of the line of the harness along an axis, m
     axes : indices of the coordinates in the view
     """
-    min_normal = 0.5  # length of the projection of the unit normal onto the view
-    point, normal = (vector[axes] for vector in plane)
-    normal_length = np.hypot(*normal)
-    if normal_length >= min_normal:
-        reach = 10.0 * extent / normal_length * np.array([-normal[1], normal[0]])
-        yield make_line("plane", *np.stack([point - reach, point + reach]).T)
+    min_projected_length = 0.5  # of the unit normal in the view
+    for plane in harness.planes:
+        point, normal = (vector[axes] for vector in plane)
+        projected_length = np.hypot(*normal)
+        if projected_length >= min_projected_length:
+            half_line = 10.0 * extent / projected_length * np.array([-normal[1], normal[0]])
+            yield make_line("plane", *np.stack([point - half_line, point + half_line]).T)
 
 
-def _make_mark(mark: DrawnMark, extent: float, axes: list[int], label: str) -> Iterator[Line]:
-    """Yield a boundary with its path and its direction; see `_make_plane`."""
-    position, colour = mark.position[axes], "black" if mark.is_holding else "#bbbbbb"
-    yield make_line(f"mark_{mark.kind}", *position, color=colour, label=label)
-    if len(mark.path):
-        path_label = "path of a grip" if mark.kind == "grip" and len(mark.path) > 1 else ""
-        yield make_line("path_of_mark", *mark.path[:, axes].T, label=path_label)
-    if mark.direction is not None:
-        reach = 0.06 * extent * mark.direction[axes]
-        ends = np.stack([position - reach, position + reach])
-        yield make_line("direction_of_mark", *ends.T, color=colour)
+def _make_boundary_lines(harness: DrawnHarness, extent: float, axes: list[int]) -> Iterator[Line]:
+    """Yield marks, paths and directions of the boundaries; see `_make_plane_lines`."""
+    for boundary in sorted(harness.boundaries, key=lambda item: _BOUNDARY_KINDS.index(item.kind)):
+        kind, position = boundary.kind, boundary.position[axes]
+        names = [item.name for item in harness.boundaries if item.kind == kind]
+        colour = "black" if boundary.is_holding else "#bbbbbb"
+        yield make_line(f"mark_{kind}", *position, color=colour, label=f"{kind} {', '.join(names)}")
+        if len(boundary.path):
+            path_label = "path of a grip" if kind == "grip" and len(boundary.path) > 1 else ""
+            yield make_line("path_of_mark", *boundary.path[:, axes].T, label=path_label)
+        if boundary.direction is not None:
+            half_line = 0.06 * extent * boundary.direction[axes]
+            ends = np.stack([position - half_line, position + half_line])
+            yield make_line("direction_of_mark", *ends.T, color=colour)
 
 
 def _make_radius_plot(harness: DrawnHarness) -> Plot:
@@ -347,10 +350,10 @@ def _make_section_plot(model: BundleModel) -> Plot:
     colours = ("#8ec3e6", "#f3d38a", "#93d5c0", "#e2b5cd")  # light, since lines are drawn over them
     layout, bore, angle = model.layout, model.bundle.conduit_bore or 0.0, model.principal_angle
     lines = []
-    for kind in range(len(model.bundle.wires)):
+    for kind, wire in enumerate(model.bundle.wires):
         rows = layout.kind == kind
         x, y, radius = layout.x[rows], layout.y[rows], layout.diameter[rows] / 2.0
-        style = {"facecolor": colours[kind % len(colours)], "label": model.bundle.wires[kind].type}
+        style = {"facecolor": colours[kind % len(colours)], "label": wire.type}
         lines.append(plots.make_circles("wire_of_bundle", x, y, radius, **style))
     if bore:
         lines.append(plots.make_circles("bore_of_conduit", *model.middle, bore / 2.0))
@@ -359,14 +362,14 @@ def _make_section_plot(model: BundleModel) -> Plot:
         label, angle = "y and x: equal in all directions", math.pi / 2.0
         looks = {"stiffest_direction": {"label": label}, "most_flexible_direction": {"label": ""}}
     for look, settings in looks.items():
-        reach = 1.06 * layout.radius * np.array([[math.cos(angle)], [math.sin(angle)]])
-        x, y = np.array(model.neutral)[:, None] + reach * np.array([-1.0, 1.0])
+        half_line = 1.06 * layout.radius * np.array([[math.cos(angle)], [math.sin(angle)]])
+        x, y = np.array(model.neutral)[:, None] + half_line * np.array([-1.0, 1.0])
         lines.append(make_line(look, x, y, **settings))
         angle += math.pi / 2.0
     lines.append(make_line("neutral_point", *model.neutral))
-    edge = margin_factor * max(layout.radius, math.hypot(*model.middle) + bore / 2.0)
-    x_axis = Axis("x", LENGTH_SCALE, -edge, edge)
-    y_axis = Axis("y, direction of bending", LENGTH_SCALE, -edge, edge)
+    half_width = margin_factor * max(layout.radius, math.hypot(*model.middle) + bore / 2.0)
+    x_axis = Axis("x", LENGTH_SCALE, -half_width, half_width)
+    y_axis = Axis("y, direction of bending", LENGTH_SCALE, -half_width, half_width)
     return Plot(x_axis, y_axis, lines, "Section", is_to_scale=True)
 
 

@@ -114,15 +114,17 @@ def render_page(
     An HTML document that needs no other file and no network. It can be read and printed without its
     script. All texts of the campaign are escaped.
     """
-    max_answers, max_decisions, min_groups = 8, 4, 3
+    max_comparisons, max_decisions, min_groups = 8, 4, 3
     n_screen_lines, lines_per_decision = 26, 2  # on a screen of 900 pixels, below the letterhead
     groups, tests = page_tables.arrange_tests(campaign)
     causes, notes = find_causes(campaign)
-    questions = comparisons.list_questions(campaign)
+    field_comparisons = comparisons.list_field_comparisons(campaign)
     open_decisions = find_open_decisions(causes, tests)
-    n_answers = min(len(questions), max_answers)
+    n_comparisons = min(len(field_comparisons), max_comparisons)
     n_decisions = min(len(open_decisions), max_decisions)
-    max_group_rows = max(n_screen_lines - n_answers - lines_per_decision * n_decisions, min_groups)
+    max_group_rows = max(
+        n_screen_lines - n_comparisons - lines_per_decision * n_decisions, min_groups
+    )
     report_id, script = compute_report_id(campaign), read_page_script()
     samples = list_samples(campaign)
     protocols = ", ".join(sorted({group.protocol for group in campaign.groups})) or "none"
@@ -141,7 +143,7 @@ def render_page(
         script=script,
         script_hash=compute_hash(script),
         page_data=format_page_data(campaign, report_id=report_id),
-        **make_style(footer, read_part("page_answers.css")),
+        **make_style(footer, read_asset("page_controls.css")),
         pages=has_test_pages,
         logo=logo,
         facts=facts,
@@ -151,10 +153,10 @@ def render_page(
         groups=groups,
         stems={view.group.name: view.stem for view in groups},
         tests=tests,
-        questions=questions,
+        field_comparisons=field_comparisons,
         blocks=_list_key_blocks(groups, max_group_rows),
         open_decisions=open_decisions,
-        n_shown={"answers": n_answers, "decisions": n_decisions},
+        n_shown={"comparisons": n_comparisons, "decisions": n_decisions},
         causes=causes,
         notes=notes,
         tables=page_tables,
@@ -165,24 +167,24 @@ def render_page(
 
 
 def _list_key_blocks(groups: Sequence[GroupView], max_rows: int) -> list[dict[str, Any]]:
-    """List blocks of rows; the groups of a block have the same headings of their first numbers.
+    """List blocks of groups with the same headings of their first numbers.
 
     Returns
     -------
     For each block, ``headings``, the headings of the numbers; ``rows`` from `_list_key_rows`; and
-    ``n_shown``, the number of rows that the page shows before it is unfolded. All blocks together
-    show about `max_rows` lines, including the headings.
+    ``n_shown``, the number of rows that the page shows outside its folded section. All blocks
+    together show about `max_rows` lines, including the headings.
     """
-    members_by_headings: dict[tuple[tuple[str, str], ...], list[GroupView]] = {}
+    views_by_headings: dict[tuple[tuple[str, str], ...], list[GroupView]] = {}
     for protocol in dict.fromkeys(view.group.protocol for view in groups):
-        members = [view for view in groups if view.group.protocol == protocol]
-        members_by_headings.setdefault(_list_key_headings(members), []).extend(members)
+        views = [view for view in groups if view.group.protocol == protocol]
+        views_by_headings.setdefault(_list_key_headings(views), []).extend(views)
     blocks = []
-    for headings, members in members_by_headings.items():
-        names, n_shown = [name for name, _ in headings], min(len(members), max(max_rows, 0))
+    for headings, views in views_by_headings.items():
+        names, n_shown = [name for name, _ in headings], min(len(views), max(max_rows, 0))
         block = {"headings": [text for _, text in headings], "n_shown": n_shown}
-        blocks.append(block | {"rows": _list_key_rows(members, names)})
-        max_rows -= n_shown + 1  # the headings have a row, too
+        blocks.append(block | {"rows": _list_key_rows(views, names)})
+        max_rows -= n_shown + 1  # one more for the headings
     return blocks
 
 
@@ -190,9 +192,9 @@ def _list_key_headings(groups: Sequence[GroupView]) -> tuple[tuple[str, str], ..
     """List the names and headings of the first three numbers of groups of one protocol."""
     n_numbers = 3
     headings: dict[str, str] = {}
-    for group, *_ in groups:
-        for number in wording.list_key_numbers(group):
-            scale = wording.choose_number_scale(group, number)
+    for view in groups:
+        for number in wording.list_key_numbers(view.group):
+            scale = wording.choose_number_scale(view.group, number)
             headings.setdefault(number.name, wording.format_heading(number.name, scale))
     return tuple(headings.items())[:n_numbers]
 
@@ -211,8 +213,8 @@ def _list_key_rows(groups: Sequence[GroupView], names: Sequence[str]) -> list[di
     for number in numbers:
         means.append(nan if number is None else number.mean.chosen.mean)
         intervals.append(None if number is None else _choose_interval_source(number).interval)
-    ends = [end for x in intervals if x is not None for end in (x.lower, x.upper)]
-    strip_ends = plots.clip_range(means, ends, max_extension=1.0)
+    interval_ends = [end for item in filter(None, intervals) for end in (item.lower, item.upper)]
+    strip_ends = plots.clip_range(means, interval_ends, max_extension=1.0)
     rows = []
     for view, mean, interval in zip(groups, means, intervals, strict=True):
         mean_strip = plots.make_mean_strip(strip_ends, interval, mean)
@@ -266,7 +268,7 @@ def _format_mean_curve(view: GroupView) -> str:
 
 
 class OpenDecision(NamedTuple):
-    """A cause that requires a decision, and the tests of this cause that have no decision."""
+    """Cause that requires a decision, and the tests of this cause without a decision."""
 
     cause: Cause
     tests: tuple[PageTest, ...]
@@ -312,7 +314,7 @@ def read_page_script() -> Markup:
     The script sorts and filters tables, zooms figures and stores decisions. It defines no global
     names and connects only to a server of ``labpipe serve`` that sent the page.
     """
-    scripts = "\n".join(map(read_part, SCRIPTS))
+    scripts = "\n".join(map(read_asset, SCRIPTS))
     return Markup(f'"use strict";\n(() => {{\n{scripts}}})();\n')
 
 
@@ -335,7 +337,7 @@ def format_page_data(campaign: Campaign, *, report_id: str) -> Markup:
         "labpipe": campaign.labpipe_version,
         "decisions": [dict(decision) for decision in campaign.decisions],
     }
-    # JSON is escaped to ASCII, because a name may contain a lone surrogate
+    # json.dumps escapes all characters beyond ASCII, among them lone surrogates in names
     text = json.dumps(data, separators=(",", ":")).replace("&", r"\u0026")
     return Markup(text.replace("<", r"\u003c").replace(">", r"\u003e"))
 
@@ -359,7 +361,7 @@ def fill_template(template: str, **values: Any) -> str:
     return page.render(**values)
 
 
-def read_part(name: str) -> str:
+def read_asset(name: str) -> str:
     """Read a file of the styles or the scripts of pages by its name."""
     return (files("labpipe.report") / name).read_text(encoding="utf-8")
 
@@ -369,14 +371,18 @@ def make_style(footer: str, extra_rules: str = "") -> dict[str, Markup]:
 
     Parameters
     ----------
-    footer : text at the foot of each printed sheet
+    footer : text at the bottom of each printed sheet
     extra_rules : rules of this page only
 
     Returns
     -------
     ``style`` and ``style_hash`` for the template of the page.
     """
-    rules = read_part("page_looks.css").replace("var(--footer)", format_css_string(footer))
+    escaped_footer = "".join(
+        letter if letter.isascii() and letter.isalnum() else f"\\{ord(letter):x} "
+        for letter in wording.replace_unprintable(footer)
+    )
+    rules = read_asset("page.css").replace("var(--footer)", f'"{escaped_footer}"')
     rules += extra_rules
     return {"style": Markup(rules), "style_hash": compute_hash(rules)}
 
@@ -390,20 +396,6 @@ def compute_hash(text: str) -> Markup:
     """
     digest = hashlib.sha256(wording.replace_unprintable(text).encode()).digest()
     return Markup(f"'sha256-{base64.b64encode(digest).decode()}'")
-
-
-def format_css_string(text: str) -> str:
-    """Format a text as a string of a style sheet.
-
-    Parameters
-    ----------
-    text : any text; ASCII letters and digits are kept, all other characters are escaped
-    """
-    escaped = (
-        letter if letter.isascii() and letter.isalnum() else f"\\{ord(letter):x} "
-        for letter in wording.replace_unprintable(text)
-    )
-    return f'"{"".join(escaped)}"'
 
 
 def allow_own_server(page: str) -> str:
@@ -441,10 +433,10 @@ def read_logo(path: Path) -> str:
     from PIL import Image, UnidentifiedImageError
 
     max_kilobytes = 200
-    size = path.stat().st_size if path.is_file() else None
-    fault = "no file" if size is None else f"{size} bytes"
+    byte_count = path.stat().st_size if path.is_file() else None
+    fault = "no file" if byte_count is None else f"{byte_count} bytes"
     try:
-        if size is not None and size <= 1000 * max_kilobytes:
+        if byte_count is not None and byte_count <= 1000 * max_kilobytes:
             content = path.read_bytes()
             picture = Image.open(BytesIO(content), formats=("PNG", "JPEG"))
             picture.load()
@@ -492,10 +484,10 @@ def render_test(result: TestResult, *, report: str = "") -> str:
 def _list_facts(result: TestResult) -> list[tuple[str, str]]:
     """List the facts at the head of the page of a test: pairs of a name and a text."""
     specimen, scale = result.specimen, wording.get_scale(result.display, "displacement")
-    sizes = specimen.dimensions.items()
-    size_texts = {name: f"{scale.factor * size:.4g} {scale.unit}" for name, size in sizes}
-    size_texts |= specimen.labels
-    dimensions = [f"{name.replace('_', ' ')} {text}" for name, text in size_texts.items()]
+    lengths = specimen.dimensions.items()
+    texts = {name: f"{scale.factor * length:.4g} {scale.unit}" for name, length in lengths}
+    texts |= specimen.labels
+    dimensions = [f"{name.replace('_', ' ')} {text}" for name, text in texts.items()]
     observations = [f"{name.replace('_', ' ')}: {text}" for name, text in specimen.observed.items()]
     verdict = judge_results(result.results)
     instruments = ", ".join(

@@ -29,7 +29,7 @@ REJECTED_STATE = "rejected"
 
 
 class PageTest(NamedTuple):
-    """A test on the page of a report, or in a figure of its group.
+    """Test on the page of a report, or in a figure of its group.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ class PageTest(NamedTuple):
 
 
 class GroupView(NamedTuple):
-    """A group on the page of a report, or in a figure.
+    """Group on the page of a report, or in a figure.
 
     Parameters
     ----------
@@ -118,7 +118,7 @@ def arrange_tests(campaign: Campaign) -> tuple[list[GroupView], list[PageTest]]:
     The groups, and all tests in the order of their numbers.
     """
     stems = make_stems(group.name for group in campaign.groups)
-    stems_by_group = {group.name: stem for group, stem in zip(campaign.groups, stems, strict=True)}
+    stems_by_group = dict(zip((group.name for group in campaign.groups), stems, strict=True))
     tests: list[PageTest] = []
     for group, stem in zip(campaign.groups, stems, strict=True):
         for test in make_figure_view(group).tests:
@@ -132,9 +132,9 @@ def arrange_tests(campaign: Campaign) -> tuple[list[GroupView], list[PageTest]]:
         tests.append(test._replace(rejection=rejection))
     groups = []
     for group, stem in zip(campaign.groups, stems, strict=True):
-        members = [test for test in tests if test.stem == stem]
-        included = [test for test in members if test.state != REJECTED_STATE]
-        rejected = [test for test in members if test.state == REJECTED_STATE]
+        group_tests = [test for test in tests if test.stem == stem]
+        included = [test for test in group_tests if test.state != REJECTED_STATE]
+        rejected = [test for test in group_tests if test.state == REJECTED_STATE]
         groups.append(GroupView(group, stem, included, rejected))
     return groups, tests
 
@@ -172,18 +172,14 @@ def find_group_of_rejected(sample: Sample, campaign: Campaign) -> Group | None:
     the fields by which tests are grouped, except the spool. If several groups qualify, the one with
     the most fields in common is returned.
     """
-    fields = list_fields(sample.specimen)
+    fields, compared_names = list_fields(sample.specimen), {*campaign.grouping_fields} - {SPOOL}
     matches = [
         group
         for group in campaign.groups
         if group.protocol == sample.protocol
-        and all(fields.get(x) == group.fields.get(x) for x in {*campaign.grouping_fields} - {SPOOL})
+        and all(fields.get(name) == group.fields.get(name) for name in compared_names)
     ]
-
-    def count_common_fields(group: Group) -> int:
-        return sum(fields.get(name) == value for name, value in group.fields.items())
-
-    return max(matches, key=count_common_fields, default=None)
+    return max(matches, key=lambda group: len(fields.items() & group.fields.items()), default=None)
 
 
 def combine_states(sample: Sample) -> str:
@@ -194,7 +190,7 @@ def combine_states(sample: Sample) -> str:
 
 
 def compute_report_id(campaign: Campaign) -> str:
-    """Compute the identifier of a report, ten hexadecimal digits.
+    """Compute the identifier of a report, which has ten hexadecimal digits.
 
     Parameters
     ----------
@@ -341,9 +337,9 @@ def _make_mean_cells(group: Group, number: GroupNumber, factor: float) -> tuple[
 
 
 def _make_strip(number: GroupNumber) -> MeanStrip:
-    """Make the drawing of samples, mean and interval of a number on a scale of this number."""
+    """Make the drawing of samples, mean and interval of a number on a scale of its own."""
     max_dots = 12  # more dots would overlap
-    max_extension = 1.5  # of the scale beyond the values at each end, relative to their range
+    max_extension = 1.5  # of the scale beyond the values at each end, as a fraction of their range
     values = [result.value for result in number.values.values() if result.value is not None]
     interval, mean = number.mean.chosen.interval, number.mean.chosen.mean
     interval_ends = () if interval is None else (interval.lower, interval.upper)
@@ -551,10 +547,10 @@ def describe_observations(samples: Sequence[Sample]) -> str:
     ----------
     samples : samples of one group
     """
-    sheets = [sample.specimen.observed for sample in samples]
-    questions = dict.fromkeys(question for sheet in sheets for question in sheet)
-    counts = Counter(sheet.get(name, NOT_STATED) for name in questions for sheet in sheets)
-    return ", ".join(f"{answer} {count}" for answer, count in counts.most_common())
+    observations = [sample.specimen.observed for sample in samples]
+    names = dict.fromkeys(name for observed in observations for name in observed)
+    counts = Counter(observed.get(name, NOT_STATED) for name in names for observed in observations)
+    return ", ".join(f"{value} {count}" for value, count in counts.most_common())
 
 
 def make_lot_table(groups: Iterable[GroupView]) -> Table | None:
@@ -565,8 +561,9 @@ def make_lot_table(groups: Iterable[GroupView]) -> Table | None:
     groups : groups of the report
     """
     rows, rules = list[Record](), set[str]()
-    for group, stem, *_ in groups:
-        if (lot := group.lot) is None:
+    for view in groups:
+        group, lot = view.group, view.group.lot
+        if lot is None:
             continue
         scale = choose_lot_scale(group, lot)
         limit, bound, smallest = (
@@ -577,7 +574,7 @@ def make_lot_table(groups: Iterable[GroupView]) -> Table | None:
         )
         no_common_limit = Cell(DASH, tip="the samples have several limits")
         rows.append({
-            "Lot": Cell(group.name, link=f"#group-{stem}"),
+            "Lot": Cell(group.name, link=f"#group-{view.stem}"),
             "Answer": str(lot.answer).upper(),
             "Why": wording.join_sentences(lot.reasons),
             "Limit": no_common_limit if lot.limit is None else limit,
@@ -603,8 +600,8 @@ def make_verdict_table(group: Group) -> Table | None:
     if group.lot is None:
         return None
     force = wording.choose_scale("", "N", wording.get_display(group))
-    sheets = [sample.specimen.observed for sample in group.samples]
-    questions = dict.fromkeys(question for sheet in sheets for question in sheet)
+    observations = [sample.specimen.observed for sample in group.samples]
+    observed_names = dict.fromkeys(name for observed in observations for name in observed)
     rows = []
     for sample in group.samples:
         verdict = group.lot.verdicts.get(sample.test)
@@ -616,9 +613,9 @@ def make_verdict_table(group: Group) -> Table | None:
         for name in ("peak_force.1", FORCE_LIMIT):
             result = find_result(sample.results, name)
             row[wording.format_heading(name, force)] = make_result_cell(result, force.factor)
-        for question in questions:
-            answer = sample.specimen.observed.get(question, NOT_STATED)
-            row[question.replace("_", " ").capitalize()] = answer
+        for name in observed_names:
+            heading = name.replace("_", " ").capitalize()
+            row[heading] = sample.specimen.observed.get(name, NOT_STATED)
         rows.append(row)
     return tabulate(f"{group.name}: verdict on each sample", rows)
 
@@ -665,7 +662,7 @@ def make_bounds_table(campaign: Campaign) -> Table | None:
             scale.label("Nothing slips"): Cell(nothing_slips, directions),
             "Share of the range": Cell(degree_text, wording.join_sentences(stiffness.reasons)),
         })  # fmt: skip
-    notes = format_sentence("report.bounds_of_bundles"), format_sentence("report.share_of_the_way")
+    notes = format_sentence("report.bounds_of_bundles"), format_sentence("report.share_of_range")
     return tabulate("Between slipping and sticking", rows, notes=notes)
 
 
@@ -731,6 +728,9 @@ def make_test_rows(tests: Iterable[PageTest]) -> list[dict[str, Any]]:
     for test in tests:
         page = name_page_file(test.sample.label or test.sample.test)
         numbers = () if test.group is None else test.group.numbers
+        bad_results = [entry for entry in test.sample.results if entry.status is not Status.OK]
+        reasons = (reason for result in bad_results for reason in result.reasons)
+        rejection = f"Rejected: {test.rejection}" if test.rejection else ""
         rows.append({
             "test": test,
             "first_cell": _make_first_number_cell(test.sample, numbers),
@@ -738,7 +738,7 @@ def make_test_rows(tests: Iterable[PageTest]) -> list[dict[str, Any]]:
             "grounds": test.rejection or test.sample.decision,
             "page": page,
             "address": quote(page, errors="replace"),
-            "reason": describe_problems(test),
+            "reason": rejection or wording.join_sentences(reasons),
         })  # fmt: skip
     return rows
 
@@ -767,19 +767,6 @@ def _make_first_number_cell(sample: Sample, numbers: Sequence[GroupNumber]) -> C
     scale = wording.choose_scale(name, result.unit, sample.display)
     cell = make_result_cell(result, scale.factor)
     return cell._replace(subtext=wording.format_heading(name, scale), sort_value=result.value)
-
-
-def describe_problems(test: PageTest) -> str:
-    """Describe why a test is rejected, or why results of the test are doubtful or failed.
-
-    Parameters
-    ----------
-    test : test of the page
-    """
-    if test.rejection:
-        return f"Rejected: {test.rejection}"
-    results = [result for result in test.sample.results if result.status is not Status.OK]
-    return wording.join_sentences(reason for result in results for reason in result.reasons)
 
 
 def make_source_table(tests: Iterable[PageTest]) -> Table:

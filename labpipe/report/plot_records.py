@@ -29,7 +29,7 @@ PLAIN_NUMBER = Scale(1.0, "")
 
 @dataclass(frozen=True, slots=True)
 class Axis:
-    """One axis of a plot.
+    """Axis of a plot.
 
     Parameters
     ----------
@@ -80,12 +80,12 @@ class Axis:
         >>> [text for _, text in Axis("Force", Scale(1.0, "N"), -0.4, 10.4).choose_ticks(6)]
         ['0', '2', '4', '6', '8', '10']
         """
-        tolerance = 1e-12  # of a step, so that rounding loses no tick at an end
+        tolerance = 1e-12  # in steps; without it, rounding could omit a tick at an end
         if self.row_names:
             return []
         low, high = self.ends
-        power_of_ten = 10.0 ** floor(log10((high - low) / max_steps))
-        steps = (power_of_ten * size for size in (1.0, 2.0, 2.5, 5.0, 10.0))
+        decade = 10.0 ** floor(log10((high - low) / max_steps))
+        steps = (multiple * decade for multiple in (1.0, 2.0, 2.5, 5.0, 10.0))
         step = next(step for step in steps if step * max_steps >= high - low)
         first, last = np.ceil(low / step - tolerance), np.floor(high / step + tolerance)
         values = [multiple * step for multiple in range(int(first), int(last) + 1)]
@@ -97,13 +97,13 @@ class Axis:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Line:
-    """One line, area or row of points of a plot.
+    """Line, area or sequence of points of a plot.
 
     Parameters
     ----------
     look : name of the look in ``looks.toml`` and of the class on the page, such as ``curve``, or
         ``curve c2`` with the number of a colour
-    x, y : shape (n,), SI; NaN interrupts the line, an infinite value is at the end of the axis
+    x, y : shape (n,), SI; NaN interrupts the line, an infinite value is at an end of the axis
     test : number of the test on the page; None if the line does not belong to a single test
     group : stem of the file names of the group; empty if the plot shows a single group
     is_closed : whether each part is the outline of an area
@@ -125,8 +125,8 @@ class Line:
 
         Parameters
         ----------
-        x, y : axes of the plot. A point further outside than the length of an axis is moved to
-            that distance
+        x, y : axes of the plot. A point that is further beyond an axis than the length of the axis
+            is moved to this distance
 
         Examples
         --------
@@ -137,7 +137,7 @@ class Line:
         closing = "z" if self.is_closed else ""
         grid = _convert_to_grid(self.x, x), GRID_SIZE - _convert_to_grid(self.y, y)
         segments = split_at_gaps(*grid)
-        return "".join(_format_segment(*segment.T) + closing for segment in segments)
+        return "".join(_format_segment(segment) + closing for segment in segments)
 
 
 _GAP = np.full((1, 2), nan)
@@ -145,7 +145,7 @@ _GAP = np.full((1, 2), nan)
 
 
 def split_at_gaps(x: Floats, y: Floats) -> list[Floats]:
-    """Split a line at NaN into segments of shape (n_points, 2)."""
+    """Split a line at NaN into segments, shape (n_points, 2) each."""
     points = np.column_stack([x, y])
     is_missing = np.isnan(points).any(axis=1)
     segments = np.split(points, np.flatnonzero(np.diff(is_missing)) + 1)
@@ -158,13 +158,11 @@ def _convert_to_grid(values: Floats, axis: Axis) -> Floats:
     return np.clip(np.rint(coordinates), -GRID_SIZE, 2 * GRID_SIZE)
 
 
-def _format_segment(x_grid: Floats, y_grid: Floats) -> str:
-    """Format a segment of a line as an SVG path of its first point and the steps between points."""
-    start = f"M{x_grid[0]:.0f} {y_grid[0]:.0f}"
-    if len(x_grid) == 1:
-        return f"{start}h0"
-    steps = np.column_stack([np.diff(x_grid), np.diff(y_grid)]).astype(np.int64).ravel().tolist()
-    return f"{start}l{' '.join(map(str, steps))}".replace(" -", "-")
+def _format_segment(points: Floats) -> str:
+    """Format grid points, shape (n, 2), as an SVG path: the first point, then relative steps."""
+    start = "M{:.0f} {:.0f}".format(*points[0])
+    steps = np.diff(points, axis=0).astype(np.int64).ravel().tolist()
+    return f"{start}l{' '.join(map(str, steps))}".replace(" -", "-") if steps else f"{start}h0"
 
 
 def make_line(
@@ -243,17 +241,17 @@ def make_legend_line(look: str, **settings: Any) -> Line:
 
 
 def join_with_gaps(*columns: ArrayLike) -> Floats:
-    """Join columns row by row, with NaN after each row, so that a line is interrupted there."""
+    """Join columns row by row, with NaN after each row, which interrupts a line."""
     return np.column_stack([*columns, np.full(np.size(columns[0]), nan)]).ravel()
 
 
 class Label(NamedTuple):
-    """A text in a plot of a figure.
+    """Text in a plot of a figure.
 
     Parameters
     ----------
     text : text of one or several lines
-    x, y : position, SI; an infinite value is at the end of the axis
+    x, y : position, SI; an infinite value is at an end of the axis
     offset : horizontal and vertical distance of the text from the position, points
     settings : settings of matplotlib for the text
     """
@@ -286,7 +284,7 @@ class LegendEntry:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plot:
-    """A plot on the page of a report, or a panel of a figure.
+    """Plot on the page of a report, or panel of a figure.
 
     Parameters
     ----------
@@ -324,12 +322,13 @@ class Plot:
 
 
 SINGLE_COLUMN, DOUBLE_COLUMN = 120.0, 180.0
-"""Widths of pages, mm. In a column of 90 mm, letters of 9 pt on a narrow page become 6.7 pt."""
+"""Widths of pages, mm. A narrow page is reduced to a column of 90 mm: text of 9 pt becomes 6.7 pt.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Page:
-    """A figure: plots with a title, a footnote and a common legend.
+    """Figure: plots with a title, a footnote and a common legend.
 
     Parameters
     ----------
@@ -343,7 +342,7 @@ class Page:
     widths, heights : widths of columns and heights of rows, relative to each other; equal if empty
     shared_axes : axes that all panels have in common: ``x``, ``y``, ``xy`` or none
     legend_columns : number of columns of the legend; 0 for as many as fit
-    colours : axis of the colours of lines; None if no line is coloured by values
+    colour_axis : axis of the values that the colours of lines represent; None if there are none
     caption, alt : description and alternative text in its files
     """
 
@@ -359,7 +358,7 @@ class Page:
     heights: Sequence[float] = ()
     shared_axes: str = ""
     legend_columns: int = 0
-    colours: Axis | None = None
+    colour_axis: Axis | None = None
     caption: str = ""
     alt: str = ""
 
@@ -394,8 +393,8 @@ def make_axes_to_scale(
     """
     ends = np.array([_compute_range(column) for column in points.T])
     half_ranges = 0.5 * np.ptp(ends, axis=1)
-    longest = float(half_ranges.max()) or 0.5 / scale.factor  # one display unit for equal points
-    half_ranges = np.maximum(half_ranges, min_aspect * longest) + 2.0 * margin * longest
+    largest = float(half_ranges.max()) or 0.5 / scale.factor  # one display unit for equal points
+    half_ranges = np.maximum(half_ranges, min_aspect * largest) + 2.0 * margin * largest
     middles = ends.mean(axis=1)
     limits = (middles - half_ranges).tolist(), (middles + half_ranges).tolist()
     return tuple(
@@ -418,8 +417,8 @@ def clip_range(
 
     Parameters
     ----------
-    values : values to show; 0 and 1 are shown if there are none. Numbers that are not finite are
-        ignored here and in `interval_ends`
+    values : values to show; without finite values, the range includes 0 and 1. Numbers that are
+        not finite are ignored here and in `interval_ends`
     interval_ends : ends of intervals or bands
     max_extension : largest extension of the range beyond the values at each end, as a fraction of
         the range of the values. It does not apply if all values are equal
@@ -454,7 +453,7 @@ def make_mean_strip(
 
     Parameters
     ----------
-    ends : values at the ends of the scale; values outside are drawn 2 % beyond the end
+    ends : values at the ends of the scale; a value outside is drawn at most 2 % beyond the end
     interval : interval of the mean; None without an interval
     mean : mean; NaN without a mean
     samples : values of the samples; values that are not finite are ignored
@@ -473,15 +472,18 @@ def make_mean_strip(
 
 
 def format_sparkline(x: Floats, y: Floats) -> str:
-    """Format a small curve without axes as an SVG path that fills its frame."""
+    """Format a small curve without axes as an SVG path that fills its drawing area."""
     x_axis = make_axis("", PLAIN_NUMBER, [x], margin=0.0)
     y_axis = make_axis("", PLAIN_NUMBER, [y], margin=0.05)
     return Line("", x, y).format_path(x_axis, y_axis)
 
 
 _Segment: TypeAlias = tuple[float, int, int, int]
-"""Segment of a line in a heap: minus the largest distance of a sample from the chord, and the
-indices of the first sample, of the sample with this distance, and of the last sample."""
+"""Segment of a line in a heap.
+
+Minus the largest distance of a sample from the chord; the indices of the first sample, of the
+sample at this distance, and of the last sample.
+"""
 
 
 def find_extremes(values: Floats, *, n_bins: int) -> Ints:
@@ -494,8 +496,9 @@ def find_extremes(values: Floats, *, n_bins: int) -> Ints:
 
     Returns
     -------
-    Sorted indices: the lowest and the highest sample of each bin, the first NaN of each bin, and
-    both ends of the line. All samples are returned if there are at most four per bin.
+    Sorted indices of the lowest and the highest sample of each bin, of the first NaN of each bin,
+    and of both ends of the line. All indices are returned if there are at most four samples per
+    bin.
     """
     n_samples = len(values)
     if n_samples <= 4 * n_bins:
@@ -539,27 +542,27 @@ def find_shape_samples(
     ----------
     .. [1] Douglas, Peucker, Cartographica 10 (1973) 112.
     """
-    finite = np.flatnonzero(np.isfinite(positions) & np.isfinite(values))
-    if not len(finite):
+    finite_rows = np.flatnonzero(np.isfinite(positions) & np.isfinite(values))
+    if not len(finite_rows):
         return np.arange(min(len(values), 1), dtype=np.int64)
-    before_gaps = np.flatnonzero(np.diff(finite) > 1)
-    starts = np.concatenate([finite[:1], finite[before_gaps + 1]])
-    stops = np.concatenate([finite[before_gaps], finite[-1:]])
-    kept_samples = {*starts.tolist(), *stops.tolist(), *(finite[before_gaps] + 1).tolist()}
-    max_distance = tolerance * float(np.ptp(values[finite]))
+    before_gaps = np.flatnonzero(np.diff(finite_rows) > 1)
+    starts = np.concatenate([finite_rows[:1], finite_rows[before_gaps + 1]])
+    stops = np.concatenate([finite_rows[before_gaps], finite_rows[-1:]])
+    kept_rows = {*starts.tolist(), *stops.tolist(), *(finite_rows[before_gaps] + 1).tolist()}
+    max_distance = tolerance * float(np.ptp(values[finite_rows]))
     segments = [
         _make_segment(positions, values, int(start), int(stop))
         for start, stop in zip(starts, stops, strict=True)
     ]
     heapq.heapify(segments)
-    while segments and len(kept_samples) < max_points:
+    while segments and len(kept_rows) < max_points:
         distance, start, furthest, stop = heapq.heappop(segments)
         if -distance <= max_distance:
             break
-        kept_samples.add(furthest)
+        kept_rows.add(furthest)
         heapq.heappush(segments, _make_segment(positions, values, start, furthest))
         heapq.heappush(segments, _make_segment(positions, values, furthest, stop))
-    return np.array(sorted(kept_samples), dtype=np.int64)
+    return np.array(sorted(kept_rows), dtype=np.int64)
 
 
 def _make_segment(positions: Floats, values: Floats, start: int, stop: int) -> _Segment:
@@ -578,26 +581,26 @@ def _make_segment(positions: Floats, values: Floats, start: int, stop: int) -> _
 
 
 def thin_flags(
-    flags: NDArray[np.uint8], flags_by_rank: Sequence[int], *, n_bins: int
+    flags: NDArray[np.uint8], flags_by_severity: Sequence[int], *, n_bins: int
 ) -> NDArray[np.uint8]:
     """Thin flags along time; keep the worst flag of each bin of frames.
 
     Parameters
     ----------
     flags : shape (n_frames, n_points), flag of each point in each frame
-    flags_by_rank : all possible flags, 0 to n - 1, in order of severity; the worst is last
+    flags_by_severity : all possible flags, 0 to n - 1, in order of severity; the worst is last
     n_bins : largest number of bins
 
     Returns
     -------
     Worst flag of each point within each bin, shape (at most `n_bins`, n_points).
     """
-    n_frames, ranked_flags = len(flags), np.array(flags_by_rank, dtype=np.uint8)
-    ranks = np.argsort(ranked_flags).astype(np.uint8)[flags]
+    n_frames, sorted_flags = len(flags), np.array(flags_by_severity, dtype=np.uint8)
+    severities = np.argsort(sorted_flags).astype(np.uint8)[flags]
     edges = np.linspace(0, n_frames, min(n_bins, n_frames), endpoint=False)
     starts = np.unique(edges.astype(np.int64))
-    worst_ranks = np.maximum.reduceat(ranks, starts, axis=0) if n_frames else ranks
-    thinned_flags: NDArray[np.uint8] = ranked_flags[worst_ranks]
+    worst = np.maximum.reduceat(severities, starts, axis=0) if n_frames else severities
+    thinned_flags: NDArray[np.uint8] = sorted_flags[worst]
     return thinned_flags
 
 

@@ -77,20 +77,20 @@ def _list_tables(campaign: Campaign) -> Iterator[Table | None]:
     pairs = comparisons.list_single_field_pairs(campaign)
     sorted_groups = sorted(campaign.groups, key=lambda group: group.protocol)
     displays = {group.name: wording.get_display(group) for group in campaign.groups}
-    # differences of groups that differ in a single field are first
+    # differences between groups that differ in a single field come first
     differences = sorted(campaign.differences, key=lambda difference: not difference.family)
     first_displays = (displays[difference.first] for difference in differences)
     difference_records = map(_make_difference_record, differences, first_displays)
-    has_scaled = any(group.scaled_band is not None for group in campaign.groups)
+    has_scaled_bands = any(group.scaled_band is not None for group in campaign.groups)
     lot_records = (_make_lot_record(group, group.lot) for group in campaign.groups if group.lot)
     yield _tabulate_unless_empty("lots", lot_records)
-    yield _tabulate_unless_empty("answers", map(_make_answer_record, pairs))
+    yield _tabulate_unless_empty("answers", map(_make_verdict_record, pairs))
     yield tabulate("key numbers", map(_make_key_record, sorted_groups))
     yield tabulate("means", _list_means(campaign))
     yield _tabulate_tests(campaign)
     yield tabulate("results", _list_results(campaign))
     yield _tabulate_curves(campaign, is_scaled=False)
-    yield _tabulate_curves(campaign, is_scaled=True) if has_scaled else None
+    yield _tabulate_curves(campaign, is_scaled=True) if has_scaled_bands else None
     yield tabulate("comparisons", difference_records)
     yield _tabulate_unless_empty("budgets", _list_budgets(campaign))
     yield _tabulate_unless_empty("slipping and sticking", _list_bounds(campaign))
@@ -125,7 +125,7 @@ def _make_lot_record(group: Group, lot: Lot) -> Record:
     }
 
 
-def _make_answer_record(pair: comparisons.Pair) -> Record:
+def _make_verdict_record(pair: comparisons.Pair) -> Record:
     """Make the record of the verdict on the first number of a pair."""
     difference = pair.differences[0]
     record = _make_difference_record(difference, wording.get_display(pair.first))
@@ -172,10 +172,9 @@ def _list_means(campaign: Campaign) -> Iterator[Record]:
     """Yield the mean of each number over all samples, and over each spool if there are several."""
     for group in campaign.groups:
         for number in group.numbers:
-            means = {"all": number.mean.chosen}
-            if len(number.mean.spool_means) > 1:
-                for spool, spool_mean in number.mean.spool_means.items():
-                    means[f"spool {spool}"] = spool_mean
+            means, spool_means = {"all": number.mean.chosen}, number.mean.spool_means
+            if len(spool_means) > 1:
+                means |= {f"spool {spool}": mean for spool, mean in spool_means.items()}
             for set_name, mean in means.items():
                 yield _make_mean_record(group, number, set_name, mean)
 
@@ -234,14 +233,14 @@ def _make_test_record(group: str, sample: Sample, lot: Lot | None) -> Record:
     """Make the record of a test with its specimen, verdict and numbers."""
     specimen = sample.specimen
     main_results = [result for result in sample.results if wording.is_main(result.name)]
-    answers = {name.replace("_", " "): answer for name, answer in specimen.observed.items()}
+    observed_cells = {name.replace("_", " "): text for name, text in specimen.observed.items()}
     verdict = None if lot is None else lot.verdicts.get(sample.test)
     verdict_cells: Record = {}
     if verdict is not None:
         verdict_cells["verdict"] = str(verdict.value_answer)
         verdict_cells["verdict with interval"] = str(verdict.interval_answer)
-    sizes = {f"{name.replace('_', ' ')} (mm)": 1e3 * size
-             for name, size in specimen.dimensions.items()}  # fmt: skip
+    dimension_cells = {f"{name.replace('_', ' ')} (mm)": 1e3 * dimension
+                       for name, dimension in specimen.dimensions.items()}  # fmt: skip
     number_cells: Record = {}
     for result in main_results:
         scale = wording.choose_scale(result.name, result.unit, sample.display)
@@ -258,8 +257,8 @@ def _make_test_record(group: str, sample: Sample, lot: Lot | None) -> Record:
         "day": str(sample.date or ""),
         "operator": sample.operator,
         **verdict_cells,
-        **answers,
-        **sizes,
+        **observed_cells,
+        **dimension_cells,
         "doubtful numbers": sum(result.status is Status.DOUBTFUL for result in main_results),
         "failed numbers": sum(result.status is Status.FAILED for result in main_results),
         **number_cells,
@@ -377,16 +376,16 @@ def _list_budgets(campaign: Campaign) -> Iterator[Record]:
         for number in group.numbers:
             budget, scale = summarise_budget(number), wording.choose_number_scale(group, number)
             interval = number.mean.chosen.interval
-            kinds = (
-                ("mean of the group", interval, budget.mean_shares),
+            group_half_width = None if interval is None else 0.5 * (interval.upper - interval.lower)
+            averages = (
+                ("mean of the group", group_half_width, budget.mean_shares),
                 ("median of the tests", None, budget.test_shares),
             )
-            for name, ends, shares in kinds if budget.test_shares else ():
-                half_width = None if ends is None else 0.5 * (ends.upper - ends.lower)
+            for average, half_width, shares in averages if budget.test_shares else ():
                 cells: Record = {
                     "group": group.name,
                     "number": wording.format_label(number.name),
-                    "of": name,
+                    "of": average,
                     "unit": scale.unit,
                     "half of the 95 % interval": make_number_cell(half_width, None, scale.factor),
                 }

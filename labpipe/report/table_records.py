@@ -240,9 +240,8 @@ def make_interval_cells(
     """
     cells: Record = {name: make_number_cell(value, interval, factor), "lower": None, "upper": None}
     if interval is not None:
-        last_place = compute_last_place(
-            interval.lower if value is None else value, interval, factor
-        )
+        number = interval.lower if value is None else value
+        last_place = compute_last_place(number, interval, factor)
         ends = sorted((factor * interval.lower, factor * interval.upper))
         for heading, end in zip(("lower", "upper"), ends, strict=True):
             cells[heading] = NumberCell(end, choose_number_format(end, last_place))
@@ -302,8 +301,8 @@ def compute_column_place(column: Sequence[Value]) -> int | None:
     Power of ten with which the largest number has five digits; None if there is no number other
     than zero.
     """
-    sizes = [abs(cell) for cell in column if isinstance(cell, float) and math.isfinite(cell)]
-    return compute_last_place(max(sizes), None, digits=5) if any(sizes) else None
+    magnitudes = [abs(cell) for cell in column if isinstance(cell, float) and math.isfinite(cell)]
+    return compute_last_place(max(magnitudes), None, digits=5) if any(magnitudes) else None
 
 
 def format_in_column(value: float | NumberCell, column_place: int | None) -> NumberCell:
@@ -360,7 +359,7 @@ def save_tables(
     Notes
     -----
     A text such as ``=1+1`` does not become a formula. Numbers that are not finite give empty cells.
-    Unprintable characters are replaced by U+FFFD. Equal tables give equal bytes.
+    Unprintable characters are replaced with U+FFFD. Equal tables give equal bytes.
     """
     text = (files("labpipe.report") / "workbooks.toml").read_text(encoding="utf-8")
     description, all_tables, buffer = tomllib.loads(text)[book], list(tables), io.BytesIO()
@@ -463,7 +462,8 @@ class _WorkbookWriter:
         self, sheet: Any, column: int, values: Sequence[Value], *, is_wrapped: bool
     ) -> None:
         """Write the cells of a column below its heading; texts are wrapped if `is_wrapped`."""
-        formula_starts = "=+-@#"  # a text that starts so becomes a formula when a person edits it
+        # a text with one of these first characters becomes a formula when a person edits it
+        formula_starts = "=+-@#"
         layout = {"text_wrap": True} if is_wrapped else {"align": "left", "indent": 1}
         column_place, text_format = compute_column_place(values), self.get_format(**layout)
         for row, value in enumerate(values, start=1):
@@ -521,7 +521,7 @@ def _write_text(sheet: Any, row: int, column: int, text: str, cell_format: Any) 
 
 def _compute_widths(table: Table, wrapped_headings: Sequence[str]) -> list[int]:
     """Compute the width of each column, characters: that of its longest text, within limits."""
-    button_width, max_wrapped_width, max_width = 3, 46, 34  # a button of a heading sorts its column
+    button_width, max_wrapped_width, max_width = 3, 46, 34  # the button is beside the heading
     widths = [max(8, *map(len, heading.split(" "))) + button_width for heading in table.headings]
     for row in table.rows:
         for column, value in enumerate(row):

@@ -50,9 +50,10 @@ def describe_strands(table: WireTable) -> str:
     0.25 mm is ``1 × 0.3 + 6 × 0.25 mm``.
     """
     spec = table.spec
-    sizes = [f"{LENGTH_SCALE.factor * diameter:.3g}" for diameter in spec.strand_diameters]
-    layers = groupby(zip(sizes, spec.layer_counts, strict=True), key=lambda layer: layer[0])
-    texts = [f"{sum(count for _, count in group)} \u00d7 {size}" for size, group in layers]
+    diameters = [f"{LENGTH_SCALE.factor * diameter:.3g}" for diameter in spec.strand_diameters]
+    layers = zip(diameters, spec.layer_counts, strict=True)
+    runs = groupby(layers, key=lambda layer: layer[0])
+    texts = [f"{sum(count for _, count in run)} \u00d7 {diameter}" for diameter, run in runs]
     return f"{' + '.join(texts)} {LENGTH_SCALE.unit}"
 
 
@@ -120,16 +121,16 @@ def make_section_plot(table: WireTable, max_radius: float, scale: Scale) -> Plot
     max_radius : radius of the largest wire that would fit into the panel, m
     scale : display unit of the bending stiffness
     """
-    layout, edge = table.layout, 1.06 * max_radius
-    decade = 10.0 ** math.floor(math.log10(LENGTH_SCALE.factor * edge)) / LENGTH_SCALE.factor
-    bar_length = max(step * decade for step in (1.0, 2.0, 5.0) if step * decade <= edge)
-    bar_height = -1.1 * edge
+    layout, half_width = table.layout, 1.06 * max_radius
+    decade = 10.0 ** math.floor(math.log10(LENGTH_SCALE.factor * half_width)) / LENGTH_SCALE.factor
+    bar_length = max(step * decade for step in (1.0, 2.0, 5.0) if step * decade <= half_width)
+    bar_height = -1.1 * half_width
     lines = [
         plots.make_circles("insulation_wall", 0.0, 0.0, layout.wire_radius),
         plots.make_circles("bore", 0.0, 0.0, layout.bore_radius),
         *make_strand_lines(layout, table.spec.orientation),
-        make_line("neutral_axis", [-edge, edge], 0.0),
-        make_line("scale_bar", [-edge, bar_length - edge], bar_height),
+        make_line("neutral_axis", [-half_width, half_width], 0.0),
+        make_line("scale_bar", [-half_width, bar_length - half_width], bar_height),
     ]
     if layout.kind == "compressed":
         lines.append(make_line("centroid", *_rotate_centres(layout, table.spec.orientation)))
@@ -142,9 +143,9 @@ def make_section_plot(table: WireTable, max_radius: float, scale: Scale) -> Plot
         f"{layout.kind}, wire {diameter:.3g} {LENGTH_SCALE.unit}\n"
         f"stick {stick_text}, slip {slip_text} {scale.unit}"
     )
-    x = Axis(scale=LENGTH_SCALE, low=-edge, high=edge)
-    y = Axis(scale=LENGTH_SCALE, low=-1.22 * edge, high=edge)
-    labels = [Label(bar_text, bar_length - 0.95 * edge, bar_height)]
+    x = Axis(scale=LENGTH_SCALE, low=-half_width, high=half_width)
+    y = Axis(scale=LENGTH_SCALE, low=-1.22 * half_width, high=half_width)
+    labels = [Label(bar_text, bar_length - 0.95 * half_width, bar_height)]
     return Plot(x, y, lines, heading, labels, is_to_scale=True, has_frame=False)
 
 
@@ -163,8 +164,8 @@ def make_strand_lines(layout: WireLayout, orientation: float = 0.0) -> Iterator[
     """
     n_points = 91  # on each arc of a sector
     x, y = _rotate_centres(layout, orientation)
-    squares = np.bincount(layout.layer, weights=layout.diameter**2)
-    ring_radii = np.sqrt(np.concatenate([[0.0], np.cumsum(squares)])) / 2.0
+    squared_diameters = np.bincount(layout.layer, weights=layout.diameter**2)
+    ring_radii = np.sqrt(np.concatenate([[0.0], np.cumsum(squared_diameters)])) / 2.0
     has_core = np.sum(layout.layer == 0) == 1
     for index in range(int(layout.layer.max()) + 1):
         label = "core" if has_core and index == 0 else f"ring {index + (not has_core)}"
@@ -192,7 +193,7 @@ def _rotate_centres(layout: WireLayout, orientation: float) -> tuple[Floats, Flo
 def _make_wire_page(
     table: WireTable, kind: str, panels: Sequence[Plot], height: float, note: str = ""
 ) -> Page:
-    """Make a page of one wire, with its warnings in the footnote; `height` is in mm."""
+    """Make a page of one wire, `height` mm high, with its warnings in the footnote."""
     diameter = 2.0 * LENGTH_SCALE.factor * table.layout.wire_radius
     title = (
         f"{_shorten_name(table)}  ·  wire model  ·  {describe_strands(table)}, {table.layout.kind}"
@@ -203,9 +204,9 @@ def _make_wire_page(
     return Page(name, title, panels, notes, height=height, width=plots.SINGLE_COLUMN)
 
 
-def _make_doubtful_areas(limit: float, end: float) -> list[Line]:
-    """Make the pale area from a limit of the model to the end of a panel; none beyond the end."""
-    return [plots.make_span("doubtful_range", limit, end)] if limit < end else []
+def _make_doubtful_areas(limit: float, axis_end: float) -> list[Line]:
+    """Make the pale area from a limit of the model to the end of the axis; none beyond the end."""
+    return [plots.make_span("doubtful_range", limit, axis_end)] if limit < axis_end else []
 
 
 def make_stiffness_page(table: WireTable) -> Page:
@@ -364,15 +365,17 @@ def make_comparison_page(name: str, tables: Sequence[WireTable]) -> Page:
 
 
 _INVALID_IN_FILE_NAME = re.compile(r'[\\/:*?"<>|\x00-\x1f]')
+"""Pattern of a character that is not valid in the name of a file."""
 _WIRE_FIGURES = {
     "stiffness": make_stiffness_page,
     "moment": make_moment_page,
     "cantilever": make_cantilever_page,
 }
+"""Function that makes a figure of a single wire, keyed by the end of the figure's name."""
 
 
 def list_wire_figures(tables: Sequence[WireTable]) -> Iterator[Page]:
-    """List the figures of a wire sheet.
+    """Yield the figures of a wire sheet.
 
     Parameters
     ----------
@@ -469,19 +472,19 @@ def compute_row_error(table: WireTable, rows: Ints) -> float:
 
 
 def make_summary_record(table: WireTable) -> Record:
-    """Make the cells of a wire in the summary, except its name; a missing number is None."""
+    """Make the cells of a wire in the summary, except its name; a cell without a value is None."""
     spec, layout, curvature = table.spec, table.layout, float(table.curvature[-1])
     area = LENGTH_SCALE.factor**2 * float(np.sum(np.pi / 4.0 * layout.diameter**2))
     factor, rest, deflection = STIFFNESS_SCALE.factor, table.rest, table.tip_deflection
-    doubtful_curvature, share_there = None, None
+    doubtful_curvature, doubtful_share = None, None
     if table.is_doubtful.any():
         doubtful_curvature = table.doubtful_curvature
         share = np.interp(doubtful_curvature, table.curvature, table.insulation_share)
-        share_there = 100.0 * float(share)
+        doubtful_share = 100.0 * float(share)
     tip_texts = (f"{LENGTH_SCALE.factor * tip:g}" for tip in REPORTED_DEFLECTIONS)
     end_load_headings = [FORCE_SCALE.label(f"end load at {text} mm") for text in tip_texts]
     end_loads = FORCE_SCALE.factor * interpolate_end_load(table, np.array(REPORTED_DEFLECTIONS))
-    has_doubtful = len(deflection) > 0 and table.doubtful_deflection < deflection[-1]
+    is_end_doubtful = len(deflection) > 0 and table.doubtful_deflection < deflection[-1]
     return {
         "strands": len(layout.layer),
         "layers": " + ".join(map(str, spec.layer_counts)),
@@ -499,7 +502,7 @@ def make_summary_record(table: WireTable) -> Record:
         "range, curvature (1/m)": curvature,
         "range, bending radius (mm)": LENGTH_SCALE.factor / curvature,
         "doubtful beyond, curvature (1/m)": doubtful_curvature,
-        "insulation's share there (%)": share_there,
+        "insulation's share there (%)": doubtful_share,
         "insulation's share at the end (%)": 100.0 * float(table.insulation_share[-1]),
         "moment at the end (N·mm)": MOMENT_SCALE.factor * float(table.moment[-1]),
         "secant stiffness at the end (N·mm²)": factor * float(table.secant_stiffness[-1]),
@@ -514,7 +517,7 @@ def make_summary_record(table: WireTable) -> Record:
         "force at the tip at rest (mN)": None if rest is None else 1e3 * rest.force,
         "cantilever length (mm)": LENGTH_SCALE.factor * spec.length,
         "doubtful beyond, deflection (mm)": (
-            LENGTH_SCALE.factor * table.doubtful_deflection if has_doubtful else None
+            LENGTH_SCALE.factor * table.doubtful_deflection if is_end_doubtful else None
         ),
         **dict(zip(end_load_headings, end_loads.tolist(), strict=True)),
         "warnings": join_warnings(table),

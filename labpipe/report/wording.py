@@ -49,7 +49,7 @@ _UNPRINTABLE = re.compile(
 
 
 def replace_unprintable(text: str) -> str:
-    """Replace control characters, surrogates and bidirectional formatting characters by U+FFFD.
+    """Replace control characters, surrogates and bidirectional formatting characters with U+FFFD.
 
     Parameters
     ----------
@@ -58,12 +58,12 @@ def replace_unprintable(text: str) -> str:
     return _UNPRINTABLE.sub("\ufffd", text)
 
 
-def shorten(name: str, max_length: int) -> str:
-    """Shorten a long name by replacing its middle.
+def shorten(text: str, max_length: int) -> str:
+    """Shorten a long text by replacing its middle with an ellipsis.
 
     Parameters
     ----------
-    name : name or other text
+    text : name or other text
     max_length : largest number of characters of the result, at least 1
 
     Examples
@@ -71,10 +71,10 @@ def shorten(name: str, max_length: int) -> str:
     >>> shorten("TWB-B1-19-PVC-half-lap", 12)
     'TWB-B1…f-lap'
     """
-    if len(name) <= max_length:
-        return name
+    if len(text) <= max_length:
+        return text
     tail_length = (max_length - 1) // 2
-    return f"{name[: max_length - 1 - tail_length]}…{name[len(name) - tail_length :]}"
+    return f"{text[: max_length - 1 - tail_length]}…{text[len(text) - tail_length :]}"
 
 
 def format_percent(ratio: float, digits: int = 2) -> str:
@@ -107,10 +107,10 @@ _RESULT_LABELS: Mapping[str, str] = {
 """Labels of results: those of the kinds of results, and of names in the shipped protocols."""
 _QUANTITIES = {unit: quantity for quantity, unit in SI_UNITS.items()} | {"m": "displacement"}
 """Quantity whose display unit applies to results with an SI unit, keyed by this unit."""
-_PER_PEAK = "_per_peak_force"
+_PER_PEAK_SUFFIX = "_per_peak_force"
 """End of the names of results that are divided by the peak force."""
-_AT_CURVATURE = re.compile(r"(bending_stiffness)_at_(\d+)")
-"""Name of a stiffness at a curvature in the shipped protocols."""
+_STIFFNESS_AT_CURVATURE = re.compile(r"(bending_stiffness)_at_(\d+)")
+"""Pattern of the name of a stiffness at a curvature, 1/m, in the shipped protocols."""
 _SLIP_RESULTS = ("slip_position", "slip_drop")
 """Names of results that are numbered by slip, not by cycle."""
 _DEFAULT_DIGITS = 4
@@ -118,6 +118,7 @@ _DEFAULT_DIGITS = 4
 SUPERSCRIPTS = str.maketrans(
     "-0123456789", "\u207b\u2070\u00b9\u00b2\u00b3\u2074\u2075\u2076\u2077\u2078\u2079"
 )
+"""Superscript of each digit and of the minus sign, for `str.translate`."""
 
 
 def format_label(name: str) -> str:
@@ -143,9 +144,9 @@ def format_label(name: str) -> str:
     'Force lost in slip 1'
     """
     stem, _, suffix = name.partition(".")
-    if stem.endswith(_PER_PEAK):
-        stem_label = f"{format_label(stem.removesuffix(_PER_PEAK))}, per peak force"
-    elif match := _AT_CURVATURE.fullmatch(stem):
+    if stem.endswith(_PER_PEAK_SUFFIX):
+        stem_label = f"{format_label(stem.removesuffix(_PER_PEAK_SUFFIX))}, per peak force"
+    elif match := _STIFFNESS_AT_CURVATURE.fullmatch(stem):
         stem_label = f"{format_label(match[1])} at {match[2]} 1/m"
     else:
         stem_label = _RESULT_LABELS.get(stem) or stem.replace("_", " ").capitalize()
@@ -174,7 +175,7 @@ def replace_names(sentence: str) -> str:
     """
 
     def replace_name(match: re.Match[str]) -> str:
-        stem = match[0].partition(".")[0].removesuffix(_PER_PEAK)
+        stem = match[0].partition(".")[0].removesuffix(_PER_PEAK_SUFFIX)
         if stem not in _RESULT_LABELS and not stem.startswith(_PROTOCOL_PREFIXES):
             return match[0]
         text = format_label(match[0])
@@ -184,7 +185,7 @@ def replace_names(sentence: str) -> str:
 
 
 def make_sentence(message: str) -> str:
-    """Make a sentence of a message; the labels of results replace their names.
+    """Make a sentence of a message: capital letter, full stop, labels of results for their names.
 
     Examples
     --------
@@ -377,7 +378,7 @@ def format_number(
 def compute_last_place(
     value: float, interval: Interval | None, factor: float = 1.0, digits: int = _DEFAULT_DIGITS
 ) -> int:
-    """Compute the power of ten of the last digit of a formatted number.
+    """Compute the power of ten of the last digit that a formatted number shows.
 
     Parameters
     ----------
@@ -401,12 +402,12 @@ def compute_last_place(
     return _compute_digit_place(half_width, 2)
 
 
-def _compute_digit_place(size: float, digits: int) -> int:
+def _compute_digit_place(magnitude: float, digits: int) -> int:
     """Compute the power of ten of the last significant digit of a number that is not negative."""
-    if size == 0.0 or not math.isfinite(size):
+    if magnitude == 0.0 or not math.isfinite(magnitude):
         return -digits
     # the number is rounded first: 9.96 has the text 10 with two digits, not 10.0
-    exponent = int(f"{size:.{digits - 1}e}".partition("e")[2])
+    exponent = int(f"{magnitude:.{digits - 1}e}".partition("e")[2])
     return exponent - digits + 1
 
 
@@ -457,17 +458,17 @@ def format_with_interval(
     texts = format_number(value, interval, factor, estimate=estimate)
     if interval is None or not texts.lower:
         return texts.value
-    above, below = interval.upper - value, value - interval.lower
-    longer, difference = max(above, below), abs(above - below)
-    if estimate is not None or not isfinite(longer) or difference > max_asymmetry * longer:
+    distances = interval.upper - value, value - interval.lower
+    longest, difference = max(distances), abs(distances[0] - distances[1])
+    if estimate is not None or not isfinite(longest) or difference > max_asymmetry * longest:
         return f"{texts.value} ({texts.interval})"
-    half_width = float(f"{abs(factor) * longer:.1e}")  # two significant digits
+    half_width = float(f"{abs(factor) * longest:.1e}")  # two significant digits
     numbers = [factor * number for number in (value, interval.lower, interval.upper)]
     last_place = compute_last_place(value, interval, factor)
     value_text, *_, half_text = _round_together([*numbers, half_width], last_place)
-    value_text, times, power = value_text.partition(" \u00d7 ")
-    text = f"{value_text} \u00b1 {half_text.partition(times)[0] if times else half_text}"
-    return f"({text}){times}{power}" if times else text
+    value_text, times_sign, power = value_text.partition(" \u00d7 ")
+    text = f"{value_text} \u00b1 {half_text.removesuffix(times_sign + power)}"
+    return f"({text}){times_sign}{power}" if times_sign else text
 
 
 def format_mean(mean: MeanInterval, factor: float = 1.0) -> str:

@@ -92,12 +92,12 @@ def simulate_campaigns(campaigns: Iterable[Campaign], folder: Path, seed: int = 
 
 @dataclass(frozen=True, slots=True)
 class ChosenTests:
-    """Selected tests of campaigns.
+    """Chosen tests of campaigns.
 
     Parameters
     ----------
     campaigns : campaigns that contain the tests; their order is kept
-    names : names of the selected tests
+    names : names of the chosen tests
     """
 
     campaigns: Sequence[Campaign]
@@ -312,12 +312,12 @@ class TensileCampaign:
     def list_scenarios(self, seed: int = 1) -> Iterator[tuple[TensileScenario, int]]:
         """Yield the tests; see `Campaign`. Tests on one frame share the error of its load cell."""
         random = np.random.default_rng([seed, 23])
-        small_error, large_error = (GAIN_UNCERTAINTY * random.standard_normal(2)).tolist()
+        tube_cell_error, frame_cell_error = (GAIN_UNCERTAINTY * random.standard_normal(2)).tolist()
         tests = [
-            *_build_corrugated_tubes(small_error, random),
-            *_build_twist_tubes(large_error, random),
-            *_build_tapes(self.tapes, large_error, random),
-            build_stiff_bar(gain_error=large_error),
+            *_build_corrugated_tubes(tube_cell_error, random),
+            *_build_twist_tubes(frame_cell_error, random),
+            *_build_tapes(self.tapes, frame_cell_error, random),
+            build_stiff_bar(gain_error=frame_cell_error),
         ]
         yield from ((test, 1000 * seed + index) for index, test in enumerate(tests, start=1))
 

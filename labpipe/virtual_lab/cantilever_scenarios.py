@@ -210,8 +210,8 @@ class CantileverScenario:
         force_start_time = -clocks.offset / (1.0 + clocks.drift)
         motion_start_time = max(0.0, force_start_time) + self.rest
         stroke_indices = np.arange(2 * self.mechanics.cycles + 1)
-        past_dwell = np.maximum(stroke_indices - 1, 0) * self.dwell
-        arrival_times = motion_start_time + stroke_indices * (stroke / self.speed) + past_dwell
+        earlier_dwell = np.maximum(stroke_indices - 1, 0) * self.dwell
+        arrival_times = motion_start_time + stroke_indices * (stroke / self.speed) + earlier_dwell
         departure_times = arrival_times.copy()
         departure_times[1:-1] += self.dwell
         end_time = float(arrival_times[-1] + self.rest)
@@ -478,7 +478,7 @@ class MechanicalPath:
         return self.compute_deflection(progress), force
 
     def _interpolate(self, progress: Floats, tables: list[Floats]) -> Floats:
-        """Interpolate a table per segment, (positions, columns), at nondecreasing progress, m."""
+        """Interpolate tables, one of shape (positions, columns) per segment, at progress, m."""
         interpolated = np.empty((len(progress), tables[0].shape[1]))
         starts = [segment.progress[0] for segment in self.segments[1:]]
         row_limits = [0, *np.searchsorted(progress, starts), len(progress)]
@@ -487,8 +487,8 @@ class MechanicalPath:
             if segment.is_slack:
                 interpolated[rows] = table[0]
             elif rows.stop > rows.start:
-                clipped = np.clip(progress[rows], segment.progress[0], segment.progress[-1])
-                interpolated[rows] = CubicSpline(segment.progress, table)(clipped)
+                positions = np.clip(progress[rows], segment.progress[0], segment.progress[-1])
+                interpolated[rows] = CubicSpline(segment.progress, table)(positions)
         return interpolated
 
 
@@ -572,11 +572,11 @@ class _BranchSolver:
         self._update_law()
         shape = self._bend(state, state.travel)
         if shape.tension <= 0.0:  # the wire does not bend until the string is taut
-            start_shape, stop = shape, end_travel
+            start_shape, slack_end = shape, end_travel
             if end_travel > state.travel:
-                stop = min(self._compute_event_travel(shape), end_travel)
-            if abs(stop - state.travel) > _MIN_TRAVEL_STEP:
-                shape = self._bend(start_shape.state, stop)
+                slack_end = min(self._compute_event_travel(shape), end_travel)
+            if abs(slack_end - state.travel) > _MIN_TRAVEL_STEP:
+                shape = self._bend(start_shape.state, slack_end)
                 yield [start_shape, shape]
         if abs(end_travel - shape.state.travel) > _MIN_TRAVEL_STEP:
             yield from self._solve_taut(shape, end_travel)
@@ -584,10 +584,10 @@ class _BranchSolver:
     def _solve_taut(
         self, start_shape: CantileverShape, end_travel: float
     ) -> Iterator[list[CantileverShape]]:
-        """Solve with a taut string. After it becomes slack, the wire moves with the clamp."""
-        shapes, test, start = [start_shape], self.test, start_shape.state.travel
+        """Solve while the string is taut; after it becomes slack, the wire moves with the clamp."""
+        shapes, test, start_travel = [start_shape], self.test, start_shape.state.travel
         fractions = np.linspace(0.0, 1.0, test.steps_per_branch + 1)[1:] ** test.crowding
-        for travel in (start + fractions * (end_travel - start)).tolist():
+        for travel in (start_travel + fractions * (end_travel - start_travel)).tolist():
             shape = self._solve_step(shapes[-1].state, travel)
             if shape.tension > 0.0:
                 shapes.append(shape)
@@ -658,14 +658,14 @@ _FIT_LENGTH = 5e-3
 """Range of displacement of a line that is fitted at the start or at the end of a branch, m."""
 _N_FIT_POINTS = 800
 """Number of points of the curve to which a line is fitted."""
-_WEIGHT_ROOTS = np.sqrt(np.pad(np.ones(_N_FIT_POINTS - 2), 1, constant_values=0.5))
-"""Square roots of the trapezoidal weights of these points."""
+_RESIDUAL_WEIGHTS = np.sqrt(np.pad(np.ones(_N_FIT_POINTS - 2), 1, constant_values=0.5))
+"""Factors on the residuals of these points: square roots of the trapezoidal weights."""
 
 
 def fit_slope(displacement: Floats, force: Floats, start: float, stop: float) -> float:
     """Fit a line between two displacements, m, by least squares; return its slope, N/m."""
     grid = np.linspace(start, stop, _N_FIT_POINTS)
-    return float(np.polyfit(grid, np.interp(grid, displacement, force), 1, w=_WEIGHT_ROOTS)[0])
+    return float(np.polyfit(grid, np.interp(grid, displacement, force), 1, w=_RESIDUAL_WEIGHTS)[0])
 
 
 def evaluate_loading(displacement: Floats, force: Floats) -> Truth:
@@ -685,16 +685,16 @@ def evaluate_loading(displacement: Floats, force: Floats) -> Truth:
     end_slope : slope of the line over the last 5 mm, divided by ``windowed_stiffness``
     plateau_displacement, plateau_force : displacement, m, and force, N, after which the slope of
         the chord over 1 mm stays below a tenth of ``windowed_stiffness``. None if ``end_slope`` is
-        0.1 or more, or if the slope of the chord is nowhere, or at the end, at least this tenth
+        0.1 or more, if the chord is nowhere as steep as this tenth, or if it still is at the end
     """
     plateau_ratio = 0.1  # largest slope of a plateau, relative to the slope over the window
     chord_length = 0.02e-3
     windowed_stiffness = fit_slope(displacement, force, *KINK_WINDOW)
-    last = float(displacement[-1])
-    end_stiffness = fit_slope(displacement, force, last - _FIT_LENGTH, last)
+    stroke = float(displacement[-1])
+    end_stiffness = fit_slope(displacement, force, stroke - _FIT_LENGTH, stroke)
     max_slope, onset = plateau_ratio * windowed_stiffness, None
     if end_stiffness < max_slope:
-        onset = _find_plateau(displacement, force, max_slope)
+        onset = _find_plateau_onset(displacement, force, max_slope)
     return {
         "tangent_at_zero": float(np.interp(chord_length, displacement, force)) / chord_length,
         "stiffness": fit_slope(displacement, force, 0.0, _FIT_LENGTH),
@@ -706,7 +706,7 @@ def evaluate_loading(displacement: Floats, force: Floats) -> Truth:
     }
 
 
-def _find_plateau(displacement: Floats, force: Floats, max_slope: float) -> float | None:
+def _find_plateau_onset(displacement: Floats, force: Floats, max_slope: float) -> float | None:
     """Find the last displacement, m, at which the slope over 1 mm falls below a value, N/m."""
     chord_length, n_chords = 1e-3, 2001
     half_chord = 0.5 * chord_length
@@ -737,20 +737,20 @@ def find_kink(displacement: Floats, force: Floats, start: float, stop: float) ->
     -----
     The break point is refined by a parabola through the best point of the grid and its neighbours.
     """
-    grid, roots = np.linspace(start, stop, _N_FIT_POINTS), _WEIGHT_ROOTS
+    grid, weights = np.linspace(start, stop, _N_FIT_POINTS), _RESIDUAL_WEIGHTS
     forces = np.interp(grid, displacement, force)
 
     def fit_two_lines(break_point: float) -> tuple[Floats, float]:
         """Fit force at zero, slope and change of slope; return them, and the sum of squares."""
         basis = np.column_stack([np.ones_like(grid), grid, np.maximum(grid - break_point, 0.0)])
-        coefficients = np.linalg.lstsq(roots[:, None] * basis, roots * forces, rcond=None)[0]
-        return coefficients, float(np.sum((roots * (basis @ coefficients - forces)) ** 2))
+        coefficients = np.linalg.lstsq(weights[:, None] * basis, weights * forces, rcond=None)[0]
+        return coefficients, float(np.sum((weights * (basis @ coefficients - forces)) ** 2))
 
     break_points = grid[10:-10]  # each line is fitted to at least 10 points
     misfits = np.array([fit_two_lines(break_point)[1] for break_point in break_points.tolist()])
     index = int(np.clip(np.argmin(misfits), 1, len(misfits) - 2))
-    left_misfit, misfit, right_misfit = misfits[index - 1 : index + 2]
-    shift = 0.5 * (left_misfit - right_misfit) / (left_misfit - 2.0 * misfit + right_misfit)
+    misfit_before, misfit, misfit_after = misfits[index - 1 : index + 2]
+    shift = 0.5 * (misfit_before - misfit_after) / (misfit_before - 2.0 * misfit + misfit_after)
     step = break_points[1] - break_points[0]
     break_point = float(break_points[index] + np.clip(shift, -1.0, 1.0) * step)
     force_at_zero, slope, slope_change = fit_two_lines(break_point)[0].tolist()
@@ -780,9 +780,9 @@ def evaluate_bundle(path: MechanicalPath) -> Truth:
     hardening : loading stiffness of each cycle, divided by that of the first
     """
     fractions, cycles = np.linspace(0.0, 1.0, N_TRUTH_POINTS), range(path.test.cycles)
-    branches = [path.compute_curve(path.test.stroke * (2.0 * n + fractions)) for n in cycles]
-    loading = evaluate_loading(*branches[0])
-    slopes = [_fit_slope_after_slack(*branch) for branch in branches]
+    loadings = [path.compute_curve(path.test.stroke * (2.0 * n + fractions)) for n in cycles]
+    loading = evaluate_loading(*loadings[0])
+    slopes = [_fit_slope_after_slack(*curve) for curve in loadings]
     return {
         "loading": loading,
         "bending_stiffness": loading["windowed_stiffness"] * path.test.length**3 / 3.0,
@@ -794,10 +794,10 @@ def evaluate_bundle(path: MechanicalPath) -> Truth:
 def _fit_slope_after_slack(displacement: Floats, force: Floats) -> float:
     """Fit the slope over 5 mm after the last zero of the force, N/m."""
     slack_indices = np.flatnonzero(force <= 0.0)
-    first = 0 if len(slack_indices) == 0 else int(slack_indices[-1])
-    crossing = slice(first, first + 2)
+    last_slack = 0 if len(slack_indices) == 0 else int(slack_indices[-1])
+    crossing = slice(last_slack, last_slack + 2)
     start = float(np.interp(0.0, force[crossing], displacement[crossing]))
-    return fit_slope(displacement[first:], force[first:], start, start + _FIT_LENGTH)
+    return fit_slope(displacement[last_slack:], force[last_slack:], start, start + _FIT_LENGTH)
 
 
 def _list_specimen_facts(path: MechanicalPath) -> Truth:
@@ -806,8 +806,7 @@ def _list_specimen_facts(path: MechanicalPath) -> Truth:
     if isinstance(wire, StrandedWire):
         parameters = {**wire.parameters, "sample_factor": wire.factor}
     if isinstance(wire, BundleModel):
-        stiffnesses = dict(wire.stiffnesses)
-        bundle = {"stiffnesses": stiffnesses, "factor": wire.factor, **evaluate_bundle(path)}
+        bundle = {"stiffnesses": wire.stiffnesses, "factor": wire.factor, **evaluate_bundle(path)}
     law = wire.build_law()
     moment = np.append(0.0, law.half_widths)
     curvature = law.respond(moment, law.make_unbent_history(len(moment))).curvature

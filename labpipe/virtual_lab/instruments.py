@@ -39,7 +39,7 @@ class Setting(NamedTuple):
 
     key: str
     value: object
-    reason: str = "the virtual rig is set so"
+    reason: str = "setting of the virtual rig"
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +67,7 @@ class LoadCell:
     full_scale: float = 10.0
 
     def read(self, force: Floats, random: np.random.Generator) -> tuple[Floats, float]:
-        """Read the load cell, with quantisation and saturation.
+        """Simulate the output of the load cell, with quantisation and saturation.
 
         Parameters
         ----------
@@ -400,8 +400,8 @@ def _simulate_body(
 
 def _rank_label(label: str) -> tuple[int, int]:
     """Rank a label as Motive does: the body first, then markers by number, unlabelled ones last."""
-    group, _, number = label.partition(":Marker")
-    return (int(group != _BODY_NAME), int(number)) if number else (2, 0)
+    group, _, marker_number = label.partition(":Marker")
+    return (int(group != _BODY_NAME), int(marker_number)) if marker_number else (2, 0)
 
 
 def _draw_mishaps(
@@ -414,15 +414,15 @@ def _draw_mishaps(
     if mishaps.long_gap > 0.0:
         gap_lengths.append(round(mishaps.long_gap / (time[1] - time[0])))
     events: list[MishapEvent] = []
-    for length in gap_lengths:
-        start = int(random.integers(first_frame, max(first_frame + 1, last_frame - length)))
+    for n_frames in gap_lengths:
+        start = int(random.integers(first_frame, max(first_frame + 1, last_frame - n_frames)))
         marker = int(random.integers(n_markers))
-        events.append(MishapEvent("gap", (marker,), start, start + int(length)))
+        events.append(MishapEvent("gap", (marker,), start, start + int(n_frames)))
     intervals_by_kind = (("unlabelled", mishaps.unlabelled, 1), ("switch", mishaps.switch, 2))
     for kind, interval, n_affected in intervals_by_kind:
         if interval is not None:
             markers = tuple(range(interval.marker, interval.marker + n_affected))
-            start, stop = (int(x * len(time)) for x in (interval.start, interval.stop))
+            start, stop = int(interval.start * len(time)), int(interval.stop * len(time))
             events.append(MishapEvent(kind, markers, start, stop))
     return tuple(events)
 

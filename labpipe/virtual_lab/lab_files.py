@@ -76,7 +76,7 @@ _SHEET_COMMENT = (
     "# A synthetic test, made by labpipe's virtual lab. Its true values are in truth.json.\n"
 )
 _NEWTONS = {"N": 1.0, "kN": 1e3, "lbf": 4.4482216152605}
-"""Size of each force unit of exports, N."""
+"""Factor from each force unit of exports to N."""
 _METRES_PER_INCH = 0.0254
 
 
@@ -151,8 +151,8 @@ def simulate_test(scenario: Scenario, folder: Path, seed: int) -> Path:
         for role, record in observation.records.items():
             files[role] = _WRITERS[type(record)](folder, record, run)
         (folder / SHEET_FILE).write_text(format_sheet(scenario, files), encoding="utf-8")
-        text = json.dumps(truth, default=lambda array: np.round(array, 12).tolist())
-        (folder / TRUTH_FILE).write_text(f"{text}\n", encoding="utf-8")
+        truth_text = json.dumps(truth, default=lambda array: np.round(array, 12).tolist())
+        (folder / TRUTH_FILE).write_text(f"{truth_text}\n", encoding="utf-8")
     return folder
 
 
@@ -207,9 +207,9 @@ def _read_protocol(name: str) -> Any:
     return yaml.safe_load(path.read_text(encoding="utf-8"))
 
 
-def _find_protocol_value(name: str, dotted_key: str) -> object:
+def _find_protocol_value(protocol: str, dotted_key: str) -> object:
     """Find the value of a dotted key in a shipped protocol; None if the key is absent."""
-    value = _read_protocol(name)
+    value = _read_protocol(protocol)
     for key in dotted_key.split("."):
         value = value.get(key) if isinstance(value, dict) else None
     return value
@@ -252,7 +252,7 @@ def write_wire_sheet(folder: Path) -> Path:
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """Facts about a virtual test for the headers of its exports.
+    """Virtual test, as the headers of its exports describe it.
 
     Parameters
     ----------
@@ -278,7 +278,7 @@ def write_control_desk(folder: Path, record: ForceRecord, run: Run) -> tuple[str
     ----------
     folder : folder of the file
     record : samples of the force recorder
-    run : facts for the header and the description; the stated time of saving is that of the last
+    run : test for the header and the description; the stated time of saving is that of the last
         sample
 
     Returns
@@ -346,7 +346,7 @@ def write_motive(folder: Path, take: Take, run: Run) -> tuple[str, ...]:
     ----------
     folder : folder of the file
     take : take of the cameras
-    run : facts for the header; the seed also determines the ids
+    run : test for the header; the seed also determines the ids
 
     Returns
     -------
@@ -399,8 +399,8 @@ def _build_motive_columns(
         blocks.append(("Rigid Body", body.name, body_id, body_columns))
         data += [body.rotation, body.position * factor, body.error[:, None] * factor]
         marker_columns = [*position_columns, ("Marker Quality", "")]
-        for number in range(1, len(BODY_MARKERS) + 1):
-            label = f'"{body.name}:Marker{number}"'
+        for marker_number in range(1, len(BODY_MARKERS) + 1):
+            label = f'"{body.name}:Marker{marker_number}"'
             blocks.append(("Rigid Body Marker", label, body_id, marker_columns))
     for label in take.labels:
         blocks.append(("Marker", label, f'"{random.bytes(3).hex().upper()}"', position_columns))
@@ -418,7 +418,7 @@ def write_frame(folder: Path, record: FrameRecord, run: Run) -> tuple[str, ...]:
     ----------
     folder : folder of the files
     record : record of the controller
-    run : facts for the headers
+    run : test for the headers
 
     Returns
     -------
@@ -429,12 +429,12 @@ def write_frame(folder: Path, record: FrameRecord, run: Run) -> tuple[str, ...]:
     steps: list[slice | None] = [slice(None)]
     if record.layout.part_at is not None:
         n_missing_rows = 2
-        n_early = int(np.searchsorted(record.time, record.layout.part_at))
+        n_first_step = int(np.searchsorted(record.time, record.layout.part_at))
         # The second step comes first; the last step has no samples.
-        steps = [slice(n_early + n_missing_rows, None), slice(n_early), None]
+        steps = [slice(n_first_step + n_missing_rows, None), slice(n_first_step), None]
     file_names = []
-    for number, step in enumerate(steps):
-        file_name = f"DAQ- Crosshead, … - (Timed){number or ''}.txt"
+    for file_number, step in enumerate(steps):
+        file_name = f"DAQ- Crosshead, … - (Timed){file_number or ''}.txt"
         file_names.append(file_name)
         text = "" if step is None else _format_test_suite(file_name, record, step, run)
         (folder / file_name).write_bytes(text.encode("utf-8-sig"))

@@ -223,23 +223,23 @@ class StrandedWire:
 
 
 def _build_wire(
-    name: str, lay_angles_deg: list[float], copper_area: float | None = None, **sizes: Any
+    name: str, lay_angles_deg: list[float], copper_area: float | None = None, **fields: Any
 ) -> StrandedWire:
-    """Build a wire from its sizes in the catalog.
+    """Build a wire from its entry in the catalog.
 
     Parameters
     ----------
     name : name of the wire
     lay_angles_deg : lay angle of each ring of strands, deg
-    copper_area : area of all strands, m^2; None if `sizes` contains the diameter of a strand
-    sizes : further fields of the wire
+    copper_area : area of all strands, m^2; None if `fields` contains the diameter of a strand
+    fields : further fields of the wire
     """
     if copper_area is not None:
-        sizes["strand"] = compute_strand_diameter(copper_area, sizes["n_strands"])
-    return StrandedWire(name=name, lay_angles=tuple(np.radians(lay_angles_deg).tolist()), **sizes)
+        fields["strand"] = compute_strand_diameter(copper_area, fields["n_strands"])
+    return StrandedWire(name=name, lay_angles=tuple(np.radians(lay_angles_deg).tolist()), **fields)
 
 
-WIRES = {name: _build_wire(name, **sizes) for name, sizes in read_catalog()["wires"].items()}
+WIRES = {name: _build_wire(name, **entry) for name, entry in read_catalog()["wires"].items()}
 """Wires of Table 2.1 of [1]_. The copper of B1 and B2 does not fit into insulation with the stated
 thickness of 0.3 mm; here the thickness is 0.2 mm."""
 
@@ -323,7 +323,7 @@ class BundleModel:
     @property
     def mass_per_length(self) -> float:
         """Return the mass per length of the wires, kg/m, without tape and conduit."""
-        return sum(number * WIRES[name].mass_per_length for name, number in self.wires)
+        return sum(count * WIRES[name].mass_per_length for name, count in self.wires)
 
     @property
     def stiffnesses(self) -> Mapping[str, float]:
@@ -333,17 +333,20 @@ class BundleModel:
         are those of friction, glue and conduit. ``initial`` is the sum of these four. ``rigid`` is
         the stiffness of wires whose common section stays plane.
         """
-        wires = sum(number * law.stiffness for number, law in _list_laws(self))
+        single_stiffness = float(sum(count * law.stiffness for count, law in _list_laws(self)))
         layout = lay_wires(self)
-        axial = np.sum(layout.bending_stiffness)
-        outer = np.sum(layout.bending_stiffness * layout.is_outer)
+        coupling_stiffness = float(np.sum(layout.bending_stiffness))
+        outer_coupling_stiffness = float(np.sum(layout.bending_stiffness * layout.is_outer))
         stiffnesses = {
-            "wires": float(wires),
-            "friction": self.friction_share * float(axial),
-            "glue": self.glue_share * float(outer),
+            "wires": single_stiffness,
+            "friction": self.friction_share * coupling_stiffness,
+            "glue": self.glue_share * outer_coupling_stiffness,
             "conduit": self.conduit_stiffness,
         }
-        stiffnesses |= {"initial": sum(stiffnesses.values()), "rigid": float(wires + axial)}
+        stiffnesses |= {
+            "initial": sum(stiffnesses.values()),
+            "rigid": single_stiffness + coupling_stiffness,
+        }
         return {name: self.factor * stiffness for name, stiffness in stiffnesses.items()}
 
     def describe(self) -> dict[str, object]:
@@ -352,7 +355,7 @@ class BundleModel:
         Positions are stated only if the wires are of several types.
         """
         types = {name: {"number": n, "diameter": WIRES[name].diameter} for name, n in self.wires}
-        n_wires = sum(number for _, number in self.wires)
+        n_wires = sum(count for _, count in self.wires)
         block = {"wires": types, "number": n_wires, "arrangement": self.arrangement}
         if len(self.wires) > 1:
             layout = lay_wires(self)
@@ -400,7 +403,7 @@ def lay_wires(bundle: BundleModel) -> WirePositions:
     ValueError
         If the wires do not fill shells.
     """
-    wires = [WIRES[name] for name, number in bundle.wires for _ in range(number)]
+    wires = [WIRES[name] for name, count in bundle.wires for _ in range(count)]
     diameter = np.array([wire.diameter for wire in wires])
     copper_area = np.array([wire.n_strands * 0.25 * np.pi * wire.strand**2 for wire in wires])
     axial_stiffness = ANNEALED_COPPER.modulus * copper_area
@@ -414,7 +417,7 @@ def lay_wires(bundle: BundleModel) -> WirePositions:
 
 
 def _fill_shells(n_wires: int) -> tuple[Floats, Flags]:
-    """Compute the positions of full shells, shape (wires, 2), in pitches, and which are outer."""
+    """Compute positions in full shells, shape (wires, 2), in pitches, and whether each is outer."""
     for centre in (np.zeros(2), np.array([0.5, 0.5 / np.sqrt(3.0)])):  # a wire, a gap
         i, j = np.meshgrid(np.arange(-9, 10), np.arange(-9, 10))
         lattice = np.column_stack([(i + 0.5 * j).ravel(), (0.5 * np.sqrt(3.0) * j).ravel()])
@@ -427,11 +430,11 @@ def _fill_shells(n_wires: int) -> tuple[Floats, Flags]:
             distances = np.hypot(*(positions[:, None, :] - positions).transpose(2, 0, 1))
             n_neighbours = np.sum(np.abs(distances - 1.0) < _SHELL_TOLERANCE, axis=1)
             return positions, n_neighbours < 6
-    raise ValueError(format_sentence("virtual_lab.open_shell", number=n_wires))
+    raise ValueError(format_sentence("virtual_lab.open_shell", count=n_wires))
 
 
 def _order_by_type(positions: Floats, bundle: BundleModel) -> Ints:
-    """Order positions: indices of those for the first type of wire, then for the second type."""
+    """Return the indices of the positions of the first type of wire, then of the second type."""
     n_first = bundle.wires[0][1]
     order = np.argsort(positions[:, 1] + 1e-3 * positions[:, 0], kind="stable")
     if len(bundle.wires) == 1 or bundle.arrangement == _ASYMMETRIC:
@@ -451,16 +454,17 @@ def _list_laws(bundle: BundleModel) -> list[tuple[int, PlayLaw]]:
 def _build_law(bundle: BundleModel) -> PlayLaw:
     """Build the law of the first cycle, a polygon with the corners of all wires and sliders."""
     slip_curvatures, stiffnesses = _compute_sliders(bundle)
-    laws = [(number, *find_corners(law)) for number, law in _list_laws(bundle)]
-    last = min(WIRES[name].largest_curvature for name, _ in bundle.wires)
+    laws = [(count, *find_corners(law)) for count, law in _list_laws(bundle)]
+    max_curvature = min(WIRES[name].largest_curvature for name, _ in bundle.wires)
     min_relative_distance = 1e-6  # between two corners
-    corners = np.concatenate([*(curvature for _, _, curvature, _ in laws), slip_curvatures, [last]])
-    corners = np.unique(corners[(corners > 0.0) & (corners <= last)])
+    wire_corners = [curvature for _, _, curvature, _ in laws]
+    corners = np.concatenate([*wire_corners, slip_curvatures, [max_curvature]])
+    corners = np.unique(corners[(corners > 0.0) & (corners <= max_curvature)])
     knots = corners[np.diff(corners, prepend=0.0) > min_relative_distance * corners]
     moment_sum = bundle.conduit_stiffness * knots
-    for number, moment, curvature, compliances in laws:
-        extrapolated = np.maximum(knots - curvature[-1], 0.0) / compliances[-1]
-        moment_sum += number * (np.interp(knots, curvature, moment) + extrapolated)
+    for count, moment, curvature, compliances in laws:
+        extrapolated_moment = np.maximum(knots - curvature[-1], 0.0) / compliances[-1]
+        moment_sum += count * (np.interp(knots, curvature, moment) + extrapolated_moment)
     moment_sum += np.minimum(knots[:, None], slip_curvatures) @ stiffnesses
     return make_polygon_law(knots, moment_sum)
 
@@ -478,12 +482,12 @@ def _compute_sliders(bundle: BundleModel) -> tuple[Floats, Floats]:
 
 
 def _build_bundles(catalog_key: str) -> dict[str, BundleModel]:
-    """Build the bundles of a part of the catalog; a group has values for all of its bundles."""
+    """Build the bundles of a part of the catalog, whose groups have values for all bundles."""
     bundles = {}
     for group in read_catalog()[catalog_key]:
         for name, values in group["types"].items():
             bundle = BundleModel(**(group["all"] | values))
-            wires = tuple((wire, number) for wire, number in values["wires"])
+            wires = tuple((wire, count) for wire, count in values["wires"])
             glue_strain = None if bundle.tape == "PET" else bundle.glue_strain
             bundles[name] = replace(bundle, wires=wires, glue_strain=glue_strain)
     return bundles

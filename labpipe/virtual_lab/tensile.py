@@ -240,7 +240,7 @@ class FrameInstruments:
         last_step = self.last_step * step
         n_even = int(np.floor((end_time - last_step - self.first_sample) / step)) + 1
         if n_even < 2:
-            facts = {"rate": self.rate, "count": n_even + 1, "end": end_time}
+            facts = {"rate": self.rate, "count": n_even + 1, "end_time": end_time}
             raise ValueError(format_sentence("virtual_lab.few_samples", **facts))
         even_times = self.first_sample + step * np.arange(n_even)
         return np.append(even_times, even_times[-1] + last_step)
@@ -259,11 +259,11 @@ class FrameInstruments:
         exp(-lag / correlation time).
         """
         correlation = np.exp(-np.diff(time, prepend=-np.inf) / self.correlation_time)
-        shocks = np.sqrt(1.0 - correlation**2) * random.standard_normal(len(time))
-        levels = [0.0]
-        for factor, shock in zip(correlation, shocks, strict=True):
-            levels.append(factor * levels[-1] + shock)
-        return self.slow_noise * np.array(levels[1:])
+        innovations = np.sqrt(1.0 - correlation**2) * random.standard_normal(len(time))
+        noise = [0.0]
+        for factor, innovation in zip(correlation, innovations, strict=True):
+            noise.append(factor * noise[-1] + innovation)
+        return self.slow_noise * np.array(noise[1:])
 
 
 @dataclass(frozen=True, slots=True)
@@ -335,9 +335,9 @@ class TensileScenario:
         """Compute the tension in the specimen, N, at given times, s."""
         force = self._compute_loading_force(np.minimum(time, self.loading_time))
         if self.failure is not None:
-            failure, elapsed = self.failure, np.maximum(time - self.loading_time, 0.0)
-            unbroken_fraction = 1.0 - np.clip(elapsed / failure.duration, 0.0, 1.0)
-            decay = np.exp(-elapsed / failure.tail)
+            failure, elapsed_time = self.failure, np.maximum(time - self.loading_time, 0.0)
+            unbroken_fraction = 1.0 - np.clip(elapsed_time / failure.duration, 0.0, 1.0)
+            decay = np.exp(-elapsed_time / failure.tail)
             return force * ((1.0 - failure.residue) * unbroken_fraction + failure.residue * decay)
         if not self.frame.unloads:
             return force
@@ -350,8 +350,8 @@ class TensileScenario:
         displacement = self.compute_displacement(time)
         force = self.law.compute_series_force(displacement, self.frame.compliance)
         for slip in self.slips:
-            elapsed = time - slip.position / self.frame.speed
-            force = force - slip.drop * np.clip(elapsed / slip.duration, 0.0, 1.0)
+            elapsed_time = time - slip.position / self.frame.speed
+            force = force - slip.drop * np.clip(elapsed_time / slip.duration, 0.0, 1.0)
         return np.maximum(force, 0.0)
 
     def _compute_unloading_force(self, displacement: Floats) -> Floats:
@@ -403,14 +403,14 @@ class TensileScenario:
         has_failure = self.failure is not None
         energy = float(np.trapezoid(fine_force, fine_displacement))
         stiffnesses = np.array([law.stiffness_first, law.stiffness_second])
-        first, second = (stiffnesses / (1.0 + stiffnesses * compliance)).tolist()
+        series_stiffnesses = (stiffnesses / (1.0 + stiffnesses * compliance)).tolist()
         return {
             "time": time,
             "displacement": self.compute_displacement(time),
             "force": self.compute_force(time),
             "foot": law.foot,
-            "stiffness_first": first,
-            "stiffness_second": second,
+            "stiffness_first": series_stiffnesses[0],
+            "stiffness_second": series_stiffnesses[1],
             "specimen_stiffness_first": law.stiffness_first,
             "specimen_stiffness_second": law.stiffness_second,
             "break_point": law.foot + break_distance if has_break_point else None,

@@ -113,11 +113,6 @@ class ThreePointTest:
     crowding: float = 1.8
     n_stations: int = 97
 
-    @property
-    def axis_distance(self) -> float:
-        """Return the distance rho from the centre of a roller to the axis of the bundle, m."""
-        return self.roller_radius + self.outer_radius
-
 
 @dataclass(frozen=True, slots=True)
 class ConduitClocks:
@@ -280,7 +275,7 @@ class ConduitScenario:
         if self.has_frame_export:
             records["frame"] = self._record_frame(path, schedule, frame_random)
         truth = {
-            "stiffnesses": dict(self.bundle.stiffnesses),
+            "stiffnesses": self.bundle.stiffnesses,
             "true_gain": gain,
             "markers": list_markers(take.specimen_labels, self.markers.list_positions()[0]),
             **self._list_true_values(path, schedule),
@@ -438,7 +433,7 @@ _MIN_DISPLACEMENT_STEP = 1e-9
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ThreePointPath:
-    """Solved path of a test.
+    """Solved path of a test, as a function of progress: the total travel of the upper roller, m.
 
     Parameters
     ----------
@@ -459,12 +454,12 @@ class ThreePointPath:
         return self.unloading_shapes[-1].displacement
 
     def compute_displacement(self, progress: Floats) -> Floats:
-        """Compute the displacement of the upper roller at progress, its total travel, (n,), m."""
+        """Compute the displacement of the upper roller at progress, shape (n,), m."""
         progress_in_test = np.clip(progress, 0.0, 2.0 * self.test.stroke)
         return self.test.stroke - np.abs(self.test.stroke - progress_in_test)
 
     def compute_force(self, progress: Floats) -> Floats:
-        """Compute the force at progress, shape (n,), N."""
+        """Compute the force of the upper roller at progress, shape (n,), N."""
         return self._interpolate(progress, [[shape.force] for shape in self._shapes])[:, 0]
 
     def compute_mid_span(self, progress: Floats) -> tuple[Floats, Floats, Floats]:
@@ -535,12 +530,12 @@ def solve_three_point(test: ThreePointTest) -> ThreePointPath:
 
 
 def _solve_branch(
-    half: HalfBundle, start_shape: HalfShape, end: float, *, is_unloading: bool
+    half: HalfBundle, start_shape: HalfShape, end_displacement: float, *, is_unloading: bool
 ) -> Iterator[HalfShape]:
-    """Solve up to a displacement `end`, m; unloading stops at zero force."""
+    """Solve up to a displacement, m; unloading stops at zero force."""
     test, shape, start = half.test, start_shape, start_shape.displacement
     fractions = np.linspace(0.0, 1.0, test.steps_per_branch + 1)[1:] ** test.crowding
-    for displacement in (start + fractions * (end - start)).tolist():
+    for displacement in (start + fractions * (end_displacement - start)).tolist():
         if is_unloading:
             unloaded_shape = half.unload(shape.plays)
             if unloaded_shape.displacement >= displacement - _MIN_DISPLACEMENT_STEP:
@@ -553,9 +548,9 @@ def _solve_branch(
             if solved_shape is not None:
                 shape, target = solved_shape, displacement
                 continue
-            target, last = 0.5 * (shape.displacement + target), shape.displacement
-            if abs(target - last) < _MIN_DISPLACEMENT_STEP:
-                facts = {"displacement": displacement, "last": last}
+            target = 0.5 * (shape.displacement + target)
+            if abs(target - shape.displacement) < _MIN_DISPLACEMENT_STEP:
+                facts = {"displacement": displacement, "last_displacement": shape.displacement}
                 raise ValueError(format_sentence("virtual_lab.no_equilibrium", **facts))
         yield shape
 
@@ -638,16 +633,16 @@ class HalfBundle:
         max_iterations = 40
         tolerance = 1e-9  # change of the moments at convergence, relative to the largest moment
         max_rotation = 0.3  # largest rotation of a section in one iteration, rad
-        step = 1e-30
+        complex_step = 1e-30
         unknowns = np.append(start_shape.moment, [0.5 * start_shape.force, start_shape.contact])
-        steps = 1j * step * np.eye(len(unknowns))
+        steps = 1j * complex_step * np.eye(len(unknowns))
         for _ in range(max_iterations):
             response = self.law.respond(unknowns[:-2], start_shape.plays)
             curvatures = response.curvature + response.compliance * steps[:, :-2]
             residuals = self._compute_residuals(
                 unknowns + steps, curvatures, displacement, friction
             )
-            correction = -np.linalg.solve(residuals.imag.T / step, residuals[-1].real)
+            correction = -np.linalg.solve(residuals.imag.T / complex_step, residuals[-1].real)
             rotations = self._integrate(response.compliance * correction[:-2])
             rotation = float(np.max(np.abs(rotations)))
             correction *= min(1.0, max_rotation / rotation) if rotation > 0.0 else 1.0
@@ -687,9 +682,9 @@ class HalfBundle:
         displacement of mid-span.
         """
         x, y, angle = contact_point
-        distance = self.test.axis_distance
-        offset = x + distance * np.sin(angle) - 0.5 * self.test.span
-        return np.stack([offset, y + distance * (1.0 - np.cos(angle))])
+        axis_distance = self.test.roller_radius + self.test.outer_radius
+        offset = x + axis_distance * np.sin(angle) - 0.5 * self.test.span
+        return np.stack([offset, y + axis_distance * (1.0 - np.cos(angle))])
 
     def _compute_residuals(
         self, unknowns: Floats, curvature: Floats, displacement: float, friction: float

@@ -244,7 +244,7 @@ def test_names_of_the_file_are_those_of_the_model(tmp_path: Path) -> None:
         *('a "b" <c>', "g,h é", 'path_a "b" <c>', "release_g,h é", "hold_g,h é"),
         *("thread", "anchor_thread", "node_3_x", "node_3_z", "at_node_3"),
     }
-    assert "Left out, as the chain has no contacts: guide, table." in deck
+    assert "Omitted, as the chain has no contacts: guide, table." in deck
     spatial = root.find(".//spatial")
     assert spatial is not None
     assert spatial.get("range") == "0 0.095"

@@ -13,15 +13,15 @@ from labpipe.records.group import BoundedStiffness, Campaign
 from labpipe.records.harness_bundle import BundleLoop, FrictionFit
 from labpipe.records.quality import Reason
 from labpipe.report.harness_figures import (
+    DrawnBoundary,
     DrawnHarness,
-    DrawnMark,
     DrawnShape,
     DrawnSweep,
     make_bundle_page,
     make_harness_page,
     make_loop_page,
     make_sweep_page,
-    make_view,
+    make_view_plot,
 )
 from labpipe.report.page_tables import make_bounds_table
 from tests.approved import Approve
@@ -69,10 +69,10 @@ HARNESS = DrawnHarness(
     note="A note.",
     arc_length=0.1 * TURN,
     shapes=(DrawnShape(3, ARC * [1.0, 1.0, 0.0], np.full(11, np.inf)), ROUND),
-    marks=(
-        DrawnMark("left", "clip", ARC[0], np.zeros((0, 3)), np.array([1.0, 0.0, 0.0])),
-        DrawnMark("hand", "grip", ARC[-1], ARC[[0, -1]]),
-        DrawnMark("guide", "ring", ARC[5], np.zeros((0, 3)), is_holding=False),
+    boundaries=(
+        DrawnBoundary("left", "clip", ARC[0], np.zeros((0, 3)), np.array([1.0, 0.0, 0.0])),
+        DrawnBoundary("hand", "grip", ARC[-1], ARC[[0, -1]]),
+        DrawnBoundary("guide", "ring", ARC[5], np.zeros((0, 3)), is_holding=False),
     ),
     planes=((np.array([0.0, 0.0, -0.02]), np.array([0.0, 0.0, 1.0])),),
     allowed_radius=0.05,
@@ -91,7 +91,7 @@ SWEEP = DrawnSweep(
 
 
 def test_a_view_has_the_line_with_its_radius() -> None:
-    lines = {line.look: line for line in make_view(HARNESS, "side").lines}
+    lines = {line.look: line for line in make_view_plot(HARNESS, "side").lines}
     shown, band = lines["harness_line"], lines["harness_band"]
     assert (shown.x[0], shown.y[0], shown.x[-1], shown.y[-1]) == pytest.approx((0.0, 0.0, 0.1, 0.1))
     assert shown.values == pytest.approx(np.full(11, 0.1))
@@ -113,7 +113,7 @@ def test_table_of_places(approved: Approve) -> None:
 
 
 def test_words(approved: Approve) -> None:
-    plain = replace(HARNESS, shapes=(replace(ROUND, band=None),), marks=(), planes=())
+    plain = replace(HARNESS, shapes=(replace(ROUND, band=None),), boundaries=(), planes=())
     pages = {
         "bundle": make_bundle_page(MIXED),
         "bundle of one wire": make_bundle_page(ALIKE),

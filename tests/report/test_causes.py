@@ -150,8 +150,8 @@ WIDER = (stats.t.ppf(0.975, 2) / sqrt(3)) / (stats.t.ppf(0.975, 3) / 2)
         ((10, 11), "ab", None, "All values of Stiffness of A are affected"),
         ((10, 11, 12, None), "", WIDER - 1.0,
          "Stiffness of A is the mean of 3 of 4 values, with an interval about 1.6 times as wide"),
-        ((10, None), "", None, "One value of Stiffness of A is left, without an interval"),
-        ((None, None), "", inf, "No value of Stiffness of A is left"),
+        ((10, None), "", None, "One value of Stiffness of A remains, without an interval"),
+        ((None, None), "", inf, "No value of Stiffness of A remains"),
     ],
 )  # fmt: skip
 def test_what_a_cause_does_to_a_mean(

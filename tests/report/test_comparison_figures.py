@@ -13,8 +13,8 @@ from labpipe.report.comparisons import (
     MAX_COMPARED_GROUPS,
     Pair,
     list_family_figures,
+    list_field_comparisons,
     list_pair_remarks,
-    list_questions,
     list_single_field_pairs,
     make_pair_table,
 )
@@ -32,7 +32,7 @@ from tests.builders.campaigns import build_campaign, build_difference
 from tests.report.figure_words import all_words, cell_text, table_words
 from tests.store.builders_result import build_result
 
-TAPING = list_questions(bundle_campaign(conduit_cases(), alone="taping"))[0].families[0]
+TAPING = list_field_comparisons(bundle_campaign(conduit_cases(), alone="taping"))[0].families[0]
 
 
 def pieces(page: Page) -> list[tuple[float, float, bool]]:
@@ -68,7 +68,7 @@ def test_a_bar_for_each_number_of_the_first_cycle(approved: Approve) -> None:
 
 
 def test_families_hold_all_that_differ_in_one_field() -> None:
-    cases = list_questions(bundle_campaign(conduit_cases()))
+    cases = list_field_comparisons(bundle_campaign(conduit_cases()))
     families = [family for question in cases for family in question.families]
     assert [(family.field, family.labels) for family in families] == [
         ("wire", ("B1", "B1 & B2", "B2")),
@@ -83,7 +83,7 @@ def test_families_hold_all_that_differ_in_one_field() -> None:
 def test_a_large_family_is_cut_and_keeps_its_first_group() -> None:
     counts = (3, 4, 5, 6, 7, 8, 9, 12)
     samples = [sample for count in counts for sample in three_of(bundle_of(f"{count} B1"))]
-    first, second = list_questions(bundle_campaign(samples))[0].families
+    first, second = list_field_comparisons(bundle_campaign(samples))[0].families
     assert len(first.groups) == MAX_COMPARED_GROUPS
     assert first.labels == ("3", "4", "5", "6", "7", "8")
     assert second.labels == ("3", "9", "12")
@@ -101,7 +101,7 @@ def test_types_are_a_question_too_and_two_fields_at_once_are_not() -> None:
     )
     samples = [*three_of(bundle_of("7 B1")), *three_of(bundle_of("12 B2", tape="PET"))]
     campaign = bundle_campaign(samples)
-    assert not list_questions(campaign)
+    assert not list_field_comparisons(campaign)
     assert list_pair_remarks(campaign)[0].startswith("1 pair is not judged")
 
 

@@ -62,7 +62,7 @@ class Shown:
     complaints: list[str] = field(default_factory=list)
 
     def status(self) -> str:
-        return self.page.locator("#said").text_content() or ""
+        return self.page.locator("#message").text_content() or ""
 
     def bar(self) -> str:
         return self.page.locator("#tools .count").text_content() or ""
@@ -215,7 +215,7 @@ def test_a_decision_by_mouse_is_saved_behind_those_there_are(
         view.reject("T-3", "slipped <b>twice</b>")
         view.row("T-4").get_by_role("button", name="accept").click()
         assert "is-rejected" in (view.row("T-3").get_attribute("class") or "")
-        assert view.bar().startswith("2 decisions not saved; the numbers of this report do not kn")
+        assert view.bar().startswith("2 decisions not saved; the numbers of this report do not in")
         view.page.get_by_label("Decided by").fill(" A. Tester ")
         content = view.saved()
         assert view.bar().startswith("2 decisions saved in a file")
@@ -249,7 +249,7 @@ def test_decisions_outlive_the_page_and_end_when_a_report_knows_them(
         assert view.bar() == "Nothing decided here"
         view.page.goto(first_page.as_uri())  # the earlier one again: its own are still there
         assert view.decided("T-6") == ["accept"]
-        view.page.get_by_role("button", name="Forget").click()
+        view.page.get_by_role("button", name="Discard").click()
         view.page.reload()
         assert view.decided("T-6") == []
         assert view.bar() == "Nothing decided here"

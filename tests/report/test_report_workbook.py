@@ -157,7 +157,7 @@ def test_the_same_sheets_give_the_same_bytes_or_a_refusal(tmp_path: Path) -> Non
     for name in ("1", "2"):
         save(tmp_path / name, Table("one", ("a",), [(1.0,)]))
     assert (tmp_path / "1").read_bytes() == (tmp_path / "2").read_bytes()
-    with pytest.raises(StoreError, match="expected room and permission to write a workbook, found"):
+    with pytest.raises(StoreError, match="free space and permission to write a workbook, found"):
         save(tmp_path)
 
 

@@ -35,7 +35,7 @@ from labpipe.mechanics.studies.harness_numbers import (
     find_unloading_doubt,
 )
 from labpipe.mechanics.studies.wire_sheets import read_wire_sheet
-from labpipe.mechanics.wire.wire_table import set_parameters, tabulate_wire
+from labpipe.mechanics.wire.wire_table import replace_parameters, tabulate_wire
 from labpipe.protocol.load import load_harness
 from labpipe.protocol.model_files import HarnessFile
 from labpipe.records.arrays import Floats
@@ -243,7 +243,7 @@ def test_a_calibrated_wire_has_the_strength_of_its_copper_once(tmp_path: Path) -
     (tmp_path / "fit.json").write_text(json.dumps(content), encoding="utf-8")
     wire = material(tmp_path, "{wire: A2, calibration: fit.json}")
     spec = next(spec for spec in read_wire_sheet(SHEET).specs if spec.name == "A2")
-    table = tabulate_wire(set_parameters(spec, values))
+    table = tabulate_wire(replace_parameters(spec, values))
     is_bent = table.curvature > 1.0
     law = wire.sections[0]({**wire.best_inputs, "isotropic_share": 0.0}).law
     moments = compute_first_loading(law, table.curvature[is_bent])

@@ -343,16 +343,16 @@ def test_signs_are_where_things_are_at_the_end(tmp_path: Path) -> None:
     )
     result = done(tmp_path, pushed(STIFFNESS).replace("steps: 10", boundaries))
     drawn = build_drawn_harness(result)
-    marks = {mark.name: mark for mark in drawn.marks}
-    assert list(marks) == ["bench", "gripper", "thread", "weight"]
+    by_name = {boundary.name: boundary for boundary in drawn.boundaries}
+    assert list(by_name) == ["bench", "gripper", "thread", "weight"]
     ((gripper, _),) = list_releases(result.path)
     node = gripper.node
-    assert marks["gripper"].position == pytest.approx(result.path.last.positions[node])
-    assert (marks["gripper"].is_holding, marks["bench"].is_holding) == (False, True)
-    assert marks["gripper"].path[-1] == pytest.approx([0.06, 0.0, 0.045])
-    assert not marks["bench"].path.size
-    assert marks["bench"].direction == pytest.approx([1.0, 0.0, 0.0])
-    assert marks["thread"].path[0] == pytest.approx(result.path.last.positions[-1])
+    assert by_name["gripper"].position == pytest.approx(result.path.last.positions[node])
+    assert (by_name["gripper"].is_holding, by_name["bench"].is_holding) == (False, True)
+    assert by_name["gripper"].path[-1] == pytest.approx([0.06, 0.0, 0.045])
+    assert not by_name["bench"].path.size
+    assert by_name["bench"].direction == pytest.approx([1.0, 0.0, 0.0])
+    assert by_name["thread"].path[0] == pytest.approx(result.path.last.positions[-1])
     ((point, normal),) = drawn.planes
     assert (point[2], normal.tolist()) == (-0.06, [0.0, 0.0, 1.0])
     assert [shape.step for shape in drawn.shapes] == [8, 10]

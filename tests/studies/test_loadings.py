@@ -348,10 +348,10 @@ def test_what_cycles_leave_without_the_scale_of_the_force(protocol: Protocol) ->
     weighed = set_self_weight(taken(protocol, result_of(results=CYCLES)), 0.07)
     assert weighed.cycles == replace(cycles, self_weight=weighed.curve.self_weight)
     assert weighed.curve.self_weight == 0.07
-    assert cycles.numbers["residual"] == pytest.approx((0.0115, 1e-4))
-    assert cycles.numbers["energy"] == pytest.approx((1.04e-3, 1e-5))
+    assert cycles.measures["residual"] == pytest.approx((0.0115, 1e-4))
+    assert cycles.measures["energy"] == pytest.approx((1.04e-3, 1e-5))
     own = 1.05 * np.hypot(0.002 / 0.20, 0.002 / 0.21)
-    assert cycles.numbers["ratio"] == pytest.approx((1.05, own))
+    assert cycles.measures["ratio"] == pytest.approx((1.05, own))
 
 
 @pytest.mark.parametrize(
@@ -373,5 +373,5 @@ def test_cycles_that_cannot_be_used(
 ) -> None:
     results = [changed.get(place, result) for place, result in enumerate(CYCLES)]
     loading = taken(protocol, result_of(results=tuple(results)))
-    assert (loading.cycles and set(loading.cycles.numbers)) == left
+    assert (loading.cycles and set(loading.cycles.measures)) == left
     assert ("cycles_grow" in {note.code for note in loading.notes}) == (code == "cycles_grow")

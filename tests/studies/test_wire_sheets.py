@@ -74,8 +74,8 @@ def fail(error: BaseException) -> Callable[..., object]:
 @pytest.mark.parametrize(
     ("name", "failing", "error", "message"),
     [
-        ("write_deck_texts", fail(KeyboardInterrupt()), KeyboardInterrupt, "^$"),
-        ("write_deck_texts", fail(OSError(28, "No space left on device")),
+        ("write_decks", fail(KeyboardInterrupt()), KeyboardInterrupt, "^$"),
+        ("write_decks", fail(OSError(28, "No space left on device")),
          StoreError, "expected room on the disk, found a full disk, or"),
     ],
     ids=["interrupt", "full disk"],

@@ -65,7 +65,7 @@ def test_the_roller_leaves_a_bent_bundle() -> None:
 
 def shoot(test: ThreePointTest, displacement: float) -> float:
     """Force of an elastic bar by shooting from mid-span: EI theta'' = - F . normal, N."""
-    friction, reach = test.friction, test.axis_distance
+    friction, reach = test.friction, test.roller_radius + test.outer_radius
     assert isinstance(test.bundle, ElasticModel)
     stiffness = test.bundle.stiffness
 

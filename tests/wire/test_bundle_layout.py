@@ -13,14 +13,14 @@ from scipy.optimize import nnls
 from labpipe.mechanics.wire.bundle_layout import (
     WireContacts,
     _choose_start_pitches,
-    _make_lattice_heap,
+    _cut_lattice,
     arrange_wires,
     choose_bore,
     compute_bore,
     compute_heap_gradient,
     compute_packing_fraction,
     find_densest_heap,
-    find_holding_circle,
+    find_enclosing_circle,
     find_sites,
     fits_bore,
     require_dense,
@@ -42,7 +42,7 @@ def test_wires_touch_and_do_not_overlap(number: int) -> None:
     np.fill_diagonal(distance, np.inf)
     assert distance.min(axis=1) == pytest.approx(1.0, abs=1e-4)
     if number == 8:  # the densest eight in a circle need 3.3048 radii (Pirl 1969)
-        assert 3.3047 < 2.0 * find_holding_circle(places, np.ones(8))[1] < 1.11 * 3.3048
+        assert 3.3047 < 2.0 * find_enclosing_circle(places, np.ones(8))[1] < 1.11 * 3.3048
 
 
 def test_distances_of_the_sites_from_which_wires_are_drawn_together() -> None:
@@ -117,7 +117,7 @@ def test_circle_around_many_wires_touches_some_and_leaves_out_none(*, is_arc: bo
         angle = np.radians(np.append(np.linspace(100.0, 260.0, 30), np.zeros(270)))
         centres = np.column_stack([np.cos(angle), np.sin(angle)])
         centres[30:, 0], centres[30, 0], diameters = 0.3, 1.2, np.full(300, 0.01)
-    middle, radius = find_holding_circle(centres, diameters)
+    middle, radius = find_enclosing_circle(centres, diameters)
     reach = np.hypot(*(centres - middle).T) + diameters / 2.0
     assert reach.max() == pytest.approx(radius)
     touching = centres[reach > radius * (1.0 - 1e-6)] - middle
@@ -142,9 +142,7 @@ def test_hexagons(number: int, core: int, farthest: float) -> None:
         assert angle == pytest.approx(np.arange(6) * 60.0, abs=1e-9)
     # Around the middle of three, points of the lattice stay points of the lattice.
     middle = np.array([0.5, 12.0**-0.5])
-    steps = (_make_lattice_heap(number, middle) + middle) @ np.linalg.inv(
-        [[1.0, 0.0], [0.5, 0.75**0.5]]
-    )
+    steps = (_cut_lattice(number, middle) + middle) @ np.linalg.inv([[1.0, 0.0], [0.5, 0.75**0.5]])
     assert steps == pytest.approx(np.round(steps), abs=1e-9)
 
 
@@ -211,7 +209,8 @@ def test_heaps_are_dense_without_overlap_at_any_scale(seed: int, number: int) ->
     assert np.average(heap, axis=0, weights=diameters**2) == pytest.approx([0.0, 0.0], abs=1e-9)
     if number > 3:
         assert (
-            compute_packing_fraction(diameters, 2.0 * find_holding_circle(heap, diameters)[1]) > 0.5
+            compute_packing_fraction(diameters, 2.0 * find_enclosing_circle(heap, diameters)[1])
+            > 0.5
         )
     scale = 2.0**-10  # rounds no number
     small = find_densest_heap([scale * start], scale * diameters)
@@ -224,5 +223,5 @@ def test_wires_on_one_another_part(beside: int) -> None:
     centres = np.concatenate([np.zeros((7, 2)), np.full((beside, 2), 3.0)])
     heap = find_densest_heap([centres], np.ones(7 + beside))
     assert compute_largest_overlap(heap, np.full(7 + beside, 0.5)) < 1e-9
-    assert find_holding_circle(heap, np.ones(7 + beside))[1] < 2.0
+    assert find_enclosing_circle(heap, np.ones(7 + beside))[1] < 2.0
     require_dense(np.array([[0.0, 0.0], [1.0, 0.0]]), np.ones(2))  # two wires fill just half

@@ -20,6 +20,7 @@ from labpipe.mechanics.wire.cantilever import (
     make_interpolation_matrix,
     make_stations,
     make_straight,
+    make_transfer_matrix,
 )
 from labpipe.mechanics.wire.first_loading import compute_end_load_path
 from labpipe.records.arrays import Floats
@@ -81,10 +82,8 @@ def test_lean_of_the_string(law: PlayLaw, lean: tuple[float, float]) -> None:
     Against a vertical load at the same deflection, and at a deflection equal to the travel.
     """
     shape = bend_to_travel(law, make_straight(law), LENGTH, RIG, 0.05)
-    loads = [
-        compute_end_load_path(law, LENGTH, np.array([deflection])).load[0]
-        for deflection in (shape.y[-1], 0.05)
-    ]
+    ends = np.array([shape.y[-1], 0.05])[:, None]
+    loads = [compute_end_load_path(law, LENGTH, end).load[0] for end in ends]
     share = 100.0 * ((shape.tension - RIG.weight) / np.array(loads) - 1.0)
     assert share == pytest.approx(lean, abs=0.02)
 
@@ -151,6 +150,8 @@ def test_slack_and_level_wires_are_as_the_textbook_says() -> None:
 
 def test_integrals_of_polynomials_are_exact_and_a_smooth_function_is_interpolated() -> None:
     stations = make_stations(9)
+    cached = stations.position, make_stations(9, 0.12).position, make_transfer_matrix(9, 5)
+    assert not any(array.flags.writeable for array in (*cached, stations.clamp_integral))
     s = stations.position
     for power in range(8):
         integral = s ** (power + 1) / (power + 1)

@@ -110,7 +110,7 @@ def test_a_ring_with_a_stress_table(curvature: float) -> None:
     assert straight.moment == pytest.approx(TUBE.bending_stiffness * curvature)
     step = 1e-3 * curvature
     slope = (by_laminae(curvature + step) - by_laminae(curvature - step)) / (2.0 * step)
-    assert ring.tangent[0] == pytest.approx(slope, rel=1e-3)
+    assert ring.tangent_stiffness[0] == pytest.approx(slope, rel=1e-3)
 
 
 def test_a_table_is_followed_to_its_last_strain() -> None:
@@ -131,25 +131,25 @@ def test_the_tangent_is_the_slope_and_the_moment_is_odd(material: Material) -> N
     strand = compute_strand_moment(material, DIAMETER, curvature)
     slope = np.gradient(strand.moment, curvature)[5:-5]
     is_smooth = material is ANNEALED_COPPER
-    close = 1e-5 * slope if is_smooth else 1e-4 * strand.tangent[0]
-    assert np.all(np.abs(strand.tangent[5:-5] - slope) <= close)
+    close = 1e-5 * slope if is_smooth else 1e-4 * strand.tangent_stiffness[0]
+    assert np.all(np.abs(strand.tangent_stiffness[5:-5] - slope) <= close)
     assert compute_strand_moment(material, DIAMETER, -curvature).moment == pytest.approx(
         -strand.moment
     )
     empty = compute_strand_moment(material, DIAMETER, np.array([np.nan]))
-    assert np.isnan([empty.moment[0], empty.tangent[0]]).all()
+    assert np.isnan([empty.moment[0], empty.tangent_stiffness[0]]).all()
 
 
 def test_limits() -> None:
     stiffness = 110e9 * np.pi * DIAMETER**4 / 64.0
     low = compute_strand_moment(SHARP, DIAMETER, np.array([0.0, 1.0]))
     assert low.moment == pytest.approx([0.0, stiffness])
-    assert low.tangent == pytest.approx([stiffness, stiffness])
+    assert low.tangent_stiffness == pytest.approx([stiffness, stiffness])
     high = compute_strand_moment(SHARP, DIAMETER, np.array([5000.0]))
     assert high.moment[0] == pytest.approx(60e6 * DIAMETER**3 / 6.0, rel=1e-5)
     straight = compute_strand_moment(elastic(110e9), DIAMETER, np.array([-2.0, 1e3]))
     assert straight.moment == pytest.approx([-2.0 * stiffness, 1e3 * stiffness])
-    assert straight.tangent == pytest.approx([stiffness, stiffness])
+    assert straight.tangent_stiffness == pytest.approx([stiffness, stiffness])
 
 
 def test_copper_against_adaptive_integration() -> None:

@@ -5,7 +5,7 @@ Each deck that contains a law states the range of curvature in which the law is 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from labpipe.mechanics.decks.beam_sections import format_abaqus_deck, format_ansys_deck
@@ -62,41 +62,21 @@ def make_deck_texts(table: WireTable) -> tuple[str, ...]:
     return tuple(texts)
 
 
-def write_decks(tables: Iterable[WireTable], folder: Path) -> list[Path]:
+def write_decks(texts_by_wire: Mapping[str, Sequence[str]], folder: Path) -> list[Path]:
     """Write every deck of every wire to ``decks/<stem>.<ending>``.
 
     Parameters
     ----------
-    tables : tables of the wires
+    texts_by_wire : texts from `make_deck_texts`, keyed by the name of the wire
     folder : folder of the results, which must exist
 
     Returns
     -------
     Paths of the files, wire by wire. `make_file_stem` makes the stems.
-
-    Raises
-    ------
-    ValueError
-        If a deck cannot be made (`make_deck_texts`).
-    """
-    return write_deck_texts({table.name: make_deck_texts(table) for table in tables}, folder)
-
-
-def write_deck_texts(texts: Mapping[str, Sequence[str]], folder: Path) -> list[Path]:
-    """Write the texts of decks to files.
-
-    Parameters
-    ----------
-    texts : texts from `make_deck_texts`, keyed by the name of the wire
-    folder : folder of the results, which must exist
-
-    Returns
-    -------
-    Paths of the files, wire by wire.
     """
     (folder / FOLDER).mkdir(exist_ok=True)
     written_paths = []
-    for name, deck_texts in texts.items():
+    for name, deck_texts in texts_by_wire.items():
         paths = list_deck_paths(name, folder)
         for path, text in zip(paths, deck_texts, strict=True):
             path.write_text(text, encoding="utf-8", newline="\n")

@@ -7,10 +7,10 @@ strain or curvature second. With ``LINEAR``, they state only the stiffness. With
 Such a law is stated for positive strains, from the origin.
 
 In Ansys Mechanical APDL, the section is ``SECTYPE,,GENB,PLASTIC`` with its tables, for BEAM188 and
-BEAM189 [3]_. Tables state strain first, and force second. The origin is implied. They have at most
-20 points for each component. All slopes after the first must be smaller than the first. A plastic
-section requires all six components, each with two points or more. Beyond the last strain, the
-stiffness is zero.
+BEAM189 [3]_. A table states strain first, and force second. The origin is implied. A table has at
+most 20 points for each component. All slopes after the first must be smaller than the first. A
+plastic section requires all six components, each with two points or more. Beyond the last strain,
+the stiffness is zero.
 ``GENB`` is a section type like ``BEAM``, and its subtype is ``ELASTIC`` or ``PLASTIC`` [4]_.
 
 References
@@ -114,7 +114,7 @@ def format_ansys_deck(table: WireTable, *, section_number: int = 1) -> str:
     GA = 3 EI / (0.001 (10 d)^2), the deflection P L^3 / (3 EI) of a free length of ten wire
     diameters d increases by a thousandth. The deflection of a longer wire increases by less.
     """
-    require("section", section_number, "a whole number >= 1", holds=section_number >= 1)
+    require("section_number", section_number, "a whole number >= 1", holds=section_number >= 1)
     law = thin_law(table.curvature, table.moment, max_points=MAX_ANSYS_POINTS + 1)
     comment_width = 76  # lines have at most 80 characters, of which two are the "! " of a comment
     return fill_template(

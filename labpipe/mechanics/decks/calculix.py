@@ -101,16 +101,16 @@ def mesh_half_bar(n_bricks_along: int) -> BarMesh:
     stations = [all_points, *([corner_points, all_points] * n_bricks_along)]
     first_numbers = np.cumsum([1, *map(len, stations)])
     node_numbers = np.zeros((len(stations), len(points)), dtype=np.int64)
-    for i, station_points in enumerate(stations):
-        node_numbers[i, station_points] = first_numbers[i] + np.arange(len(station_points))
+    for row, station_points in enumerate(stations):
+        node_numbers[row, station_points] = first_numbers[row] + np.arange(len(station_points))
     station_x = np.linspace(0.0, 1.0, len(stations))
     nodes = [
         np.column_stack([np.full(len(station_points), x), points[station_points]])
         for x, station_points in zip(station_x, stations, strict=True)
     ]
-    # node numbers of the quadrangles at the three stations of each layer of bricks
-    numbers = node_numbers[:, quadrangles]
-    lower_face, middle_section, upper_face = numbers[:-2:2], numbers[1::2], numbers[2::2]
+    numbers_by_station = node_numbers[:, quadrangles]
+    lower_face, upper_face = numbers_by_station[:-2:2], numbers_by_station[2::2]
+    middle_section = numbers_by_station[1::2]
     corners = (lower_face[..., :4], upper_face[..., :4])
     mid_sides = (lower_face[..., 4:], upper_face[..., 4:], middle_section[..., :4])
     bricks = np.concatenate([*corners, *mid_sides], axis=-1).reshape(-1, 20)
@@ -129,8 +129,8 @@ def _mesh_half_disc() -> tuple[Floats, Ints]:
     outline = np.concatenate([rectangle[0], rectangle[1:-1, -1], rectangle[-1, ::-1]])
     angle = np.linspace(np.pi, 0.0, len(outline))
     circle = np.column_stack([np.cos(angle), np.sin(angle)])
-    fraction = np.array([1.0, 0.5, 0.0])[:, np.newaxis]
-    ring = circle[:, np.newaxis] + fraction * (outline - circle)[:, np.newaxis]
+    inward_fraction = np.array([1.0, 0.5, 0.0])[:, np.newaxis]
+    ring = circle[:, np.newaxis] + inward_fraction * (outline - circle)[:, np.newaxis]
     quadrangles = np.concatenate([_list_quadrangles(lattice) for lattice in (rectangle, ring)])
     # Rounding merges the nodes that two quadrangles share. Adding 0.0 converts -0.0 to 0.0.
     points, point_indices = np.unique(
@@ -159,9 +159,9 @@ def format_calculix_deck(
     ----------
     table : table of the wire
     n_bricks_along : number of bricks along the bar
-    n_steps : number of equal increments of the tip displacement; CalculiX divides those that do
-        not converge.
-        With far fewer increments than the default, CalculiX may stop without convergence
+    n_steps : number of equal increments of the tip displacement. CalculiX divides an increment that
+        does not converge. With far fewer increments than the default, it may stop without
+        convergence
 
     Returns
     -------
@@ -189,11 +189,11 @@ def format_calculix_deck(
     max_deflection = 0.6  # relative to the free length
     deflection = min(max_deflection * table.spec.length, float(table.tip_deflection[-1]))
     errors, is_plastic = np.abs(material.error), material.curvature > material.elastic_curvature
-    range_error, plastic_error = float(errors.max()), float(errors[is_plastic].max())
+    percent = format_percent(float(errors.max()))
+    plastic_percent = format_percent(float(errors[is_plastic].max()))
     deck_error_sentence = (
-        f"In this deck, the error of the moment on first loading is at most "
-        f"{format_percent(plastic_error)} above {material.elastic_curvature:.4g} 1/m, and at most "
-        f"{format_percent(range_error)} over the whole range."
+        f"In this deck, the error of the moment on first loading is at most {plastic_percent} "
+        f"above {material.elastic_curvature:.4g} 1/m, and at most {percent} over the whole range."
     )
     # The release is elastic: no fibre of the bar yields in reverse before the moment is zero.
     deck_release = compute_linear_release(table, material.modulus * np.pi / 64.0 * diameter**4)

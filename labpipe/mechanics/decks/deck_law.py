@@ -92,16 +92,18 @@ def list_header_sentences(table: WireTable, max_length: int = 100) -> tuple[str,
     table : table of the wire
     max_length : largest number of characters of the wire's name
     """
-    max_curvature, limit = float(table.curvature[-1]), table.doubtful_curvature
-    strain = 100.0 * table.spec.insulation_strain
-    doubt_sentence = f"Doubtful beyond {limit:.6g} 1/m: insulation strain above {strain:.3g} %."
+    max_curvature, doubtful_curvature = float(table.curvature[-1]), table.doubtful_curvature
+    doubt_sentence = (
+        f"Doubtful beyond {doubtful_curvature:.6g} 1/m: insulation strain above "
+        f"{100.0 * table.spec.insulation_strain:.3g} %."
+    )
     return (
         f"Wire {shorten_name(table.name, max_length)}, made by labpipe {__version__}.",
         "Units: m, N, kg, s, rad; curvature and twist 1/m, moment N m, stiffness N m^2.",
         f"Range: curvature from 0 to {max_curvature:.6g} 1/m (bend radius "
         f"{1.0 / max_curvature:.4g} m and more).",
         "The deck is not valid beyond this range.",
-        *((doubt_sentence,) if limit < max_curvature else ()),
+        *((doubt_sentence,) if doubtful_curvature < max_curvature else ()),
         FIRST_LOADING_TEXT,
     )
 
@@ -127,9 +129,9 @@ def compute_angular_frequency(stiffness: float, mass_per_length: float, length: 
 
     Parameters
     ----------
-    stiffness : N m^2, bending stiffness
-    mass_per_length : kg/m, mass per length of the wire
-    length : m, free length
+    stiffness : bending stiffness, N m^2
+    mass_per_length : mass per length of the wire, kg/m
+    length : free length, m
     """
     # the first root of cos x cosh x = -1, for the first mode of a cantilever
     first_root = 1.8751040687119611
@@ -142,7 +144,7 @@ def find_linear_range(table: WireTable, stiffness: float) -> tuple[float, float]
     Parameters
     ----------
     table : table of the wire
-    stiffness : N m^2, constant stiffness
+    stiffness : constant bending stiffness, N m^2
 
     Returns
     -------
@@ -175,9 +177,9 @@ def compute_skew_bending_error(table: WireTable) -> float:
     Largest value over the range of sqrt(2) M(kappa / sqrt(2)) / M(kappa) - 1, which compares two
     uncoupled laws in bending at 45 degrees to both axes with one law.
     """
-    kappa = table.curvature[1:]
-    component = np.interp(kappa / np.sqrt(2.0), table.curvature, table.moment)
-    return float(np.max(np.sqrt(2.0) * component / table.moment[1:] - 1.0))
+    component_curvature = table.curvature[1:] / np.sqrt(2.0)
+    component_moment = np.interp(component_curvature, table.curvature, table.moment)
+    return float(np.max(np.sqrt(2.0) * component_moment / table.moment[1:] - 1.0))
 
 
 def make_abaqus_label(name: str) -> str:
@@ -271,7 +273,7 @@ def shorten_name(name: str, max_length: int = 100) -> str:
 def _make_label(name: str, *, allowed: str, initial: str, max_length: int) -> str:
     """Return the allowed characters of a name, with a checksum if they differ from the name.
 
-    `allowed` and `initial` (for the first character) are in the syntax of a regular
+    `allowed` (for all characters) and `initial` (for the first one) are character sets of a regular
     expression.
     """
     label = re.sub(rf"[^{allowed}]+", "_", _remove_accents(name))
@@ -366,17 +368,6 @@ def describe_deck_errors(
         for sentence in (deck_error_sentence, *sentences)
         for line in textwrap.wrap(sentence.replace(" %", "~%"), line_width)
     )
-
-
-def compute_constant_stiffness_error(table: WireTable, stiffness: float) -> float:
-    """Return the largest relative error of the moment of a constant stiffness over a table.
-
-    Parameters
-    ----------
-    table : table of the wire
-    stiffness : N m^2, constant stiffness
-    """
-    return float(np.max(np.abs(stiffness * table.curvature[1:] / table.moment[1:] - 1.0)))
 
 
 @lru_cache(maxsize=4)  # tables are hashed by identity

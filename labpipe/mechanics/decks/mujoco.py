@@ -24,7 +24,6 @@ import numpy as np
 
 from labpipe.mechanics.decks.deck_law import (
     compute_angular_frequency,
-    compute_constant_stiffness_error,
     describe_deck_errors,
     fill_template,
     find_linear_range,
@@ -51,8 +50,8 @@ def write_mujoco_deck(
     Parameters
     ----------
     table : table of the wire
-    stiffness : N m^2, bending stiffness; None for the slope of the law at zero curvature (Notes)
-    length : m, free length; None for the free length in the wire sheet
+    stiffness : bending stiffness, N m^2; None for the slope of the law at zero curvature (Notes)
+    length : free length, m; None for the free length in the wire sheet
     edges : number of edges of the cable, at least 3
 
     Returns
@@ -69,8 +68,9 @@ def write_mujoco_deck(
     Notes
     -----
     The slope of the law at zero curvature is that of a wire whose strands all stick. If strands
-    slip immediately, the first secant of the table is used. The deck states which, and the first
-    range of curvature in which the moment is within 5 % of that of the wire (`find_linear_range`).
+    slip immediately, the first secant of the table is used. The deck states the source of the
+    stiffness, and the first range of curvature in which the moment is within 5 % of that of the
+    wire (`find_linear_range`).
     """
     min_edges = 3
     settling_angle = 35.0  # settling time times the first angular frequency
@@ -93,10 +93,11 @@ def write_mujoco_deck(
     edge_length = length / (edges - 0.5)  # half of the first edge is inside the clamp
     validity = "at no curvature within 5 % of the wire's law"
     if (linear_range := find_linear_range(table, stiffness)) is not None:
-        start, stop = linear_range
-        validity = f"within 5 % of the wire's law at curvatures from {start:.4g} to {stop:.4g} 1/m"
-    error = format_percent(compute_constant_stiffness_error(table, stiffness))
-    error_sentence = f"This deck: error up to {error} of the moment over its range, no hysteresis."
+        lower, upper = linear_range
+        validity = f"within 5 % of the wire's law at curvatures from {lower:.4g} to {upper:.4g} 1/m"
+    relative_errors = stiffness * table.curvature[1:] / table.moment[1:] - 1.0
+    percent = format_percent(float(np.max(np.abs(relative_errors))))
+    error_sentence = f"This deck: error up to {percent} of the moment, no hysteresis."
     vertex_x = ((np.arange(edges + 1) - 0.5) * edge_length).tolist()
     return fill_template(
         "cable.xml",

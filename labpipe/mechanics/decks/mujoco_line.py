@@ -15,12 +15,13 @@ import numpy as np
 
 from labpipe.mechanics.decks.deck_law import fill_template
 from labpipe.mechanics.decks.mujoco_sliders import (
+    LOAD_GEARS,
     N_RAMP_STEPS,
     N_SETTLING_STEPS,
     Chain,
     build_space_hinges,
 )
-from labpipe.mechanics.rod import boundaries as rod
+from labpipe.mechanics.rod.boundaries import Boundary, Gravity, Held, Load, Plane, Ring, String
 from labpipe.mechanics.rod.line import Line
 from labpipe.mechanics.rod.rotations import conjugate, multiply, to_rotation_vectors
 from labpipe.records.arrays import Floats
@@ -29,7 +30,7 @@ _LINE_TO_BODY = np.array([0.5, -0.5, -0.5, -0.5])
 """Quaternion from the axes of a line (d3 along the line) to those of a body (x along the line)."""
 
 
-def format_line_deck(line: Line, boundaries: Sequence[rod.Boundary], *, title: str) -> str:
+def format_line_deck(line: Line, boundaries: Sequence[Boundary], *, title: str) -> str:
     """Return the MJCF of a line with its supports, strings and loads.
 
     Parameters
@@ -56,15 +57,15 @@ def format_line_deck(line: Line, boundaries: Sequence[rod.Boundary], *, title: s
         mass_per_length=section.mass_per_length or default_mass_per_length,
         torsional_stiffness=section.torsional_stiffness,
     )
-    supports = [item for item in boundaries if isinstance(item, rod.Held)]
+    supports = [boundary for boundary in boundaries if isinstance(boundary, Held)]
     # A support that clamps the start of the line and never releases it is the base of the chain.
     start_clamps = [clamp for clamp in supports if clamp.node == 0 and clamp.frame is not None]
     base = next((clamp for clamp in start_clamps if clamp.release is None), None)
-    strings = [item for item in boundaries if isinstance(item, rod.String)]
-    loads = [item for item in boundaries if isinstance(item, rod.Load)]
-    accelerations = [item.vector[-1] for item in boundaries if isinstance(item, rod.Gravity)]
+    strings = [boundary for boundary in boundaries if isinstance(boundary, String)]
+    loads = [boundary for boundary in boundaries if isinstance(boundary, Load)]
+    accelerations = [weight.vector[-1] for weight in boundaries if isinstance(weight, Gravity)]
     gravity = np.sum([np.zeros(3), *accelerations], axis=0)
-    contact_names = [item.name for item in boundaries if isinstance(item, rod.Ring | rod.Plane)]
+    contacts = [boundary for boundary in boundaries if isinstance(boundary, Ring | Plane)]
     return fill_template(
         "line_chain.xml",
         name=title,
@@ -73,18 +74,18 @@ def format_line_deck(line: Line, boundaries: Sequence[rod.Boundary], *, title: s
         gravity=" ".join(f"{component:.7g}" for component in gravity.tolist()),
         n_ramp_steps=N_RAMP_STEPS,
         n_settling_steps=N_SETTLING_STEPS,
-        omitted_contacts=contact_names,
+        omitted_contacts=[contact.name for contact in contacts],
         bodies=_list_bodies(line, chain, [*supports, *strings, *loads], base),
         supports=supports,
         equality_supports=[support for support in supports if support is not base],
         poses={support.name: _compute_poses(support) for support in supports},
         strings=strings,
         loads=loads,
-        load_gears={"x": "1 0 0 0 0 0", "y": "0 1 0 0 0 0", "z": "0 0 1 0 0 0"},
+        load_gears=LOAD_GEARS,
     )
 
 
-def _compute_poses(support: rod.Held) -> Floats:
+def _compute_poses(support: Held) -> Floats:
     """Return the positions, m, and quaternions of a mocap body, shape (steps + 1, 7)."""
     n_rows = len(support.position)
     if support.frame is None:
@@ -97,8 +98,8 @@ def _compute_poses(support: rod.Held) -> Floats:
 def _list_bodies(
     line: Line,
     chain: Chain,
-    attachments: Sequence[rod.Held | rod.String | rod.Load],
-    base: rod.Held | None,
+    attachments: Sequence[Held | String | Load],
+    base: Held | None,
 ) -> list[dict[str, object]]:
     """Return the nested bodies of the chain, on the base, or free in space without a base."""
     quaternions = multiply(_compute_body_frames(line, chain), _LINE_TO_BODY)

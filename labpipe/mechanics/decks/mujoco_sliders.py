@@ -56,6 +56,8 @@ N_RAMP_STEPS = 400
 """Number of time steps over which a load is ramped."""
 N_SETTLING_STEPS = 600
 """Number of time steps after the ramp until the wire is at rest."""
+LOAD_GEARS = {"x": "1 0 0 0 0 0", "y": "0 1 0 0 0 0", "z": "0 0 1 0 0 0"}
+"""Gear of the motor of a load along an axis, keyed by the axis."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,10 +67,10 @@ class Chain:
     Parameters
     ----------
     law : slider law of the wire
-    length : m, length of the wire
-    radius : m, outer radius of the wire
-    mass_per_length : kg/m, mass per length of the wire
-    torsional_stiffness : N m^2, torsional stiffness of the wire
+    length : length of the wire, m
+    radius : outer radius of the wire, m
+    mass_per_length : mass per length of the wire, kg/m
+    torsional_stiffness : torsional stiffness of the wire, N m^2
     """
 
     law: SliderLaw
@@ -125,10 +127,10 @@ def write_mujoco_plane_deck(
     Parameters
     ----------
     table : table of the wire
-    length : m, free length; None for the free length in the wire sheet
-    isotropic_share : isotropic share of the hardening, from 0 (Masing's rule) to 1. If it is above
-        0, the program that runs the model must increase the yield displacements of the tendons
-        ``growing_<node>`` at each step
+    length : free length, m; None for the free length in the wire sheet
+    isotropic_share : isotropic fraction of the hardening, from 0 (Masing's rule) to 1. If it is
+        above 0, the program that runs the model must increase the yield displacements of the
+        tendons ``growing_<node>`` at each step
 
     Returns
     -------
@@ -154,7 +156,7 @@ def write_mujoco_space_deck(table: WireTable, *, length: float | None = None) ->
     Parameters
     ----------
     table : table of the wire
-    length : m, free length; None for the free length in the wire sheet
+    length : free length, m; None for the free length in the wire sheet
 
     Returns
     -------
@@ -221,12 +223,12 @@ def _format_chain_deck(
     isotropic_share: float = 0.0,
 ) -> str:
     """Return the deck of a clamped wire, or the reason why sliders cannot be fitted to its law."""
-    name, gear_vectors = table.name, {"y": "0 1 0 0 0 0", "z": "0 0 1 0 0 0"}
     try:
         law = fit_wire_sliders(table)
     except ValueError as error:
         reason = describe_missing_sliders(error)
-        return fill_template("wire_chain.xml", name=name, table=table, chain=None, reason=reason)
+        facts = {"name": table.name, "table": table, "chain": None, "reason": reason}
+        return fill_template("wire_chain.xml", **facts)
     if isotropic_share > 0.0:
         law = split_hardening(law, make_table_strand_slider(table), isotropic_share)
     length = table.spec.length if length is None else length
@@ -240,7 +242,7 @@ def _format_chain_deck(
     )
     return fill_template(
         "wire_chain.xml",
-        name=name,
+        name=table.name,
         table=table,
         chain=chain,
         hinges=build_hinges(chain),
@@ -250,7 +252,7 @@ def _format_chain_deck(
         n_settling_steps=N_SETTLING_STEPS,
         check_load=_compute_check_load(chain.law, chain.length),
         isotropic_share=isotropic_share,
-        load_gears={axis: gear_vectors[axis] for axis in load_axes},
+        load_gears={axis: LOAD_GEARS[axis] for axis in load_axes},
     )
 
 

@@ -45,9 +45,9 @@ class Release:
 
     Parameters
     ----------
-    residual_curvature : shape (bends,), or (bends, 2) for intervals, relative to the curvature
-        from which the bend is released
-    dissipated_work : same shape, relative to the work of bending
+    residual_curvature : shape (bends,), or (bends, 2) for intervals, residual curvature relative to
+        the curvature from which the bend is released
+    dissipated_work : same shape, dissipated work relative to the work of bending
     """
 
     residual_curvature: Floats
@@ -55,9 +55,9 @@ class Release:
 
 
 def get_isotropic_share_interval(table: WireTable) -> tuple[float, float]:
-    """Return the interval of the isotropic share; a share in the sheet is both ends."""
-    share = table.spec.isotropic_share
-    return DEFAULT_SHARE_RANGE if share is None else (share, share)
+    """Return the interval of the isotropic share; a share that the sheet states is both ends."""
+    stated_share = table.spec.isotropic_share
+    return DEFAULT_SHARE_RANGE if stated_share is None else (stated_share, stated_share)
 
 
 @lru_cache(maxsize=8)  # tables are hashed by identity
@@ -109,7 +109,7 @@ def compute_releases(table: WireTable) -> tuple[Release, Release]:
 
 
 def choose_bend_curvatures(table: WireTable) -> Floats:
-    """Return the `BEND_CURVATURES` within the range of a table, 1/m; without any, the last one."""
+    """Return the `BEND_CURVATURES` within the range of a table, 1/m, or the end of the range."""
     curvatures = [curvature for curvature in BEND_CURVATURES if curvature <= table.curvature[-1]]
     return np.array(curvatures or table.curvature[-1:])
 
@@ -123,17 +123,19 @@ def compute_release(law: SliderLaw, curvatures: Floats) -> Release:
     curvatures : shape (n,), 1/m, curvatures from which the wire is released, positive
     """
     n_bends = len(curvatures)
-    rests = slide(law, curvatures, make_unbent_history(law, n_bends)).history
-    residual_curvature, _ = bend_to_moment(law, np.zeros(n_bends), curvatures, rests)
+    bent_history = slide(law, curvatures, make_unbent_history(law, n_bends)).history
+    residual_curvature, _ = bend_to_moment(law, np.zeros(n_bends), curvatures, bent_history)
+
+    def compute_work(branch: Floats, history: Floats) -> Floats:
+        """Compute the work of curvatures of shape (points, bends) after a history."""
+        moment = slide(law, branch.ravel(), history).moment.reshape(branch.shape)
+        return np.asarray(np.trapezoid(moment, branch, axis=0))
+
     fractions = np.linspace(0.0, 1.0, _N_BRANCH_POINTS)[:, None]
     loading = fractions * curvatures
+    loading_work = compute_work(loading, make_unbent_history(law, loading.size))
     unloading = curvatures + fractions * (residual_curvature - curvatures)
-    unbent_rests = make_unbent_history(law, loading.size)
-    loading_moment = slide(law, loading.ravel(), unbent_rests).moment.reshape(loading.shape)
-    bent_rests = np.tile(rests, (_N_BRANCH_POINTS, 1))
-    unloading_moment = slide(law, unloading.ravel(), bent_rests).moment.reshape(loading.shape)
-    loading_work = np.trapezoid(loading_moment, loading, axis=0)
-    unloading_work = np.asarray(np.trapezoid(unloading_moment, unloading, axis=0))
+    unloading_work = compute_work(unloading, np.tile(bent_history, (_N_BRANCH_POINTS, 1)))
     return Release(residual_curvature / curvatures, 1.0 + unloading_work / loading_work)
 
 
@@ -143,7 +145,7 @@ def compute_linear_release(table: WireTable, stiffness: float) -> Release:
     Parameters
     ----------
     table : table of the wire, with the moments of first loading
-    stiffness : N m^2, bending stiffness in unloading
+    stiffness : bending stiffness on unloading, N m^2
     """
     curvature = np.linspace(0.0, choose_bend_curvatures(table), _N_BRANCH_POINTS)
     moment = np.interp(curvature, table.curvature, table.moment)
@@ -166,7 +168,7 @@ def make_growing_slider_entry(table: WireTable) -> dict[str, object] | None:
 
     Returns
     -------
-    Values for the isotropic share of the sheet, or for the middle of the interval of the share.
+    Values for the isotropic share that the sheet states, or for the middle of the default interval.
     None for a share of 0.
 
     Raises
@@ -175,13 +177,13 @@ def make_growing_slider_entry(table: WireTable) -> dict[str, object] | None:
         If sliders cannot be fitted to the law (`fit_wire_sliders`).
     """
     share_interval = get_isotropic_share_interval(table)
-    share = 0.5 * sum(share_interval)
-    if share == 0.0:
+    isotropic_share = 0.5 * sum(share_interval)
+    if isotropic_share == 0.0:
         return None
-    law = split_hardening(fit_wire_sliders(table), make_table_strand_slider(table), share)
+    law = split_hardening(fit_wire_sliders(table), make_table_strand_slider(table), isotropic_share)
     (slider,) = law.growing_sliders
     return {
-        "isotropic_share": share,
+        "isotropic_share": isotropic_share,
         "share_interval": list(share_interval),
         "use": format_sentence("mechanics.decks.growing_use"),
         "stiffness": slider.stiffness,
@@ -201,7 +203,7 @@ def describe_unloading(
     ----------
     table : table of the wire
     unloading_rule : name of the unloading rule of the deck
-    deck_release : release of the law of the deck; None for that by Masing's rule
+    deck_release : release of the law of the deck; None for the release by Masing's rule
 
     Raises
     ------

@@ -17,7 +17,7 @@ from labpipe.errors import ProcessingError, UsageError
 from labpipe.mechanics.studies.study_files import FIGURES_FOLDER, write_study
 from labpipe.mechanics.studies.wire_sheets import build_wire_error, read_wire_sheet
 from labpipe.mechanics.wire.bundle_layout import (
-    WANTED_FRACTION,
+    TARGET_PACKING_FRACTION,
     choose_bore,
     compute_bore,
     compute_packing_fraction,
@@ -197,7 +197,7 @@ class ModelledBundle:
     name : composition of the bundle, or name of its test
     model : model of the bundle, with the bounds of its bending stiffness
     conduits : conduits that may be chosen, in the order given
-    wanted_bore : inner diameter of a conduit with the packing fraction `WANTED_FRACTION`, m
+    wanted_bore : inner diameter of a conduit with the packing fraction `TARGET_PACKING_FRACTION`, m
     folder : folder of the results
     files : paths of the files that were written
     friction : friction fitted to the cycles of a processed test; None without such a test
@@ -360,7 +360,7 @@ def build_json(modelled: ModelledBundle) -> dict[str, object]:
         "labpipe": __version__,
         **select_json(modelled, "name", "wanted_bore", "conduits", "no_friction"),
         "bundle": asdict(model.bundle),
-        "wanted_packing_fraction": WANTED_FRACTION,
+        "wanted_packing_fraction": TARGET_PACKING_FRACTION,
         **select_json(
             model, *_MODEL_FIELDS, doubtful="is_doubtful", doubtful_stick="is_doubtful_stick"
         ),

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from labpipe.errors import ProcessingError, UsageError, sort_by_likeness
-from labpipe.mechanics.decks import write_decks
+from labpipe.mechanics.decks import make_deck_texts, write_decks
 from labpipe.mechanics.law.plays import PlayLaw
 from labpipe.mechanics.studies.calibration_file import CalibrationStudy, build_json
 from labpipe.mechanics.studies.first_loadings import (
@@ -30,7 +30,7 @@ from labpipe.mechanics.studies.model_comparisons import (
 )
 from labpipe.mechanics.studies.study_files import write_study
 from labpipe.mechanics.studies.wire_sheets import build_wire_error, read_wire_sheet
-from labpipe.mechanics.wire.bending_law import LOOP_RANGE, fit_play_law
+from labpipe.mechanics.wire.bending_law import LOOP_CURVATURE_FACTOR, fit_play_law
 from labpipe.mechanics.wire.calibration.calibrate_wire import (
     Settings,
     Wire,
@@ -42,7 +42,7 @@ from labpipe.mechanics.wire.wire_table import (
     build_wire,
     compute_insulation_limit,
     find_law_range,
-    set_parameters,
+    replace_parameters,
     tabulate_wire,
 )
 from labpipe.messages import format_sentence
@@ -157,15 +157,14 @@ def calibrate_tests(
         curve, file = measured_curves[0], loadings_of_wire[0].file
         shapes = compare_shapes(file, model, curve.length, curve.rig, float(curve.deflection.max()))
         study = replace(study, shapes={curve.test: shapes} if shapes else {})
-    wire_tables = [
-        tabulate_wire(apply_calibration(specs[wire], calibration)) for wire in tested_wires
-    ]
+    tables = [tabulate_wire(apply_calibration(specs[wire], calibration)) for wire in tested_wires]
     report = reports.CalibrationReport(calibration, groups, study.shapes, study.comparisons)
 
     def write_others(folder: Path) -> list[Path]:
         """Write the workbook and the decks into a folder."""
         reports.save_calibration_workbook(report, folder / CALIBRATION_WORKBOOK)
-        return [folder / CALIBRATION_WORKBOOK, *write_decks(wire_tables, folder)]
+        texts_by_wire = {table.name: make_deck_texts(table) for table in tables}
+        return [folder / CALIBRATION_WORKBOOK, *write_decks(texts_by_wire, folder)]
 
     say("tables and decks")
     written_files = write_study(
@@ -290,7 +289,7 @@ def apply_calibration(spec: WireSpec, calibration: Calibration) -> WireSpec:
     coefficients.
     """
     values = {parameter.name: parameter.value for parameter in calibration.parameters}
-    return set_parameters(spec, values)
+    return replace_parameters(spec, values)
 
 
 def _calibrate(
@@ -354,7 +353,7 @@ def _calibrate_share(
         changed_values = {
             name: value * math.exp(log_changes.get(name, 0.0)) for name, value in values.items()
         }
-        changed_spec = set_parameters(spec, changed_values)
+        changed_spec = replace_parameters(spec, changed_values)
         wire = build_wire(changed_spec)
         return fit_play_law(
             wire.section,
@@ -386,5 +385,5 @@ def _make_share_notes(
         # The curvature, 1/m, at which the strain of the strands reaches the end of the table.
         table_end = 2.0 * spec.stress_table[0][-1] / max(spec.strand_diameters)
         max_curvature = find_law_range(spec)[0]
-        if table_end < LOOP_RANGE * max_curvature:
+        if table_end < LOOP_CURVATURE_FACTOR * max_curvature:
             yield QualityNote.of("mechanics.studies.strands_end", spec.name, table_end=table_end)

@@ -284,7 +284,7 @@ def extract_first_loading(
         zero_error=estimate_force_zero_error(protocol, curve, branch),
         offset_error=estimate_offset_error(result, protocol, curve, branch),
         scale_error=common_scale_error,
-        own_scale_error=test_scale_error,
+        curve_scale_error=test_scale_error,
         self_weight=_get_self_weight(protocol),
     )
     channel = None if protocol.curve is None else protocol.channels.get(protocol.curve.force)

@@ -55,7 +55,7 @@ from labpipe.mechanics.wire.wire_table import (
     build_wire,
     compute_chord_ratio,
     compute_hull_slopes,
-    set_parameters,
+    replace_parameters,
     tabulate_wire,
 )
 from labpipe.messages import format_sentence
@@ -420,7 +420,7 @@ def _read_wire_material(block: SectionBlock, file: Path, wires: Path | None) -> 
             if solution.is_allowed
         ]
     try:
-        table = tabulate_wire(set_parameters(spec, values_by_solution[0]))
+        table = tabulate_wire(replace_parameters(spec, values_by_solution[0]))
         sections = [make_section_function(spec, values) for values in values_by_solution]
     except ValueError as error:
         expected = "a wire whose law can be fitted by sliders"
@@ -496,7 +496,7 @@ def make_section_function(spec: WireSpec, values: Mapping[str, float]) -> Sectio
     is up to 30 % of the moment near 0.03 1/m, and at most 1.5 % at curvatures above 1 1/m.
     """
     min_slider_stiffness = 1e-9  # lower bound, relative to the first slope of the law
-    table = tabulate_wire(set_parameters(spec, values))
+    table = tabulate_wire(replace_parameters(spec, values))
     base_law = fit_wire_sliders(table)
     chord_ratio = compute_chord_ratio(base_law, table)
     corners = np.concatenate([[0.0], base_law.slip_curvatures, [base_law.max_curvature]])
@@ -504,7 +504,7 @@ def make_section_function(spec: WireSpec, values: Mapping[str, float]) -> Sectio
     def build_section(inputs: Inputs) -> Section:
         """Build the section of a line for given inputs."""
         new_values = {name: float(np.exp(inputs[name])) for name in PARAMETERS if name in inputs}
-        wire = build_wire(set_parameters(spec, {**values, **new_values}))
+        wire = build_wire(replace_parameters(spec, {**values, **new_values}))
         slopes = chord_ratio * compute_hull_slopes(corners, wire.compute_curve(corners).moment)
         stiffnesses = np.maximum(-np.diff(slopes), min_slider_stiffness * slopes[0])
         law = replace(base_law, spring_stiffness=float(slopes[-1]), slider_stiffnesses=stiffnesses)

@@ -42,8 +42,8 @@ from labpipe.records.quality import Reason
 from labpipe.records.result import Status
 from labpipe.report.harness_figures import (
     SWEEP_FIGURE,
+    DrawnBoundary,
     DrawnHarness,
-    DrawnMark,
     DrawnShape,
     DrawnSweep,
     list_harness_figures,
@@ -418,7 +418,7 @@ def build_drawn_harness(solution: HarnessSolution) -> DrawnHarness:
         shapes=tuple(
             _build_drawn_shape(step, path.states[step], bands.get(step)) for step in solution.steps
         ),
-        marks=tuple(_build_marks(solution)),
+        boundaries=tuple(_build_drawn_boundaries(solution)),
         planes=tuple((plane.point, plane.normal) for plane in planes),
         allowed_radius=solution.limit.radius,
     )
@@ -447,7 +447,7 @@ def _format_caption(solution: HarnessSolution) -> str:
     return " ".join(sentences)
 
 
-def _build_marks(solution: HarnessSolution) -> Iterator[DrawnMark]:
+def _build_drawn_boundaries(solution: HarnessSolution) -> Iterator[DrawnBoundary]:
     """Yield the symbols of the boundaries at the last step; planes and weight have no symbol."""
     last_state, steps = solution.path.last, solution.harness.steps
     # The path has the boundaries of the file in the same order. The weight may follow.
@@ -474,7 +474,7 @@ def _build_marks(solution: HarnessSolution) -> Iterator[DrawnMark]:
             case _:
                 continue
         name, kind = file_boundary.name, file_boundary.kind
-        yield DrawnMark(name, kind, position, path, direction, is_holding)
+        yield DrawnBoundary(name, kind, position, path, direction, is_holding)
 
 
 def build_drawn_sweep(solution: HarnessSolution) -> DrawnSweep | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
-from labpipe.report.figure_page import list_pngs, save_pages
+from labpipe.report.figure_page import save_pages
 from labpipe.report.plot_records import Page
 from labpipe.store.replace import lock, map_errors, replace_files
 
@@ -40,7 +40,7 @@ def write_study(
     -------
     Paths of the files: texts, other files, figures.
     """
-    earlier_files = [*earlier_files, *list_pngs(pages, FIGURES_FOLDER)]
+    earlier_files = [*earlier_files, *(f"{FIGURES_FOLDER}/{page.name}.png" for page in pages)]
     with lock(folder), replace_files(folder, earlier_files=earlier_files) as temporary_folder:
         with map_errors(folder):
             for name, text in texts.items():

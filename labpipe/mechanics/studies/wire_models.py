@@ -9,7 +9,7 @@ from pathlib import Path
 
 from labpipe import __version__
 from labpipe.errors import ProcessingError, UsageError
-from labpipe.mechanics.decks import list_deck_paths, make_deck_texts, write_deck_texts
+from labpipe.mechanics.decks import list_deck_paths, make_deck_texts, write_decks
 from labpipe.mechanics.studies.study_files import FIGURES_FOLDER, write_study
 from labpipe.mechanics.studies.wire_sheets import (
     StressCurve,
@@ -99,7 +99,7 @@ def model_wires(
     def write_others(folder: Path) -> list[Path]:
         """Write the workbook and the decks into a folder, and return their paths."""
         texts_by_wire = {table.name: texts for table, texts in modelled_wires}
-        deck_paths, workbook_path = write_deck_texts(texts_by_wire, folder), folder / MODEL_WORKBOOK
+        deck_paths, workbook_path = write_decks(texts_by_wire, folder), folder / MODEL_WORKBOOK
         save_wire_workbook(tables, workbook_path, refusals=refusals, stress_tables=descriptions)
         return [workbook_path, *deck_paths]
 

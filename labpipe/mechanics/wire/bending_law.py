@@ -6,23 +6,23 @@ lay angle.
 
 A strand has the axial force F0 from the tension of the wire, and bending adds a force. While the
 strand sticks, the added force is T = E A kappa r sin(theta) cos^2(alpha) (3.7). While it slips, the
-added force is (3.14), with k = mu_inner |sin alpha| and c = (mu_outer + mu_inner) H,
+added force is S (3.14). With k = mu_inner |sin alpha| and c = (mu_outer + mu_inner) H,
 
     S = (c + k F0) theta_e expm1(k theta_e) / (k theta_e),   theta_e = arcsin(sin theta).
 
 S is the integral of dF = c d(theta) + k F d(theta) from the neutral axis, where F = F0. The added
 force has the smaller of the two absolute values and the sign of T (3.16). There are two differences
-from [1]_. There, theta is used instead of theta_e, and strands with the same sine have different
-friction. There, the smaller signed force is used, which in compression is never that of friction.
+from the dissertation. It uses theta instead of theta_e, so that strands with the same sine have
+different friction. It takes the smaller signed force, which in compression is never the friction.
 
-The pressure on a strand of ring q, per radian of its lay, is never negative (3.11):
+The pressure H on a strand of ring q, per radian of its lay, is never negative (3.11):
 
     H = F_rad N_Q / N_q + sum over outer rings k of (F0 + F)_k |sin alpha_k| N_k / N_q
 
-F_k is the added force of ring k at the same angle theta, N_k is the number of strands of ring k,
-and Q is the outermost ring. The factors N_k / N_q of [1]_ hold for rings of equal lay length. With
-`Contacts.has_lay_lengths` they are multiplied by the ratio of the lay lengths of the rings,
-r_q tan alpha_k / (r_k tan alpha_q), as equilibrium requires.
+F_k is the added force of ring k at the same angle theta, N_k is the number of strands of ring k, Q
+is the outermost ring, and F_rad is the radial force of the insulation. The factors N_k / N_q of
+[1]_ hold for rings of equal lay length. With `Contacts.has_lay_lengths` they are multiplied by the
+ratio of the lay lengths of the rings, r_q tan alpha_k / (r_k tan alpha_q), as equilibrium requires.
 
 The moment is that of (3.17), with the factor cos(alpha) that only the appendix of [1]_ has:
 
@@ -32,9 +32,9 @@ h is the helix factor and m the moment of a strand about its own axis (`wire.mat
 of the insulation, M_ins, is EI_ins kappa unless its material has a stress-strain curve. The strands
 are elastic under axial forces, as in [1]_.
 
-On paths that unload, friction and insulation follow Masing's rule. The isotropic share of the
-moment of the strands about their own axes has a limit that grows as the strands yield. The wire
-then springs back less. First loading is the same for every isotropic share.
+On paths that unload, friction and insulation follow Masing's rule. The isotropic part of the moment
+of the strands about their own axes has a limit that grows as the strands yield. The larger this
+part, the less the wire springs back. First loading does not depend on it.
 
 References
 ----------
@@ -67,7 +67,7 @@ from labpipe.mechanics.wire.cross_section import (
     compute_stretch_torsion,
     compute_tube_moment,
 )
-from labpipe.mechanics.wire.materials import Material, StrandMoment, compute_strand_moment
+from labpipe.mechanics.wire.materials import BendingMoment, Material, compute_strand_moment
 from labpipe.records.arrays import ArrayRecord, Flags, Floats, Vector
 
 
@@ -218,8 +218,8 @@ def compute_sines(section: CrossSection, orientation: float | Floats) -> Floats:
     Shape (strands,), or (n, strands) for a column of orientations.
     """
     min_sine = 1e-12  # smaller sines are rounding errors of strands on the neutral axis
-    is_ring = section.layer >= int(section.has_core)
-    sine = np.sin(section.angle[is_ring] + orientation)
+    is_in_ring = section.layer >= int(section.has_core)
+    sine = np.sin(section.angle[is_in_ring] + orientation)
     return np.where(np.abs(sine) < min_sine, 0.0, sine)
 
 
@@ -247,13 +247,13 @@ def make_ring_model(
     its own radius. The force with which a ring presses on an inner ring is computed at the
     root-mean-square radius of the ring.
     """
-    first = int(section.has_core)
-    layers = section.layers[first:]
+    n_cores = int(section.has_core)
+    layers = section.layers[n_cores:]
     n_coefficients, expected = len(contacts.inner_friction), f"{len(layers)}, the number of rings"
     require("number of coefficients", n_coefficients, expected, holds=n_coefficients == len(layers))
-    is_ring = section.layer >= first
-    radius, index = section.radius[is_ring], section.layer[is_ring] - first
-    rms_radii = [float(np.sqrt(np.mean(radius[index == q] ** 2))) for q in range(len(layers))]
+    is_in_ring = section.layer >= n_cores
+    radius, ring_index = section.radius[is_in_ring], section.layer[is_in_ring] - n_cores
+    rms_radii = [float(np.sqrt(np.mean(radius[ring_index == q] ** 2))) for q in range(len(layers))]
     lay_angles = np.array([layer.lay_angle for layer in layers])
     counts = np.array([layer.count for layer in layers])
     radial_forces = np.abs(np.sin(lay_angles)) * counts  # of each ring, per axial force of a strand
@@ -261,18 +261,18 @@ def make_ring_model(
         radial_forces *= np.tan(np.abs(lay_angles)) / np.array(rms_radii)
     strain, rings = compute_axial_strain(section, tension), []
     for q, layer in enumerate(layers):
-        end, inner_friction = int(counts[: q + 1].sum()), contacts.inner_friction[q]
+        end_index, inner_friction = int(counts[: q + 1].sum()), contacts.inner_friction[q]
         rigidity = layer.material.modulus * layer.area * np.cos(layer.lay_angle) ** 2
-        radii = np.where(index == q, radius, rms_radii[q])[:end]
+        radii = np.where(ring_index == q, radius, rms_radii[q])[:end_index]
         k = inner_friction * abs(np.sin(layer.lay_angle))
-        friction_angle = np.abs(compute_friction_angle(k, np.arcsin(sine[:end])))
-        turns = np.tan(abs(layer.lay_angle)) / rms_radii[q] if contacts.has_lay_lengths else 1.0
-        is_outer = np.arange(len(layers)) > q
-        pressure_factors = np.where(is_outer, radial_forces, 0.0) / (layer.count * turns)
+        friction_angle = np.abs(compute_friction_angle(k, np.arcsin(sine[:end_index])))
+        lay_rate = np.tan(abs(layer.lay_angle)) / rms_radii[q] if contacts.has_lay_lengths else 1.0
+        is_outer_ring = np.arange(len(layers)) > q
+        pressure_factors = np.where(is_outer_ring, radial_forces, 0.0) / (layer.count * lay_rate)
         ring = Ring(
-            start_index=end - layer.count,
-            end_index=end,
-            stick_stiffness=rigidity * radii * np.abs(sine[:end]),
+            start_index=end_index - layer.count,
+            end_index=end_index,
+            stick_stiffness=rigidity * radii * np.abs(sine[:end_index]),
             slip_per_pressure=(inner_friction + contacts.outer_friction[q]) * friction_angle,
             tension_slip_force=k * rigidity * strain * friction_angle,
             tension=rigidity * strain,
@@ -280,7 +280,7 @@ def make_ring_model(
             pressure_factors=tuple(pressure_factors.tolist()),
         )
         rings.append(ring)
-    lever_arm = radius * sine * np.cos(lay_angles)[index] if layers else radius
+    lever_arm = radius * sine * np.cos(lay_angles)[ring_index] if layers else radius
     return RingModel(tuple(rings), np.sign(sine), lever_arm)
 
 
@@ -312,8 +312,8 @@ def compute_axial_forces(model: RingModel, curvature: Floats) -> AxialForces:
     for q in reversed(range(len(model.rings))):
         ring, sign = model.rings[q], model.sign[: model.rings[q].end_index]
         pressure = compute_ring_pressure(model, q, outer_forces)
-        slopes = zip(ring.pressure_factors[q + 1 :], outer_slopes, strict=True)
-        slope_terms = [factor * slope[:, : ring.end_index] for factor, slope in slopes]
+        pairs = zip(ring.pressure_factors[q + 1 :], outer_slopes, strict=True)
+        slope_terms = [factor * outer_slope[:, : ring.end_index] for factor, outer_slope in pairs]
         # Without contact the pressure is constant at 0.
         pressure_slope = np.where(pressure > 0.0, np.sum(slope_terms, axis=0), 0.0)
         stick_force = curvature[:, : ring.end_index] * ring.stick_stiffness
@@ -337,8 +337,8 @@ def compute_ring_pressure(model: RingModel, q: int, outer_forces: list[Floats]) 
     ----------
     model : rings of the wire
     q : index of the ring
-    outer_forces : N, axial forces from bending of each outer ring, from the next ring outwards,
-        shape (n, `end_index` of the outer ring) each
+    outer_forces : N, axial forces from bending in each outer ring, from the next ring outwards;
+        shape (n, `end_index` of that ring)
 
     Returns
     -------
@@ -346,9 +346,9 @@ def compute_ring_pressure(model: RingModel, q: int, outer_forces: list[Floats]) 
     """
     ring = model.rings[q]
     pressure = np.full((1, 1), ring.insulation_pressure)
-    for k, force in enumerate(outer_forces, start=q + 1):
-        axial_force = model.rings[k].tension + force[:, : ring.end_index]
-        pressure = pressure + ring.pressure_factors[k] * axial_force
+    for outer_index, force in enumerate(outer_forces, start=q + 1):
+        axial_force = model.rings[outer_index].tension + force[:, : ring.end_index]
+        pressure = pressure + ring.pressure_factors[outer_index] * axial_force
     return np.asarray(np.maximum(pressure, 0.0))
 
 
@@ -376,13 +376,13 @@ def find_slip_onsets(
     from the axis slip first.
     """
     min_sine = 1e-9  # sine that replaces 0 for a strand on the neutral axis
-    n_refinements = 8  # each divides the bracket by 128; the last is as wide as rounding errors
+    n_refinements = 8  # each divides a bracket by 128, down to the size of rounding errors
     sine = compute_sines(section, orientation)
     nonzero_sine = np.where(sine == 0.0, min_sine, sine)
     model = make_ring_model(section, contacts, nonzero_sine, tension=tension)
     strand = np.arange(len(nonzero_sine))
-    guesses = np.concatenate([[0.0], 1e-9 * 4.0 ** np.arange(61)])  # 1/m
-    curvatures = np.broadcast_to(guesses[:, None], (len(guesses), len(strand)))
+    first_grid = np.concatenate([[0.0], 1e-9 * 4.0 ** np.arange(61)])  # 1/m
+    curvatures = np.broadcast_to(first_grid[:, None], (len(first_grid), len(strand)))
     never_slips = np.zeros(len(strand), dtype=np.bool_)
     for refinement in range(n_refinements + 1):
         is_slipping = ~compute_axial_forces(model, curvatures[1:]).is_sticking
@@ -456,13 +456,13 @@ def compute_stick_stiffness(section: CrossSection, *, orientation: float = 0.0) 
     does not depend on the orientation. With two strands in a ring it varies by a fifth, and in a
     packing by a few per cent.
     """
-    is_ring = section.layer >= int(section.has_core)
-    height = section.radius[is_ring] * compute_sines(section, orientation)
+    is_in_ring = section.layer >= int(section.has_core)
+    height = section.radius[is_in_ring] * compute_sines(section, orientation)
     rigidity = section.repeat_per_strand(
         layer.material.modulus * layer.area * np.cos(layer.lay_angle) ** 3
         for layer in section.layers
     )
-    return compute_slip_stiffness(section) + float(rigidity[is_ring] @ height**2)
+    return compute_slip_stiffness(section) + float(rigidity[is_in_ring] @ height**2)
 
 
 def compute_slip_stiffness(section: CrossSection) -> float:
@@ -473,12 +473,11 @@ def compute_slip_stiffness(section: CrossSection) -> float:
     The stiffness is the sum of E pi d^4 / 64 times the helix factor over the strands, plus
     E_ins pi / 64 (d_w^4 - (d_w - 2 t)^4).
     """
-    strands = sum(
-        layer.straight_count * layer.material.modulus * np.pi * layer.diameter**4 / 64.0
-        for layer in section.layers
+    strand_stiffness = sum(
+        layer.straight_count * layer.strand_stiffness for layer in section.layers
     )
-    tube = section.insulation.bending_stiffness if section.insulation else 0.0
-    return float(strands + tube)
+    tube_stiffness = section.insulation.bending_stiffness if section.insulation else 0.0
+    return float(strand_stiffness + tube_stiffness)
 
 
 def compute_moment_curve(
@@ -514,7 +513,7 @@ def compute_moment_curve(
     infinite = curvatures[np.isinf(curvatures)].tolist()
     require("curvature", infinite, "finite or NaN", holds=not infinite)
     stick, slip, ring_slope = _sum_ring_moments(section, contacts, curvatures, tension, orientation)
-    strands = sum_strand_moments(section.layers, curvatures)
+    strand_sum = sum_strand_moments(section.layers, curvatures)
     slip_stiffness = strand_stiffness = compute_slip_stiffness(section)
     insulation, insulation_slope = np.zeros((2, len(curvatures)))
     if section.insulation:
@@ -525,9 +524,9 @@ def compute_moment_curve(
         stick=stick,
         slip=slip,
         bending=strand_stiffness * curvatures,
-        plastic=strands.moment - strand_stiffness * curvatures,
+        plastic=strand_sum.moment - strand_stiffness * curvatures,
         insulation=insulation,
-        tangent_stiffness=ring_slope + strands.tangent + insulation_slope,
+        tangent_stiffness=ring_slope + strand_sum.tangent_stiffness + insulation_slope,
         stick_stiffness=compute_stick_stiffness(section, orientation=orientation),
         slip_stiffness=slip_stiffness,
     )
@@ -557,8 +556,8 @@ def _sum_ring_moments(
     return stick, slip, slope
 
 
-def sum_strand_moments(layers: Sequence[Layer], curvature: Floats) -> StrandMoment:
-    """Sum moments and tangent stiffnesses of strands about their own axes.
+def sum_strand_moments(layers: Sequence[Layer], curvature: Floats) -> BendingMoment:
+    """Sum the moments and tangent stiffnesses of all strands about their own axes.
 
     Parameters
     ----------
@@ -572,8 +571,8 @@ def sum_strand_moments(layers: Sequence[Layer], curvature: Floats) -> StrandMome
     for (material, diameter), count in counts.items():
         strand = compute_strand_moment(material, diameter, curvature)
         moment += count * strand.moment
-        tangent_stiffness += count * strand.tangent
-    return StrandMoment(moment, tangent_stiffness)
+        tangent_stiffness += count * strand.tangent_stiffness
+    return BendingMoment(moment, tangent_stiffness)
 
 
 def compute_orientation_range(
@@ -598,9 +597,9 @@ def compute_orientation_range(
     Smallest and largest moment at each curvature, N m, shape (n,) each.
     """
     ring_counts = [layer.count for layer in section.layers if layer.count > 1]
-    symmetry = math.gcd(*ring_counts) if ring_counts and section.kind != "packed" else 1
+    n_symmetries = math.gcd(*ring_counts) if ring_counts and section.kind != "packed" else 1
     orientations = 2.0 * np.pi * np.arange(n_orientations) / n_orientations
-    orientations = np.unique(np.round(orientations % (2.0 * np.pi / symmetry), 12))
+    orientations = np.unique(np.round(orientations % (2.0 * np.pi / n_symmetries), 12))
     moment_without_axial_forces = curve.bending + curve.plastic + curve.insulation
     moments = []
     for orientation in orientations.tolist():
@@ -625,7 +624,8 @@ def fit_play_law(
     ----------
     section, contacts, tension, orientation : cross-section, contacts, tension and orientation of
         the wire, as for `compute_moment_curve`
-    largest_curvature : 1/m, end of the range of the law; `wire.cantilever` raises an error beyond
+    largest_curvature : 1/m, end of the range of the law; `wire.cantilever` raises an error for a
+        larger curvature
     isotropic_share : fraction of the hardening of the strands that is isotropic, from 0 (Masing's
         rule) to 1; it has an effect only on paths that unload
     n_plays : number of plays, with corners evenly spaced in the logarithm of the curvature over
@@ -635,22 +635,22 @@ def fit_play_law(
     -------
     The law. For an isotropic share of 0, its loops follow Masing's rule. The rule is exact for
     Coulomb sliders and strands with kinematic hardening if friction is equal in both directions of
-    slip. For a small mu sin(alpha), friction is nearly equal.
+    slip, which is nearly true for a small mu sin(alpha).
 
     Raises
     ------
     ValueError
         If the moment decreases or the tangent stiffness increases with curvature, which plays
-        cannot represent (the message states the curvature), the isotropic share is not between 0
-        and 1, or for the reasons of `compute_moment_curve`.
+        cannot represent (the message states the curvature), if the isotropic share is not between
+        0 and 1, or for the reasons of `compute_moment_curve`.
 
     Notes
     -----
     For the wires of [1]_, the polygon with 60 plays differs from the law by at most 0.3 %.
 
-    Moments of strands in loops exceed the range of first loading. For an isotropic share above 0,
-    the moment of the strands is therefore computed up to eight times the range, or up to the end of
-    the curve of their material, and is linear beyond.
+    Strands in loops go beyond the range of first loading. For an isotropic share above 0, their
+    moment is therefore computed up to eight times the range, or up to the end of the curve of their
+    material. It is linear at larger curvatures.
     """
     n_decades = 4.0  # range of the corners below the largest curvature
     min_spacing = 1e-6  # relative spacing of corners; closer corners are merged
@@ -667,7 +667,7 @@ def fit_play_law(
     return harden_plays(plays, section.layers, isotropic_share)
 
 
-LOOP_RANGE = 8.0
+LOOP_CURVATURE_FACTOR = 8.0
 """Largest curvature at which strand moments are computed for loops, relative to that of the law."""
 
 
@@ -682,7 +682,7 @@ def harden_plays(
     layers : layers of strands
     isotropic_share : fraction of the hardening that is isotropic, from 0 to 1; with 0 the law is
         returned unchanged
-    factor : factor on the moments of the strands about their own axes; the same as in `plays`
+    factor : factor on the moments of the strands about their own axes, also contained in `plays`
 
     Raises
     ------
@@ -715,8 +715,8 @@ def make_strand_slider(
     ValueError
         If the isotropic share is outside its range.
     """
-    largest_curvature = min(2.0 * x.material.largest_strain / x.diameter for x in layers)
-    last_corner = min(LOOP_RANGE * corners[-1], (1.0 - 1e-9) * largest_curvature)
+    max_curvature = min(2.0 * layer.material.largest_strain / layer.diameter for layer in layers)
+    last_corner = min(LOOP_CURVATURE_FACTOR * corners[-1], (1.0 - 1e-9) * max_curvature)
     if last_corner > corners[-1]:
         corners = np.append(corners, np.geomspace(corners[-1], last_corner, 41)[1:])
     moment = factor * sum_strand_moments(layers, corners).moment

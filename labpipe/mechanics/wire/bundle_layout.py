@@ -2,18 +2,18 @@
 
 Up to 37 equal wires form a hexagon if their number allows it. The hexagon has a central wire (1, 7,
 19 or 37 wires), or long and short sides around a core of three wires (3, 12 or 27 wires), as in
-figure 4.2 of [1]_. For any other number, the arrangement with the smallest circumscribed circle is
-chosen. The candidates are pieces of a triangular lattice and, for up to 100 wires, heaps. A heap is
-made of wires that are drawn together from starting positions. Unequal wires always form a heap;
-their starting positions are those of the same number of equal wires.
+figure 4.2 of [1]_. For any other number, the arrangement with the smallest enclosing circle is
+chosen. The candidates are sections of a triangular lattice and, for up to 100 wires, heaps. In a
+heap, wires have been drawn together from starting positions until they touch. Unequal wires always
+form a heap; their starting positions are those of the same number of equal wires.
 
-In a heap the sum of diameter^2 x squared distance from the centre is a minimum and no wires
-overlap. This pull to the centre replaces the bore of [1]_, which would leave loose wires in gaps.
-The wires are first relaxed with a soft contact energy, equations (3.1) to (3.4) of [1]_. The
-contacts then harden until the overlaps are zero (method of multipliers [2]_ [3]_), and Newton's
-method solves for the equilibrium. The relaxation evaluates only pairs of near wires: the cost of a
-step is proportional to the number of wires. Newton's method solves a full matrix. The heap is the
-same on every processor, to 1e-12 of a diameter.
+In a heap the sum of diameter^2 x squared distance from the centre is a minimum, and no wires
+overlap. The corresponding pull to the centre replaces the bore of [1]_, which would leave loose
+wires in gaps. The wires are first relaxed with a soft contact energy, equations (3.1) to (3.4) of
+[1]_. The contacts then harden until the overlaps are zero (method of multipliers [2]_ [3]_), and
+Newton's method solves for the equilibrium. The relaxation evaluates only pairs of near wires, so
+that the cost of a step is proportional to the number of wires. Newton's method solves a full
+matrix. The heap is the same on every processor, to 1e-12 of a diameter.
 
 References
 ----------
@@ -44,8 +44,8 @@ from labpipe.records.harness_bundle import STATED_POSITIONS, Bundle, BundleLayou
 _MAX_SEARCHED_WIRES = 100
 """Largest number of wires for which all starting positions are tried.
 
-A larger number of equal wires form a lattice. A larger number of unequal wires are drawn together
-from fewer starting positions.
+More equal wires form a section of a lattice. More unequal wires are drawn together from fewer
+starting positions.
 """
 _SEED = 0
 """Seed of random starts and assignments; the same wires therefore have the same layout."""
@@ -139,18 +139,17 @@ def _assign_types(
     Type of the wire on each site: one assignment for an asymmetric or symmetric bundle, several
     random assignments for a packed bundle.
     """
-    n_shuffles = 8  # random assignments of up to 100 wires; half the number for more wires
     if arrangement == "asymmetric":
         return [stack_types(sites, counts, stiffnesses)]
     if arrangement == "symmetric":
         return [spread_types(sites, counts)]
     rng = np.random.default_rng(_SEED)
-    n_shuffles = n_shuffles if len(sites) <= _MAX_SEARCHED_WIRES else n_shuffles // 2
-    return [_shuffle_types(counts, rng) for _ in range(n_shuffles)]
+    n_assignments = 8 if len(sites) <= _MAX_SEARCHED_WIRES else 4
+    return [_assign_at_random(counts, rng) for _ in range(n_assignments)]
 
 
 def _choose_start_pitches(wire_diameters: Floats, n_assignments: int) -> list[float]:
-    """Choose distances of neighbouring sites in the starting positions of a heap, m."""
+    """Choose distances between neighbouring sites in the starting positions of a heap, m."""
     pitch_factors = (0.6, 0.8, 1.0)  # relative to the pitch of equal wires
     equal_pitch = float(np.sqrt(np.mean(wire_diameters**2)))  # equal wires of the same total area
     if n_assignments > 1:
@@ -160,14 +159,14 @@ def _choose_start_pitches(wire_diameters: Floats, n_assignments: int) -> list[fl
     return [float(wire_diameters.max()), *(factor * equal_pitch for factor in factors)]
 
 
-_MERIT_DIGITS = 9
+_MERIT_DECIMALS = 9
 """Decimal places to which figures of merit are rounded before they are compared.
 
 Choices then do not depend on rounding errors.
 """
 
 
-def _shuffle_types(counts: Sequence[int], rng: np.random.Generator) -> Ints:
+def _assign_at_random(counts: Sequence[int], rng: np.random.Generator) -> Ints:
     """Assign wire types to the sites at random."""
     return rng.permutation(np.repeat(np.arange(len(counts)), counts)).astype(np.int64)
 
@@ -185,35 +184,35 @@ def stack_types(sites: Floats, counts: Sequence[int], stiffnesses: Sequence[floa
 
     Returns
     -------
-    Shape (wires,), type of the wire on each site. In a row that two types share, the upper type
-    has the sites that are best balanced about x = 0. Among equally balanced choices it has the
-    sites nearest to x = 0. If a row allows more than 5000 choices, the first 5000 are compared.
+    Shape (wires,), type of the wire on each site. In a row that two types share, the upper type has
+    the sites that are best balanced about x = 0 and, among equally balanced choices, the sites
+    nearest to x = 0. If a row allows more than 5000 choices, the first 5000 are compared.
     """
     wire_types = np.full(len(sites), -1, dtype=np.int64)
-    for index in sorted(range(len(counts)), key=lambda index: -stiffnesses[index]):
+    for wire_type in sorted(range(len(counts)), key=lambda index: -stiffnesses[index]):
         free_sites = np.flatnonzero(wire_types < 0)
-        wire_types[_choose_topmost(sites, free_sites, counts[index])] = index
+        wire_types[_choose_highest(sites, free_sites, counts[wire_type])] = wire_type
     return wire_types
 
 
-def _choose_topmost(sites: Floats, free_sites: Ints, count: int) -> Ints:
+def _choose_highest(sites: Floats, free_sites: Ints, count: int) -> Ints:
     """Choose the `count` highest free sites; those in the lowest row are balanced about x = 0."""
-    row_height = 1e-6  # largest difference of the heights of sites in one row, wire diameters
+    row_tolerance = 1e-6  # largest difference of the heights of sites in one row, wire diameters
     max_choices = 5000
     if not count:
         return free_sites[:0]
     height = sites[free_sites, 1]
-    row_level = np.sort(height)[-count]
-    upper_sites = free_sites[height > row_level + row_height]
-    row = free_sites[np.abs(height - row_level) <= row_height]
+    row_height = np.sort(height)[-count]
+    upper_sites = free_sites[height > row_height + row_tolerance]
+    row_sites = free_sites[np.abs(height - row_height) <= row_tolerance]
 
-    def rate_imbalance(chosen_sites: tuple[int, ...]) -> tuple[float, float]:
+    def compute_imbalance(chosen_sites: tuple[int, ...]) -> tuple[float, float]:
         x = sites[list(chosen_sites), 0]
-        return round(float(abs(x.sum())), _MERIT_DIGITS), float(np.abs(x).sum())
+        return round(float(abs(x.sum())), _MERIT_DECIMALS), float(np.abs(x).sum())
 
-    choices = islice(combinations(row.tolist(), count - len(upper_sites)), max_choices)
-    balanced = np.array(min(choices, key=rate_imbalance), dtype=np.int64)
-    return np.concatenate([upper_sites, balanced])
+    choices = islice(combinations(row_sites.tolist(), count - len(upper_sites)), max_choices)
+    balanced_sites = np.array(min(choices, key=compute_imbalance), dtype=np.int64)
+    return np.concatenate([upper_sites, balanced_sites])
 
 
 def spread_types(sites: Floats, counts: Sequence[int]) -> Ints:
@@ -226,15 +225,15 @@ def spread_types(sites: Floats, counts: Sequence[int]) -> Ints:
 
     Returns
     -------
-    Shape (wires,), type of the wire on each site. It is the best assignment that is reached from
-    several random assignments by exchanging two wires at a time.
+    Shape (wires,), type of the wire on each site. It is the best assignment found from several
+    random assignments by exchanging two wires at a time.
 
     Notes
     -----
-    The exchanges reduce the unevenness. This is the sum, over types and features, of (sum of the
-    feature over the wires of the type)^2 / number of these wires. The features are x, y, x^2 - y^2,
-    2 x y and x^2 + y^2 of a site, centred over all sites and normalised. Of equally even
-    assignments, the one with the fewest pairs of neighbours of the same type is preferred.
+    The exchanges reduce the unevenness: the sum, over types and features, of (sum of the feature
+    over the wires of the type)^2 / number of these wires. The features are x, y, x^2 - y^2, 2 x y
+    and x^2 + y^2 of a site, centred over all sites and normalised. Of equally even assignments, the
+    one with the fewest pairs of neighbours of the same type is preferred.
 
     If each type has the centroid and the second moments of the whole bundle, the bundle is as stiff
     in every direction as a bundle of equal wires with the mean axial stiffness. If, in addition,
@@ -243,9 +242,9 @@ def spread_types(sites: Floats, counts: Sequence[int]) -> Ints:
     n_starts = 12
     features, neighbours = _compute_features(sites), _find_neighbours(sites)
     rng = np.random.default_rng(_SEED)
-    starts = (_shuffle_types(counts, rng) for _ in range(n_starts))
+    starts = (_assign_at_random(counts, rng) for _ in range(n_starts))
     assignments = [_exchange_wires(start, features, neighbours) for start in starts]
-    return min(assignments, key=lambda types: _rate_unevenness(types, features, neighbours))
+    return min(assignments, key=lambda types: _compute_merit(types, features, neighbours))
 
 
 def _compute_features(sites: Floats) -> Floats:
@@ -265,8 +264,8 @@ def _find_neighbours(sites: Floats) -> Floats:
     return np.asarray(distance < max_ratio * distance.min(initial=np.inf), dtype=np.float64)
 
 
-def _rate_unevenness(wire_types: Ints, features: Floats, neighbours: Floats) -> tuple[float, int]:
-    """Compute the unevenness of an assignment, and its number of equal neighbour pairs.
+def _compute_merit(wire_types: Ints, features: Floats, neighbours: Floats) -> tuple[float, int]:
+    """Compute the unevenness of an assignment, and the number of its equal neighbour pairs.
 
     An equal pair consists of two neighbours of the same type.
     """
@@ -274,17 +273,17 @@ def _rate_unevenness(wire_types: Ints, features: Floats, neighbours: Floats) -> 
     n_wires = np.maximum(membership.sum(axis=0), 1.0)
     unevenness = float(np.sum((membership.T @ features) ** 2 / n_wires[:, None]))
     n_equal_pairs = round(0.5 * float((membership * (neighbours @ membership)).sum()))
-    return round(unevenness, _MERIT_DIGITS), n_equal_pairs
+    return round(unevenness, _MERIT_DECIMALS), n_equal_pairs
 
 
 def _exchange_wires(wire_types: Ints, features: Floats, neighbours: Floats) -> Ints:
     """Exchange the best pair of wires until no exchange improves the assignment."""
-    merit = _rate_unevenness(wire_types, features, neighbours)
+    merit = _compute_merit(wire_types, features, neighbours)
     while True:
         first, second = _find_exchange(wire_types, features, neighbours)
         exchanged_types = wire_types.copy()
         exchanged_types[[first, second]] = wire_types[[second, first]]
-        new_merit = _rate_unevenness(exchanged_types, features, neighbours)
+        new_merit = _compute_merit(exchanged_types, features, neighbours)
         if new_merit >= merit:
             return wire_types
         wire_types, merit = exchanged_types, new_merit
@@ -310,24 +309,24 @@ def _find_exchange(wire_types: Ints, features: Floats, neighbours: Floats) -> tu
     n_of_type = (neighbours @ membership)[:, wire_types]  # neighbours of i that have the type of j
     gained_pairs = n_of_type - np.diag(n_of_type)[:, None]  # further equal pairs of wire i
     pair_change = gained_pairs + gained_pairs.T - 2.0 * neighbours
-    change = np.where(wire_types[:, None] == wire_types, np.inf, np.round(change, _MERIT_DIGITS))
+    change = np.where(wire_types[:, None] == wire_types, np.inf, np.round(change, _MERIT_DECIMALS))
     change[np.tri(len(wire_types), dtype=bool)] = np.inf  # each pair is compared once
     pairs = np.argwhere(change == change.min())
     pair = pairs[np.argmin(pair_change[pairs[:, 0], pairs[:, 1]])]
     return int(pair[0]), int(pair[1])
 
 
-_HEAP_CENTRES = np.array([[0.0, 0.0], [0.5, np.sqrt(3.0) / 6.0], [0.5, 0.0]])
-"""Centres of heaps in a triangular lattice, wire diameters.
+_LATTICE_CENTRES = np.array([[0.0, 0.0], [0.5, np.sqrt(3.0) / 6.0], [0.5, 0.0]])
+"""Symmetric centres of sections of a triangular lattice, wire diameters.
 
 They are the centre of a wire, a gap between three wires, and the contact of two wires.
 """
 _RADIUS_TOLERANCE = 1e-9
-"""Difference below which radii of heaps count as equal, wire diameters."""
+"""Difference below which radii of arrangements count as equal, wire diameters."""
 
 
 def find_sites(n_wires: int) -> Floats:
-    """Find positions of equal touching wires.
+    """Find positions of equal wires that touch.
 
     Parameters
     ----------
@@ -344,34 +343,34 @@ def find_sites(n_wires: int) -> Floats:
     ValueError
         If `n_wires` is less than 1.
     """
-    max_hexagon_wires = 37  # a larger hexagon is wider than a round piece of the lattice
+    max_hexagon_wires = 37  # a larger hexagon is wider than a round section of the lattice
     require("number", n_wires, "a whole number >= 1", holds=n_wires >= 1)
     centre = _find_hexagon_centre(n_wires) if n_wires <= max_hexagon_wires else None
     if centre is None:
         sites = _search_densest_heap(n_wires)
     else:
-        sites = _make_lattice_heap(n_wires, centre, is_hexagonal=True)
+        sites = _cut_lattice(n_wires, centre, is_hexagonal=True)
     sites = sites - sites.mean(axis=0)
     angle = np.round(np.arctan2(sites[:, 1], sites[:, 0]), 9) % np.round(2.0 * np.pi, 9)
     return np.asarray(sites[np.lexsort([angle, np.round(np.hypot(*sites.T), 9)])])
 
 
 def _find_hexagon_centre(n_wires: int) -> Floats | None:
-    """Return the centre of the hexagon of this number of wires; None if there is no hexagon."""
+    """Return the centre of the hexagon with this number of wires; None if there is no hexagon."""
     n_rings = (math.isqrt(12 * n_wires - 3) - 3) // 6
     if n_wires == 1 + 3 * n_rings * (n_rings + 1):
-        return np.asarray(_HEAP_CENTRES[0])
-    return np.asarray(_HEAP_CENTRES[1]) if n_wires == 3 * math.isqrt(n_wires // 3) ** 2 else None
+        return np.asarray(_LATTICE_CENTRES[0])
+    return np.asarray(_LATTICE_CENTRES[1]) if n_wires == 3 * math.isqrt(n_wires // 3) ** 2 else None
 
 
-def _make_lattice_heap(n_wires: int, centre: Floats, *, is_hexagonal: bool = False) -> Floats:
-    """Make a heap of the points of a triangular lattice that are nearest to `centre`.
+def _cut_lattice(n_wires: int, centre: Floats, *, is_hexagonal: bool = False) -> Floats:
+    """Return the points of a triangular lattice that are nearest to `centre`, relative to it.
 
-    The points are relative to `centre`. For a hexagon, the distance is the largest of the three
-    distances along the normals of the sides; the rings of the hexagon are then complete.
+    For a hexagon, the distance of a point is the largest of its three distances along the normals
+    of the sides; the rings of the hexagon are then complete.
     """
-    half_size = 2 + math.isqrt(2 * n_wires)  # the lattice has more points than are selected
-    column, row = np.mgrid[-half_size : half_size + 1, -half_size : half_size + 1].reshape(2, -1)
+    extent = 2 + math.isqrt(2 * n_wires)  # the lattice has more points than are selected
+    column, row = np.mgrid[-extent : extent + 1, -extent : extent + 1].reshape(2, -1)
     points = np.column_stack([column + 0.5 * row, np.sqrt(0.75) * row]) - centre
     distance = np.hypot(*points.T)
     if is_hexagonal:
@@ -381,32 +380,35 @@ def _make_lattice_heap(n_wires: int, centre: Floats, *, is_hexagonal: bool = Fal
 
 
 def _search_densest_heap(n_wires: int) -> Floats:
-    """Return the narrowest of several pieces of a lattice and, for up to 100 wires, of a heap."""
-    n_random_starts = 8  # starts of the heap in addition to pieces of a triangular lattice
-    n_edge_steps = 8  # steps along an edge of the triangle of `_HEAP_CENTRES`
-    start_radius = 0.55  # radius of random starts, per square root of the number of wires
+    """Find the arrangement of equal wires with the smallest enclosing circle.
+
+    Sections of a lattice and, for up to 100 wires, a heap are compared.
+    """
+    n_random_starts = 8  # starts of the heap in addition to sections of the lattice
+    n_edge_steps = 8  # steps along an edge of the triangle of `_LATTICE_CENTRES`
+    start_radius = 0.55  # radius of random starts, wire diameters per root of the number of wires
     rng = np.random.default_rng(_SEED)
     diameters = np.ones(n_wires)
-    # By symmetry, centres outside the triangle of `_HEAP_CENTRES` give the same heaps.
+    # By symmetry, centres outside the triangle of `_LATTICE_CENTRES` give the same sections.
     steps = np.linspace(0.0, 1.0, n_edge_steps + 1)
     coordinates = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
     is_inside = coordinates.sum(axis=1) <= 1.0 + _RADIUS_TOLERANCE
-    edges = _HEAP_CENTRES[1:] - _HEAP_CENTRES[0]
+    edges = _LATTICE_CENTRES[1:] - _LATTICE_CENTRES[0]
     centres = coordinates[is_inside] @ edges
-    heaps = [_make_lattice_heap(n_wires, centre) for centre in (*_HEAP_CENTRES, *centres)]
+    candidates = [_cut_lattice(n_wires, centre) for centre in (*_LATTICE_CENTRES, *centres)]
     if n_wires <= _MAX_SEARCHED_WIRES:
         radius = np.sqrt(rng.uniform(size=(n_random_starts, n_wires)))
         radius = start_radius * math.sqrt(n_wires) * radius
         angle = rng.uniform(0.0, 2.0 * np.pi, size=(n_random_starts, n_wires))
-        starts = [_make_lattice_heap(n_wires, centre) for centre in _HEAP_CENTRES]
+        starts = [_cut_lattice(n_wires, centre) for centre in _LATTICE_CENTRES]
         starts += list(np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=-1))
-        heaps = [*heaps, find_densest_heap(starts, diameters)]
-    radii = np.array([find_holding_circle(heap, diameters)[1] for heap in heaps])
-    return heaps[int(np.argmax(radii < radii.min() + _RADIUS_TOLERANCE))]
+        candidates.append(find_densest_heap(starts, diameters))
+    radii = np.array([find_enclosing_circle(sites, diameters)[1] for sites in candidates])
+    return candidates[int(np.argmax(radii < radii.min() + _RADIUS_TOLERANCE))]
 
 
-_CONTACT_STIFFNESSES = (10.0, 100.0)
-"""Successive stiffnesses of a contact, relative to the stiffness of the pull to the centre.
+_SOFT_STIFFNESSES = (10.0, 100.0)
+"""Successive stiffnesses of a soft contact, relative to the stiffness of the pull to the centre.
 
 They are low enough for a gradient method.
 """
@@ -432,9 +434,10 @@ class WireContacts:
 def find_densest_heap(starts: Sequence[Floats], diameters: Floats) -> Floats:
     """Draw wires together from several starting positions into a heap without overlaps.
 
-    Each starting position gives a soft heap. The contacts of the first soft heap whose radius is
-    within 1 % of the smallest radius are hardened. A heap of three or more wires that fills at most
-    55 % of its circle is perturbed and drawn together again, up to six times.
+    The wires are relaxed with soft contacts from each start. The contacts of the first heap whose
+    radius is within 1 % of the smallest radius are hardened. A heap of three or more wires that
+    fills at most 55 % of its enclosing circle is perturbed and drawn together again, up to six
+    times.
 
     Parameters
     ----------
@@ -452,8 +455,8 @@ def find_densest_heap(starts: Sequence[Floats], diameters: Floats) -> Floats:
         the smallest circle around them.
     """
     # Unequal wires can come to rest in a row or around a corner. These are the standard deviations
-    # of the perturbations, mean diameters.
-    perturbations = (0.1, 0.3, 1.0, 1.0, 1.0, 1.0)
+    # of successive perturbations, mean diameters.
+    deviations = (0.1, 0.3, 1.0, 1.0, 1.0, 1.0)
     max_perturbed_fraction = 0.55  # a heap that fills a larger fraction is accepted
     require_finite("starts", np.asarray(starts))
     require("diameters", diameters.tolist(), "> 0", holds=bool(np.all(diameters > 0.0)))
@@ -461,33 +464,34 @@ def find_densest_heap(starts: Sequence[Floats], diameters: Floats) -> Floats:
         return np.zeros((1, 2))
     scale = float(np.mean(diameters))
     scaled_diameters = diameters / scale
-    heap = _pick_heap([(start - start.mean(axis=0)) / scale for start in starts], scaled_diameters)
-    for seed, perturbation in enumerate(perturbations if len(diameters) > 2 else ()):
+    heap = _form_heap([(start - start.mean(axis=0)) / scale for start in starts], scaled_diameters)
+    for seed, deviation in enumerate(deviations if len(diameters) > 2 else ()):
         if _compute_filled_fraction(heap, scaled_diameters) > max_perturbed_fraction:
             break
-        offsets = perturbation * np.random.default_rng(seed).normal(size=heap.shape)
-        heap = _pick_heap([heap, heap + offsets], scaled_diameters)
+        offsets = deviation * np.random.default_rng(seed).normal(size=heap.shape)
+        heap = _form_heap([heap, heap + offsets], scaled_diameters)
     require_dense(heap, scaled_diameters)
     return np.asarray(scale * (heap - np.average(heap, axis=0, weights=scaled_diameters**2)))
 
 
-def _pick_heap(starts: Sequence[Floats], diameters: Floats) -> Floats:
+def _form_heap(starts: Sequence[Floats], diameters: Floats) -> Floats:
     """Relax wires from each start, and harden the first heap of nearly the smallest radius."""
     radius_tolerance = 1e-2  # relative to the smallest radius of the soft heaps
     heaps = [_relax_soft(start, diameters) for start in starts]
     expanded_heaps = [heap * _compute_clearance_factor(heap, diameters) for heap, _ in heaps]
-    radii = np.array([find_holding_circle(heap, diameters)[1] for heap in expanded_heaps])
+    radii = np.array([find_enclosing_circle(heap, diameters)[1] for heap in expanded_heaps])
     heap, contacts = heaps[int(np.argmax(radii <= (1.0 + radius_tolerance) * radii.min()))]
-    heap = _harden(heap, diameters, contacts)
+    heap = _harden_contacts(heap, diameters, contacts)
     return np.asarray(heap * _compute_clearance_factor(heap, diameters))
 
 
 def _compute_filled_fraction(centres: Floats, diameters: Floats) -> float:
-    """Compute the fraction of the smallest circle around all wires that the wires fill.
+    """Compute the area of the wires relative to that of their enclosing circle.
 
     The fraction is 0 if a centre is not finite.
     """
-    radius = find_holding_circle(centres, diameters)[1] if np.all(np.isfinite(centres)) else np.nan
+    is_finite = bool(np.all(np.isfinite(centres)))
+    radius = find_enclosing_circle(centres, diameters)[1] if is_finite else np.nan
     return compute_packing_fraction(diameters, 2.0 * radius) if np.isfinite(radius) else 0.0
 
 
@@ -522,12 +526,12 @@ def _list_contacts(
 
     Pairs that are in the previous list keep their forces. The force of other pairs is 0.
     """
-    neighbour_factor = 1.5  # largest distance of a listed pair, relative to its touching distance
-    max_distance = neighbour_factor * float(diameters.max())
+    distance_factor = 1.5  # largest distance of a listed pair, relative to its touching distance
+    max_distance = distance_factor * float(diameters.max())
     pairs = cKDTree(centres).query_pairs(max_distance, output_type="ndarray").astype(np.int64)
     first, second = pairs[np.lexsort(pairs.T[::-1])].T
     touching_distance = 0.5 * (diameters[first] + diameters[second])
-    is_near = np.hypot(*(centres[first] - centres[second]).T) < neighbour_factor * touching_distance
+    is_near = np.hypot(*(centres[first] - centres[second]).T) < distance_factor * touching_distance
     first, second = first[is_near], second[is_near]
     force = np.zeros(len(first))
     if previous is not None:
@@ -539,7 +543,7 @@ def _list_contacts(
 
 
 def _relax_soft(start: Floats, diameters: Floats) -> tuple[Floats, WireContacts]:
-    """Draw wires with soft contacts together, and return the centres and contacts of the wires."""
+    """Draw wires with soft contacts together; return their centres and contacts."""
     force_tolerance = 1e-3  # relative to the pull at a distance of one mean diameter
     max_start_spread = 1.5  # relative to the spread of wires without gaps
     displacement = 1e-3  # displacement of each wire if some wires coincide, mean diameters
@@ -552,25 +556,25 @@ def _relax_soft(start: Floats, diameters: Floats) -> tuple[Floats, WireContacts]
     spread /= 0.25 * np.sqrt(2.0 * np.sum(diameters**2))  # spread of a disk of the same area
     centres = centres / max(1.0, spread / max_start_spread)
     contacts = _list_contacts(centres, diameters)
-    for stiffness in _CONTACT_STIFFNESSES:
-        centres, contacts = _relax(centres, diameters, contacts, stiffness, force_tolerance)
+    for stiffness in _SOFT_STIFFNESSES:
+        centres, contacts = _relax_wires(centres, diameters, contacts, stiffness, force_tolerance)
     return centres, contacts
 
 
-def _relax(
+def _relax_wires(
     start: Floats, diameters: Floats, contacts: WireContacts, stiffness: float, tolerance: float
 ) -> tuple[Floats, WireContacts]:
-    """Move wires until the force on each wire is small, and return their centres and contacts.
+    """Move wires until the force on each wire is small; return their centres and contacts.
 
     The method is the fast inertial relaxation engine (FIRE; Bitzek et al., 2006,
     doi:10.1103/PhysRevLett.97.170201). Forces accelerate the wires, and the wires are stopped when
-    they move against the forces. Rounding errors decide which of many heaps results. Only sums,
-    products and roots are used; every processor therefore gives the same heap.
+    they move against the forces. Rounding errors could decide which of many heaps results. Only
+    sums, products and roots are therefore used, which are the same on every processor.
     """
     # After a larger displacement along x or y, wires that are not listed may touch.
     max_displacement = 0.17 * float(diameters.min())
     max_steps = 20000
-    start_mixing = 0.1  # fraction of the velocity that is turned towards the force
+    start_mixing = 0.1  # fraction of the velocity that is replaced by one along the force
     n_downhill_steps = 5  # number of downhill steps before the time step grows
     centres = listed_centres = start
     max_time_step = 1.0 / np.sqrt(6.0 * stiffness)
@@ -595,16 +599,16 @@ def _relax(
     return centres, _list_contacts(centres, diameters, contacts)
 
 
-def _harden(start: Floats, diameters: Floats, contacts: WireContacts) -> Floats:
-    """Harden the contacts, and return the centres of the nearest heap without overlaps."""
+def _harden_contacts(start: Floats, diameters: Floats, contacts: WireContacts) -> Floats:
+    """Harden the contacts; return the centres of the nearest heap without overlaps."""
     force_tolerance = 1e-5  # relative to the pull at a distance of one mean diameter
     stiffness_growth = 10.0
     max_stiffness = 1e3
     min_rounds, max_rounds = 4, 8
-    wire_rounds = 1500  # number of rounds times number of wires, between these limits
+    max_wire_rounds = 1500  # number of rounds times number of wires, if it allows `min_rounds`
     overlap_tolerance = 1e-6  # mean diameters
-    centres, stiffness = start, _CONTACT_STIFFNESSES[-1]
-    for _ in range(max(min_rounds, min(max_rounds, wire_rounds // len(diameters)))):
+    centres, stiffness = start, _SOFT_STIFFNESSES[-1]
+    for _ in range(max(min_rounds, min(max_rounds, max_wire_rounds // len(diameters)))):
         overlap, _ = _compute_overlaps(centres, contacts)
         force = np.maximum(contacts.force + stiffness * overlap, 0.0)
         max_change = np.max(np.abs(force - contacts.force), initial=0.0)
@@ -612,7 +616,7 @@ def _harden(start: Floats, diameters: Floats, contacts: WireContacts) -> Floats:
         if max_change < stiffness * overlap_tolerance:
             break
         stiffness = min(stiffness_growth * stiffness, max_stiffness)
-        centres, contacts = _relax(centres, diameters, contacts, stiffness, force_tolerance)
+        centres, contacts = _relax_wires(centres, diameters, contacts, stiffness, force_tolerance)
     centres = _solve_equilibrium(centres, diameters, contacts)
     # The energy does not depend on the rotation of the heap. The rotation nearest to the start is
     # chosen.
@@ -641,28 +645,30 @@ def _solve_equilibrium(start: Floats, diameters: Floats, contacts: WireContacts)
         overlap, direction = _compute_overlaps(centres, contacts)
         is_active = (force > 0.0) | (overlap > tolerance)
         first, second = contacts.first_wires[is_active], contacts.second_wires[is_active]
-        u, f = direction[is_active], force[is_active]
-        overlap_gradient, row = np.zeros((len(f), n_wires, 2)), np.arange(len(f))
-        overlap_gradient[row, first], overlap_gradient[row, second] = -u, u
-        jacobian = overlap_gradient.reshape(len(f), -1)
-        tangent_projection = np.eye(2) - u[:, :, None] * u[:, None, :]
+        normal, active_force = direction[is_active], force[is_active]
+        n_active, row = len(normal), np.arange(len(normal))
+        overlap_gradient = np.zeros((n_active, n_wires, 2))
+        overlap_gradient[row, first], overlap_gradient[row, second] = -normal, normal
+        jacobian = overlap_gradient.reshape(n_active, -1)
+        tangent_projection = np.eye(2) - normal[:, :, None] * normal[:, None, :]
         distance = (contacts.touching_distance - overlap)[is_active]
-        rotation_stiffness = -(f / distance)[:, None, None] * tangent_projection
+        rotation_stiffness = -(active_force / distance)[:, None, None] * tangent_projection
         blocks = np.zeros((n_wires, n_wires, 2, 2))
         np.add.at(blocks, (first, first), rotation_stiffness)
         np.add.at(blocks, (second, second), rotation_stiffness)
         np.add.at(blocks, (first, second), -rotation_stiffness)
         np.add.at(blocks, (second, first), -rotation_stiffness)
         stiffness = blocks.transpose(0, 2, 1, 3).reshape(2 * n_wires, -1) + np.diag(pull)
-        system = np.block([[stiffness, jacobian.T], [jacobian, np.zeros((len(f), len(f)))]])
-        residual = np.concatenate([pull * centres.ravel() + jacobian.T @ f, overlap[is_active]])
+        system = np.block([[stiffness, jacobian.T], [jacobian, np.zeros((n_active, n_active))]])
+        wire_residual = pull * centres.ravel() + jacobian.T @ active_force
+        residual = np.concatenate([wire_residual, overlap[is_active]])
         solution = lstsq(system, -residual, cond=rank_tolerance, lapack_driver="gelsy")[0]
         previous_step, step = step, float(np.max(np.abs(solution[: 2 * n_wires])))
         if step > max(0.5 * previous_step, tolerance) or step > max_step:
             return start
         centres = centres + solution[: 2 * n_wires].reshape(-1, 2)
         force = force.copy()
-        force[is_active] = np.maximum(f + solution[2 * n_wires :], 0.0)
+        force[is_active] = np.maximum(active_force + solution[2 * n_wires :], 0.0)
         if step < tolerance:
             return np.asarray(centres)
     return start
@@ -671,7 +677,7 @@ def _solve_equilibrium(start: Floats, diameters: Floats, contacts: WireContacts)
 def compute_heap_gradient(
     centres: Floats, diameters: Floats, contacts: WireContacts, stiffness: float
 ) -> Floats:
-    """Compute the energy gradient of wires in contact that are pulled to the origin.
+    """Compute the gradient of the energy of wires that touch and are pulled to the origin.
 
     Parameters
     ----------
@@ -714,8 +720,8 @@ def _compute_clearance_factor(centres: Floats, diameters: Floats) -> float:
     return float(np.max(contacts.touching_distance / distance, initial=1.0))
 
 
-def find_holding_circle(centres: Floats, diameters: Floats) -> tuple[Floats, float]:
-    """Find the smallest circle that holds all wires.
+def find_enclosing_circle(centres: Floats, diameters: Floats) -> tuple[Floats, float]:
+    """Find the smallest circle that encloses all wires.
 
     Parameters
     ----------
@@ -753,8 +759,8 @@ def find_holding_circle(centres: Floats, diameters: Floats) -> tuple[Floats, flo
     return np.asarray(scale * solution[:2]), float(scale * compute_extents(solution[:2]).max())
 
 
-WANTED_FRACTION = 0.7
-"""Packing fraction with which conduits are chosen in [1]_."""
+TARGET_PACKING_FRACTION = 0.7
+"""Packing fraction for which conduits are chosen in [1]_."""
 
 
 def compute_packing_fraction(diameters: Floats, bore: float) -> float:
@@ -774,46 +780,43 @@ def compute_packing_fraction(diameters: Floats, bore: float) -> float:
     return float(np.sum(diameters**2) / bore**2)
 
 
-def compute_bore(diameters: Floats, fraction: float = WANTED_FRACTION) -> float:
+def compute_bore(diameters: Floats, packing_fraction: float = TARGET_PACKING_FRACTION) -> float:
     """Compute the bore of a conduit in which wires have a given packing fraction, m.
 
     Parameters
     ----------
     diameters : shape (wires,), m, diameters over the insulation
-    fraction : packing fraction
+    packing_fraction : area of the wires relative to the area of the bore
 
     Raises
     ------
     ValueError
-        If the fraction is not finite and positive.
+        If the packing fraction is not finite and positive.
     """
-    require_positive("fraction", fraction)
-    return float(np.sqrt(np.sum(diameters**2) / fraction))
+    require_positive("packing_fraction", packing_fraction)
+    return float(np.sqrt(np.sum(diameters**2) / packing_fraction))
 
 
-def choose_bore(
-    diameters: Floats, bores: Sequence[float], *, min_bore: float, fraction: float = WANTED_FRACTION
-) -> float:
-    """Choose the conduit whose packing fraction is nearest to a given one.
+def choose_bore(diameters: Floats, bores: Sequence[float], *, min_bore: float) -> float:
+    """Choose the bore whose packing fraction is nearest to `TARGET_PACKING_FRACTION`.
 
     Parameters
     ----------
     diameters : shape (wires,), m, diameters over the insulation
     bores : m, inner diameters of the available conduits
-    min_bore : m, diameter of the circle that holds the wires; narrower conduits are left out
-    fraction : packing fraction
+    min_bore : m, diameter of the circle that encloses the wires; narrower conduits are left out
 
     Returns
     -------
-    One of `bores`, m. If the fractions of two are equally near, the wider one is returned.
+    One of `bores`, m. If two bores are equally near, the wider bore is returned.
 
     Raises
     ------
     ValueError
         If the wires fit none of the conduits.
     """
-    wide_bores = [bore for bore in bores if fits_bore(min_bore, bore)]
-    if not wide_bores:
+    fitting_bores = [bore for bore in bores if fits_bore(min_bore, bore)]
+    if not fitting_bores:
         bore_text = ", ".join(f"{1e3 * bore:.4g}" for bore in bores) or "none"
         message = (
             f"the narrowest arrangement found needs a bore of {1e3 * min_bore:.4g} mm, "
@@ -821,10 +824,10 @@ def choose_bore(
         )
         raise ValueError(message)
 
-    def rate_bore(bore: float) -> tuple[float, float]:
-        return abs(compute_packing_fraction(diameters, bore) - fraction), -bore
+    def compute_deviation(bore: float) -> tuple[float, float]:
+        return abs(compute_packing_fraction(diameters, bore) - TARGET_PACKING_FRACTION), -bore
 
-    return min(wide_bores, key=rate_bore)
+    return min(fitting_bores, key=compute_deviation)
 
 
 def fits_bore(min_bore: float, bore: float) -> bool:
@@ -832,7 +835,7 @@ def fits_bore(min_bore: float, bore: float) -> bool:
 
     Parameters
     ----------
-    min_bore : m, diameter of the circle that holds the wires
+    min_bore : m, diameter of the circle that encloses the wires
     bore : m, inner diameter of the conduit
     """
     return min_bore <= bore * (1.0 + 1e-6)

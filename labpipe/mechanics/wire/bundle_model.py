@@ -10,19 +10,20 @@ Under tape and in conduits, friction leads to a moment between the bounds. The n
 at the distance y from the neutral axis strain the wire until it slips, as a strand in a conductor
 [1]_ [2]_. Each wire is a Coulomb slider in series with a spring, and the wires act in parallel.
 Contacts between insulated wires are compliant. The stiffness of the spring is therefore a fraction
-c of the axial stiffness of the wire. A fraction h of the contacts does not slip until the tape
-slides, because of adhesive and of pressure that increases with bending:
+c of the axial stiffness of the wire. A fraction h of the contacts holds until the tape slides,
+because of adhesive and of pressure that increases with bending:
 
     M(kappa) = sum M_i(kappa) + c (1 - h) sum EA_i |y_i| min(|y_i| kappa, r kappa_s)
                               + c h sum EA_i y_i^2 min(kappa, kappa_t)
 
-M_i is the law of wire i, and r is the root-mean-square distance of the wires that are not on the
-neutral axis. The fraction c is computed from the stiffness of the first loading up to the kink, the
-curvature kappa_s of first slip from the kink, and the curvature kappa_t at which the tape slides
-from the start of the plateau. The fraction h is fitted. The moment tends to the lower bound if
-h = 0 and kappa_s tends to 0. It is the upper bound before copper yields if c = h = 1 and the tape
-does not slide. Unloading and all later cycles follow Masing's rule, without another parameter,
-because parallel Coulomb sliders are equivalent to plays in series (`law.plays`).
+M_i is the law of wire i, and EA_i is its axial stiffness. r is the root-mean-square distance of the
+wires that are not on the neutral axis. The fraction c is computed from the stiffness of the first
+loading up to the kink, the curvature kappa_s of first slip from the kink, and the curvature kappa_t
+at which the tape slides from the start of the plateau. The fraction h is fitted. The moment tends
+to the lower bound if h = 0 and kappa_s tends to 0. It equals the upper bound, before copper yields,
+if c = h = 1 and the tape does not slide. Unloading and all later cycles follow Masing's rule,
+without another parameter, because parallel Coulomb sliders are equivalent to plays in series
+(`law.plays`).
 
 References
 ----------
@@ -44,7 +45,7 @@ from labpipe.mechanics.law.thinning import make_concave_law
 from labpipe.mechanics.wire.bundle_layout import (
     arrange_wires,
     compute_packing_fraction,
-    find_holding_circle,
+    find_enclosing_circle,
     fits_bore,
 )
 from labpipe.mechanics.wire.first_loading import compute_end_load_path
@@ -83,13 +84,13 @@ def compute_bundle_model(bundle: Bundle, tables: Mapping[str, WireTable]) -> Bun
 
     Notes
     -----
-    `low` is the sum of the slip stiffnesses of the wires. Moments are below this bound where copper
-    yields. `free` is the sum of the stick stiffnesses. `high` is `free` + sum EA (y - y0)^2, where
-    y0 is the height of the centroid of the axial stiffnesses. On first loading, `moment_slip` is
-    the sum of the laws of the wires. `moment_stick` also contains the moment of the axial strains,
-    with yielding of copper (`compute_stretching_moment`). The interaction of bending and stretching
-    in one wire is neglected. With friction between wires and compliant tape, the moment of a bundle
-    is between the two.
+    `low` is the sum of the slip stiffnesses of the wires. Where copper yields, moments are below
+    this bound times the curvature. `free` is the sum of the stick stiffnesses. `high` is `free` +
+    sum EA (y - y0)^2, where y0 is the height of the centroid of the axial stiffnesses. On first
+    loading, `moment_slip` is the sum of the laws of the wires. `moment_stick` also contains the
+    moment of the axial strains, with yielding of copper (`compute_stretching_moment`). The
+    interaction of bending and stretching in one wire is neglected. With friction between wires and
+    compliant tape, the moment of a bundle is between the two moments.
     """
     missing = [wire.type for wire in bundle.wires if wire.type not in tables]
     require("wire types", missing, f"among {', '.join(tables) or 'none'}", holds=not missing)
@@ -132,7 +133,7 @@ def compute_bundle_model(bundle: Bundle, tables: Mapping[str, WireTable]) -> Bun
 
 
 def _choose_diameter(wire: BundleWire, table: WireTable) -> float:
-    """Choose the stated diameter over the insulation or that of the table, m.
+    """Return the stated diameter over the insulation, or that of the table, m.
 
     ValueError is raised if the two differ so much that a unit or a type may be wrong.
     """
@@ -156,7 +157,7 @@ def _find_circle(bundle: Bundle, layout: BundleLayout) -> tuple[tuple[float, flo
     ValueError is raised if the conduit is narrower than the circle.
     """
     centres = np.column_stack([layout.x, layout.y])
-    circle_centre, radius = find_holding_circle(centres, layout.diameter)
+    circle_centre, radius = find_enclosing_circle(centres, layout.diameter)
     min_bore, bore = 2.0 * radius, bundle.conduit_bore
     if bore is not None and not fits_bore(min_bore, bore):
         message = (
@@ -186,14 +187,15 @@ def _find_diameter_notes(bundle: Bundle, tables: Sequence[WireTable]) -> Iterato
 def _find_common_range(
     tables: Sequence[WireTable], layout: BundleLayout
 ) -> tuple[Floats, tuple[QualityNote, ...]]:
-    """Find the curvatures that all laws cover, 1/m, and make a note if a law goes farther.
+    """Find the curvatures at which all laws are known, 1/m, and make a note if a law goes farther.
 
-    The curvatures also end where the strain of sticking wires reaches the end of a stress table.
+    The curvatures also end where the strain of a sticking wire reaches the end of a stress table.
     """
     curvature = find_common_curvatures(tables)
     height = float(np.ptp(layout.y))
-    largest_strain = min(map(compute_largest_strain, tables))
-    last_curvature = largest_strain / height if height else np.inf
+    layers = [layer for table in tables for layer in make_layers(table.spec)]
+    strains = [layer.material.largest_strain / np.cos(layer.lay_angle) ** 2 for layer in layers]
+    last_curvature = float(min(strains)) / height if height else np.inf
     if last_curvature < curvature[-1]:
         curvature = np.append(curvature[curvature < last_curvature], last_curvature)
         reason = f"sticking wires {1e3 * height:.3g} mm apart reach the end of a table"
@@ -207,8 +209,8 @@ def _find_common_range(
         "bundle",
         end=curvature[-1],
         reason=reason,
-        longest=longest.name,
-        last=longest.curvature[-1],
+        wire=longest.name,
+        wire_end=longest.curvature[-1],
     )
     return curvature, (note,)
 
@@ -216,11 +218,11 @@ def _find_common_range(
 def _find_linear_ranges(
     tables: Sequence[WireTable], layout: BundleLayout, neutral_height: float
 ) -> tuple[float, float]:
-    """Compute the largest curvatures of linear insulations, 1/m, for slipping and sticking wires.
+    """Compute the curvatures up to which all insulations are linear, 1/m.
 
-    The strain at the rim of a sticking wire is the curvature times the distance of the rim from the
-    neutral axis of the bundle. The neutral axis of elastic wires is used. It moves slightly when
-    copper yields.
+    The first is for slipping wires, the second for sticking wires. The strain at the rim of a
+    sticking wire is the curvature times the distance of the rim from the neutral axis of the
+    bundle. The neutral axis of elastic wires is used, which moves slightly when copper yields.
     """
     slip_curvature = np.array([table.doubtful_curvature for table in tables])
     radius = np.array([table.layout.wire_radius for table in tables])
@@ -232,8 +234,8 @@ def _find_linear_ranges(
 def _find_law_notes(model: BundleModel) -> Iterator[QualityNote]:
     """Yield notes on oblique principal axes, yielding of copper and the range of insulations."""
     max_relative_loss = 0.01  # loss of stiffness along y if the bundle may deflect along x
-    yield_factor = 0.5  # fraction of the elastic moment below which copper has clearly yielded
-    min_stretching_factor = 2.0  # with a larger factor, stretching is over half of the stiffness
+    yield_factor = 0.5  # ratio to the elastic moment below which copper has clearly yielded
+    min_stretching_factor = 2.0  # above this ratio, stretching is over half of the stiffness
     (stiffness_x, stiffness_xy), (_, stiffness_y) = model.tensor
     loss = stiffness_xy**2 / (stiffness_x * stiffness_y)
     if loss > max_relative_loss:
@@ -256,19 +258,19 @@ def _find_law_notes(model: BundleModel) -> Iterator[QualityNote]:
         )
     slip_limit, stick_limit = model.doubtful_curvature, model.doubtful_curvature_stick
     if curvature[-1] > stick_limit:
-        condition = " if wires stick" if slip_limit > stick_limit * (1.0 + _AXIS_TOLERANCE) else ""
+        condition = " if wires stick" if slip_limit > stick_limit * (1.0 + _TIE_TOLERANCE) else ""
         if condition and curvature[-1] > slip_limit:
             condition += f", and beyond {slip_limit:.4g} 1/m if they slip"
-        facts = {"stick": stick_limit, "condition": condition}
+        facts = {"curvature": stick_limit, "condition": condition}
         yield QualityNote.of("mechanics.wire.bundle_insulation_doubtful", "bundle", **facts)
 
 
-def _format_stiffness(value: float) -> str:
+def _format_stiffness(stiffness: float) -> str:
     """Format a stiffness, N m^2, in N mm^2 with four digits and without an exponent."""
-    return f"{float(f'{1e6 * value:.4g}'):.10g} N mm^2"
+    return f"{float(f'{1e6 * stiffness:.4g}'):.10g} N mm^2"
 
 
-_AXIS_TOLERANCE = 1e-6
+_TIE_TOLERANCE = 1e-6
 """Relative difference below which stiffnesses or curvatures count as equal.
 
 It is also the angle, rad, below which an axis counts as parallel to y.
@@ -277,7 +279,7 @@ It is also the angle, rad, below which an axis counts as parallel to y.
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StickStiffness:
-    """Bending stiffness of a bundle whose wires stick to each other.
+    """Bending stiffness, in all directions, of a bundle whose wires stick to each other.
 
     Parameters
     ----------
@@ -322,9 +324,9 @@ def compute_stick_tensor(
     tensor = np.eye(2) * bending_stiffness.sum() + (axial_stiffness[:, None] * r).T @ r
     lowest, highest = np.linalg.eigvalsh(tensor).tolist()
     angle = 0.5 * float(np.arctan2(2.0 * tensor[0, 1], tensor[0, 0] - tensor[1, 1]))
-    if highest - lowest <= _AXIS_TOLERANCE * highest:
+    if highest - lowest <= _TIE_TOLERANCE * highest:
         angle = 0.0
-    elif angle <= -np.pi / 2.0 + _AXIS_TOLERANCE:
+    elif angle <= -np.pi / 2.0 + _TIE_TOLERANCE:
         angle += np.pi
     x0, y0 = neutral_point.tolist()
     return StickStiffness(tensor, (x0, y0), (lowest, highest), angle)
@@ -337,9 +339,9 @@ def find_common_curvatures(tables: Sequence[WireTable]) -> Floats:
     ----------
     tables : tables of at least one wire type
     """
-    end = min(float(table.curvature[-1]) for table in tables)
+    last_curvature = min(float(table.curvature[-1]) for table in tables)
     curvature = np.unique(np.concatenate([table.curvature for table in tables]))
-    return np.asarray(curvature[curvature <= end])
+    return np.asarray(curvature[curvature <= last_curvature])
 
 
 def compute_slipping_moment(
@@ -361,12 +363,12 @@ def compute_slipping_moment(
     return np.asarray(np.array(counts, dtype=np.float64) @ np.array(laws))
 
 
-def compute_composite_degree(value: float, low: float, high: float) -> float:
+def compute_composite_degree(stiffness: float, low: float, high: float) -> float:
     """Compute the degree of composite action, 0 at the lower bound of a stiffness, 1 at the upper.
 
     Parameters
     ----------
-    value : N m^2, bending stiffness
+    stiffness : N m^2, bending stiffness
     low, high : N m^2, bounds of the stiffness, 0 < low < high
 
     Returns
@@ -381,10 +383,10 @@ def compute_composite_degree(value: float, low: float, high: float) -> float:
     Notes
     -----
     The degree of composite action of layered beams (Newmark, Siess and Viest, Proc. Soc. Exp.
-    Stress Anal. 9 (1951) 75) is (value - low) / (high - low).
+    Stress Anal. 9 (1951) 75) is (stiffness - low) / (high - low).
     """
     require("bounds", (low, high), "above 0 and increasing", holds=0.0 < low < high)
-    return (value - low) / (high - low)
+    return (stiffness - low) / (high - low)
 
 
 def compute_axial_force(table: WireTable, strain: Floats) -> Floats:
@@ -393,7 +395,8 @@ def compute_axial_force(table: WireTable, strain: Floats) -> Floats:
     Parameters
     ----------
     table : table of the wire
-    strain : shape (n,), axial strain of the wire, from 0 to that of `compute_largest_strain`
+    strain : shape (n,), axial strain of the wire, not negative; the strain of a strand must be
+        within the range of its material
 
     Notes
     -----
@@ -408,16 +411,6 @@ def compute_axial_force(table: WireTable, strain: Floats) -> Floats:
         stress = layer.material.stress(strain * cosine**2)
         force = force + layer.count * layer.area * cosine * stress
     return np.asarray(force)
-
-
-def compute_largest_strain(table: WireTable) -> float:
-    """Compute the axial strain of a wire at the first end of a stress-strain curve of its strands.
-
-    It is infinite if no curve ends.
-    """
-    layers = make_layers(table.spec)
-    strains = [layer.material.largest_strain / np.cos(layer.lay_angle) ** 2 for layer in layers]
-    return float(min(strains))
 
 
 def compute_stretching_moment(
@@ -443,12 +436,12 @@ def compute_stretching_moment(
     n_bisections = 60
     largest_strain = float(np.ptp(y)) * float(np.max(curvature, initial=0.0))
     law_strain = np.append(0.0, np.geomspace(min_relative_strain, 1.0, n_points) * largest_strain)
-    laws = [compute_axial_force(table, law_strain) for table in tables]
+    axial_forces = [compute_axial_force(table, law_strain) for table in tables]
 
     def compute_forces(neutral_height: Floats) -> Floats:
         strain = curvature[:, None] * (y - neutral_height[:, None])
         force = np.empty_like(strain)
-        for index, law_force in enumerate(laws):
+        for index, law_force in enumerate(axial_forces):
             is_type = wire_types == index
             force[:, is_type] = np.interp(np.abs(strain[:, is_type]), law_strain, law_force)
         return np.asarray(np.sign(strain) * force)
@@ -463,12 +456,12 @@ def compute_stretching_moment(
 
 @dataclass(frozen=True, slots=True)
 class Friction:
-    """Friction of a bundle; the symbols are those of the equation in the module docstring.
+    """Friction of a bundle; c, kappa_s, kappa_t and h are those of the module docstring.
 
     Parameters
     ----------
-    composite_share : c, fraction of the axial stiffness of the wires that acts before slip, from 0
-        to 1
+    composite_share : c, stiffness of the springs relative to the axial stiffness of the wires, from
+        0 to 1
     slip_curvature : kappa_s, 1/m, curvature of first slip, > 0
     slide_curvature : kappa_t, 1/m, curvature at which the tape slides, > 0; may be infinite
     held : h, fraction of the contacts that hold until the tape slides, from 0 to 1
@@ -498,7 +491,7 @@ def compute_friction_moment(
 
     Returns
     -------
-    Shape (n,), between `moment_slip` of the model and the moment of sticking, elastic wires.
+    Shape (n,), between `moment_slip` of the model and the moment of elastic wires that stick.
 
     Raises
     ------
@@ -547,7 +540,7 @@ def make_friction_law(
 
 
 def _compute_slip_curvatures(friction: Friction, distance: Floats) -> Floats:
-    """Compute the curvature at which each wire at a distance from the neutral axis slips, 1/m."""
+    """Compute the slip curvatures of wires, 1/m, from their distances to the neutral axis, m."""
     root_mean_square = float(np.sqrt(np.mean(distance**2)))
     return np.asarray(friction.slip_curvature * root_mean_square / distance)
 
@@ -560,24 +553,24 @@ def _find_lever_arms(model: BundleModel, tables: Sequence[WireTable]) -> tuple[F
     ValueError
         If all wires are on the neutral axis.
     """
-    min_relative_arm = 1e-6  # largest wire diameters; nearer wires count as on the neutral axis
-    axial = np.array([table.axial_stiffness for table in tables])[model.layout.kind]
+    min_relative_arm = 1e-6  # relative to the largest wire; nearer wires count as on the axis
+    axial_stiffness = np.array([table.axial_stiffness for table in tables])[model.layout.kind]
     distance = np.abs(model.layout.y - model.neutral[1])
     has_arm = distance > min_relative_arm * model.layout.diameter.max()
     if not np.any(has_arm):
         message = "all wires lie on the neutral axis: friction between wires has no moment"
         raise ValueError(message)
-    return distance[has_arm], axial[has_arm]
+    return distance[has_arm], axial_stiffness[has_arm]
 
 
 def fit_friction(model: BundleModel, tables: Sequence[WireTable], loop: BundleLoop) -> FrictionFit:
-    """Fit the fraction h of contacts that hold, and predict the cycles that are not fitted.
+    """Fit the fraction h of contacts that hold, and predict the other cycles of a loop.
 
     Parameters
     ----------
     model : model of the bundle, bent along y
     tables : table of each wire type of the bundle, in the order of the types
-    loop : measured cycles. The first cycle is fitted; if there is only one, its loading is fitted
+    loop : measured cycles. The first cycle is fitted, or the loading of a single cycle
 
     Returns
     -------
@@ -587,7 +580,7 @@ def fit_friction(model: BundleModel, tables: Sequence[WireTable], loop: BundleLo
     ------
     ValueError
         If all wires are on the neutral axis, the bundle is not stiffer than its slipping wires, the
-        loop has one branch only, or the wires would be bent beyond their laws.
+        loop has a single branch, or the wires would be bent beyond their laws.
 
     Notes
     -----
@@ -597,9 +590,9 @@ def fit_friction(model: BundleModel, tables: Sequence[WireTable], loop: BundleLo
     predicted force is therefore at least minus this force.
 
     At the ends of the interval of h, the sum of squares exceeds its minimum by t^2 times the mean
-    square. The degrees of freedom are reduced for first-order autocorrelation of the residuals.
-    Errors of the model are treated as autocorrelated noise. The error in the cycles that are not
-    fitted validates h.
+    square. The degrees of freedom are reduced for first-order autocorrelation of the residuals,
+    because errors of the model are treated as autocorrelated noise. The cycles that are not fitted
+    validate h.
     """
     n_stations = 16
     tolerance = 2e-3  # tolerance of h and of the ends of its interval
@@ -650,7 +643,7 @@ def fit_friction(model: BundleModel, tables: Sequence[WireTable], loop: BundleLo
 
 
 def _compute_composite_share(model: BundleModel, loop: BundleLoop) -> float:
-    """Compute the fraction of the axial stiffness of the wires that acts up to the kink, at most 1.
+    """Compute the fraction c from the stiffness up to the kink; at most 1.
 
     Raises
     ------
@@ -687,10 +680,11 @@ def _make_friction_fit(
 ) -> FrictionFit:
     """Make the record of the fit, with its errors and the dissipated work.
 
-    The work is that of the cycles that are not fitted or, for a single cycle, of the whole loop.
+    The work is that of the cycles that are not fitted or, for a single cycle, that of the loop.
     """
     error = (predicted - loop.force) / float(loop.force.max())
-    loss_points = is_held_out if loop.branch.max() > 1 else np.ones_like(is_held_out)
+    is_loss_point = is_held_out if loop.branch.max() > 1 else np.ones_like(is_held_out)
+    deflection, measured = loop.deflection[is_loss_point], loop.force[is_loss_point]
     return FrictionFit(
         **asdict(friction),
         held_lower=ends[0],
@@ -700,6 +694,6 @@ def _make_friction_fit(
         is_held_out=is_held_out,
         error_fitted=float(np.sqrt(np.mean(error[~is_held_out] ** 2))),
         error_held_out=float(np.sqrt(np.mean(error[is_held_out] ** 2))),
-        loss=float(np.trapezoid(loop.force[loss_points], loop.deflection[loss_points])),
-        predicted_loss=float(np.trapezoid(predicted[loss_points], loop.deflection[loss_points])),
+        loss=float(np.trapezoid(measured, deflection)),
+        predicted_loss=float(np.trapezoid(predicted[is_loss_point], deflection)),
     )

@@ -14,8 +14,8 @@ stiffness of the wire need not be uniform. `wire.first_loading` solves loading c
 
 A path with any history is followed in steps. A step is halved if Newton's method fails. The clamp
 moves down: relative to the clamp, the anchor of the string moves up. The string is taut or slack,
-and the counterweight always hangs at the tip. A wire with weight starts straight and level; callers
-first bend it under its weight, and start the path of the test from this state.
+and the counterweight always hangs at the tip. A wire with weight starts straight and level. It is
+first bent under its weight, and the path of the test starts from this state.
 """
 
 from __future__ import annotations
@@ -38,9 +38,9 @@ from labpipe.mechanics.law.plays import (
     require_positive,
     require_within,
 )
-from labpipe.records.arrays import ArrayRecord, Floats, Ints
+from labpipe.records.arrays import ArrayRecord, Floats, Ints, Vector
 
-DEFAULT_STATIONS = 64
+N_DEFAULT_STATIONS = 64
 """Default number of stations along a wire on a path.
 
 With more than about 100 stations, BLAS starts threads, which is slower.
@@ -48,7 +48,7 @@ With more than about 100 stations, BLAS starts threads, which is slower.
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Stations:
+class Stations(ArrayRecord):
     """Stations along a wire from the clamp to the tip, with integration matrices.
 
     Parameters
@@ -60,13 +60,13 @@ class Stations:
         station to the tip
     """
 
-    position: Floats
-    clamp_integral: Floats
-    tip_integral: Floats
+    position: Vector
+    clamp_integral: Annotated[Floats, "n", "n"]
+    tip_integral: Annotated[Floats, "n", "n"]
 
     @property
     def weights(self) -> Floats:
-        """Quadrature weights over the whole wire, shape (n,)."""
+        """Quadrature weights over the whole wire, m, shape (n,)."""
         return np.asarray(self.clamp_integral[-1])
 
     def bend(self, curvature: Floats) -> tuple[Floats, Floats, Floats]:
@@ -76,65 +76,64 @@ class Stations:
 
 
 @lru_cache(maxsize=16)
-def make_stations(count: int, length: float = 1.0) -> Stations:
-    """Make Chebyshev-Lobatto stations; integrals are exact for polynomials of degree count - 1.
+def make_stations(n_stations: int, length: float = 1.0) -> Stations:
+    """Make Chebyshev-Lobatto stations, which integrate polynomials of degree n - 1 exactly.
 
     Parameters
     ----------
-    count : number of stations, at least 4
+    n_stations : n, number of stations, at least 4
     length : m, length of the wire
 
     Raises
     ------
     ValueError
-        If `count` is less than 4.
+        If `n_stations` is less than 4.
     """
     if length != 1.0:
-        unit = make_stations(count)
-        matrices = (length * unit.clamp_integral, length * unit.tip_integral)
-        return Stations(length * unit.position, *matrices)
-    require("count", count, ">= 4", holds=count >= 4)
-    nodes = -np.cos(np.pi * np.arange(count) / (count - 1))
-    basis = chebyshev.chebvander(nodes, count - 1)
-    integrals = np.column_stack(
-        [chebyshev.chebval(nodes, chebyshev.chebint(unit, lbnd=-1)) for unit in np.eye(count)]
-    )
+        unit_wire = make_stations(n_stations)
+        matrices = (length * unit_wire.clamp_integral, length * unit_wire.tip_integral)
+        return Stations(length * unit_wire.position, *matrices)
+    require("n_stations", n_stations, ">= 4", holds=n_stations >= 4)
+    nodes = -np.cos(np.pi * np.arange(n_stations) / (n_stations - 1))
+    basis = chebyshev.chebvander(nodes, n_stations - 1)
+    antiderivatives = [chebyshev.chebint(unit, lbnd=-1) for unit in np.eye(n_stations)]
+    integrals = np.column_stack([chebyshev.chebval(nodes, series) for series in antiderivatives])
     clamp_integral: Floats = 0.5 * np.linalg.solve(basis.T, integrals.T).T.astype(np.float64)
     tip_integral: Floats = clamp_integral[-1] - clamp_integral
-    for matrix in (nodes, clamp_integral, tip_integral):
-        matrix.flags.writeable = False
     return Stations(0.5 * (nodes + 1.0), clamp_integral, tip_integral)
 
 
-def make_interpolation_matrix(count: int, positions: Floats) -> Floats:
+def make_interpolation_matrix(n_stations: int, positions: Floats) -> Floats:
     """Make the matrix that maps values at the stations to values at `positions`.
 
     Parameters
     ----------
-    count : number of stations, at least 4
+    n_stations : number of stations, at least 4
     positions : shape (m,), distances from the clamp relative to the length, from 0 to 1
 
     Returns
     -------
-    Shape (m, count).
+    Shape (m, stations), read-only.
 
     Raises
     ------
     ValueError
-        If a position is not between 0 and 1, or `count` is less than 4.
+        If a position is not between 0 and 1, or `n_stations` is less than 4.
     """
     holds = not np.any((positions < 0.0) | (positions > 1.0))
     require("positions", positions.tolist(), "between 0 and 1", holds=holds)
-    nodes = 2.0 * make_stations(count).position - 1.0
-    basis = chebyshev.chebvander(nodes, count - 1)
-    basis_at_positions = chebyshev.chebvander(2.0 * positions - 1.0, count - 1)
-    return np.asarray(np.linalg.solve(basis.T, basis_at_positions.T).T, dtype=np.float64)
+    nodes = 2.0 * make_stations(n_stations).position - 1.0
+    basis = chebyshev.chebvander(nodes, n_stations - 1)
+    basis_at_positions = chebyshev.chebvander(2.0 * positions - 1.0, n_stations - 1)
+    matrix = np.asarray(np.linalg.solve(basis.T, basis_at_positions.T).T, dtype=np.float64)
+    matrix.flags.writeable = False
+    return matrix
 
 
 @lru_cache(maxsize=16)
-def make_transfer_matrix(count: int, target_count: int) -> Floats:
-    """Make the matrix that maps values at `count` stations to values at `target_count` stations."""
-    return make_interpolation_matrix(count, make_stations(target_count).position)
+def make_transfer_matrix(n_stations: int, n_target_stations: int) -> Floats:
+    """Make the matrix that maps values at stations to values at another number of stations."""
+    return make_interpolation_matrix(n_stations, make_stations(n_target_stations).position)
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,13 +155,13 @@ class StringRig:
     anchor_height: float
 
     def compute_taut_travel(self, x: float, y: float) -> float:
-        """Compute the travel of the clamp, m, at which the string is just taut; tip at (x, y)."""
+        """Compute the travel of the clamp, m, at which the string to a tip at x, y becomes taut."""
         rise = np.sqrt(self.string_length**2 - (self.anchor_x - x) ** 2)
         return float(y + rise - self.anchor_height)
 
 
 class TipForce(NamedTuple):
-    """Force at the tip of n equilibria, and residual of the condition at the tip.
+    """Force at the tip in each of n equilibria, and residual of the condition at the tip.
 
     Parameters
     ----------
@@ -173,7 +172,8 @@ class TipForce(NamedTuple):
     residual : shape (n,), residual of the condition: m, or N under a dead force
     residual_by_tip : shape (n, 2), derivative of the residual with respect to the position of the
         tip
-    residual_by_load : derivative of the residual with respect to the load
+    residual_by_load : derivative of the residual with respect to the load; the same in all
+        equilibria
     """
 
     force: Floats
@@ -193,7 +193,7 @@ class TipCondition:
     rig : taut string and counterweight; None for a force normal to the undeformed axis
     deflection : shape (n,), m, deflections of the tips; None for another condition
     travel : m, travel of the clamp with a taut string; NaN for another condition
-    dead_force : shape (2,), N, dead load; the unknown `load` is then zero. None for another
+    dead_force : shape (2,), N, force at the tip; the unknown `load` is then zero. None for another
         condition
     """
 
@@ -309,14 +309,16 @@ class BentWire:
             respect to the parameters at constant moment
         """
         stations, force, m = self.stations, self.tip_force, len(self.outer_weight)
-        angle = curvature_changes @ stations.clamp_integral.T
-        tip_x, tip_y = ((angle * side) @ stations.weights for side in (-self.sin, self.cos))
-        bending = (angle * self.compression) @ stations.tip_integral.T
-        bending += (self.lever_arms @ force.force_by_x[:, :, None])[:, :, 0] * tip_x[:, :, None]
+        angle_changes = curvature_changes @ stations.clamp_integral.T
+        tangents = -self.sin, self.cos
+        tip_changes = np.stack([(angle_changes * side) @ stations.weights for side in tangents], -1)
+        bending_by_x = (self.lever_arms @ force.force_by_x[:, :, None])[:, :, 0]
+        bending_changes = (angle_changes * self.compression) @ stations.tip_integral.T
+        bending_changes += bending_by_x * tip_changes[..., :1]
         residual = np.zeros((1 + len(curvature_changes), len(self.tip), m + 1))
         residual[0, :, m] = -1.0
-        residual[1:, :, :m] = -bending
-        residual[1:, :, m] = np.sum(force.residual_by_tip * np.stack([tip_x, tip_y], -1), -1)
+        residual[1:, :, :m] = -bending_changes
+        residual[1:, :, m] = np.sum(force.residual_by_tip * tip_changes, -1)
         solution = -np.linalg.solve(self.compute_jacobian(), np.moveaxis(residual, 0, 2))
         return np.asarray(np.moveaxis(solution, 2, 0), dtype=np.float64)
 
@@ -330,7 +332,7 @@ It returns the curvature, and its derivative with respect to the moment, in thes
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cantilever:
-    """A clamped wire of which n equilibria are computed.
+    """Clamped wire whose n equilibria are solved together.
 
     Parameters
     ----------
@@ -394,7 +396,7 @@ class Cantilever:
         Moments and loads in equilibrium; None if an equilibrium does not converge, or is not
         finite.
         """
-        max_iterations = 15  # beyond these, Newton's method cycles about a corner of the law
+        max_iterations = 15  # after more, Newton's method cycles about a corner of the law
         max_rotation = 0.7  # largest rotation of any station in one step, rad
         tolerance *= 1.0 if self.coarse_wire is None else 0.01
         moment, load = np.array(moment), np.array(load)
@@ -418,12 +420,12 @@ class Cantilever:
     def _compute_step(
         self, bent: BentWire, residual: Floats, moment: Floats, load: Floats, rows: Ints
     ) -> Floats:
-        """Compute Newton's step of moments and load, on the coarse wire if there is one.
+        """Compute Newton's step of moments and loads, on the coarse wire if there is one.
 
-        The derivative of the residual is the identity minus a smoothing integral operator. Only the
-        smooth part of a step is therefore computed on the coarse stations (two-grid iteration,
-        Atkinson, The Numerical Solution of Integral Equations of the Second Kind, 1997, section
-        6.2).
+        The derivative of the residual is the identity minus a smoothing integral operator. It is
+        therefore sufficient to compute the smooth part of a step on the coarse stations (two-grid
+        iteration, Atkinson, The Numerical Solution of Integral Equations of the Second Kind, 1997,
+        section 6.2).
         """
         if self.coarse_wire is None:
             jacobian = bent.compute_jacobian()
@@ -501,16 +503,16 @@ class CantileverShape:
 
     @property
     def tension(self) -> float:
-        """Tension of the string, N; 0 for a slack string or a dead load; else the end load."""
+        """Tension of the string, or end load, N; 0 for a slack string or a dead force."""
         return self.state.load
 
 
 StepFunction: TypeAlias = Callable[[WireState, float], WireState | None]
-"""Function of a state and the next travel; it returns the next state, or None without solution."""
+"""Function of a state and the next travel; it returns the next state, or None if it fails."""
 
 
 def make_straight(
-    law: PlayLaw, n_stations: int = DEFAULT_STATIONS, *, self_weight: float = 0.0
+    law: PlayLaw, n_stations: int = N_DEFAULT_STATIONS, *, self_weight: float = 0.0
 ) -> WireState:
     """Make the state of a straight wire that has never been bent.
 
@@ -540,7 +542,7 @@ def bend_under_force(
     law : law of the wire
     state : state of the wire from which to start
     length : m, length of the wire
-    force : shape (2,), N, end force at the end of the path; it does not rotate with the wire
+    force : shape (2,), N, final end force; its direction does not rotate with the wire
 
     Raises
     ------
@@ -571,7 +573,7 @@ def bend_to_deflection(
     law : law of the wire
     state : state of the wire from which to start; `state.travel` is the deflection of its tip
     length : m, length of the wire
-    deflection : m, deflection of the tip
+    deflection : m, final deflection of the tip
 
     Returns
     -------
@@ -601,8 +603,8 @@ def deflect(
 
     Parameters
     ----------
-    law, state, length, deflection : law, first state and length of the wire, and deflection of its
-        tip, as for `bend_to_deflection`
+    law, state, length, deflection : law, first state and length of the wire, and final deflection
+        of its tip, as for `bend_to_deflection`
     rig : string and counterweight; None for an end force normal to the undeformed axis
 
     Raises
@@ -629,7 +631,7 @@ def bend_to_travel(
     state : state of the wire from which to start; `state.travel` is the travel of its clamp
     length : m, length of the wire
     rig : string and counterweight
-    travel : m, travel of the clamp from its initial height, positive downwards
+    travel : m, final travel of the clamp from its initial height, positive downwards
 
     Returns
     -------
@@ -687,7 +689,7 @@ def _solve_next(
     law: PlayLaw, state: WireState, length: float, condition: TipCondition, *, travel: float
 ) -> WireState | None:
     """Find the next equilibrium; None if Newton's method fails or rotates a station too far."""
-    max_rotation = 1.0  # rad; a larger rotation of a station in one step may lead to a curled wire
+    max_rotation = 1.0  # rad; after a larger rotation in one step, the wire may be curled
     tolerance = 1e-7  # relative last change of the moments; convergence is quadratic
     max_extrapolation = 4.0  # relative to the last step
     moment_floor = 1e-9 * law.stiffness / length  # EI / L bends the wire by a radian

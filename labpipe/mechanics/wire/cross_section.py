@@ -19,11 +19,11 @@ torque T of the wire are
 
     [N; T] = [EA, C; C, GJ] [eps; tau],
     EA = sum E A cos^3 a + E_ins A_ins,      C = sum E A r sin a cos^2 a,
-    GJ = sum E A r^2 sin^2 a cos a + own + G_ins pi/2 (R_o^4 - R_i^4),
+    GJ = sum E A r^2 sin^2 a cos a + GJ_s + G_ins pi/2 (R_o^4 - R_i^4),
 
-where own is the torsional stiffness of the strands about their own axes. Slip does not reduce these
-stiffnesses, because each strand stays at its radius and is strained uniformly [2]_. A real wire, in
-which strands flatten at their contacts, is softer.
+where GJ_s is the torsional stiffness of the strands about their own axes. Slip does not reduce
+these stiffnesses, because each strand stays at its radius and is strained uniformly [2]_. A real
+wire, in which strands flatten at their contacts, is softer.
 
 References
 ----------
@@ -47,8 +47,8 @@ from scipy.spatial import KDTree
 from labpipe.mechanics.law.plays import require, require_positive
 from labpipe.mechanics.wire.materials import (
     ANNEALED_COPPER,
+    BendingMoment,
     Material,
-    StrandMoment,
     StressTable,
     compute_helix_factor,
     compute_strand_moment,
@@ -96,6 +96,16 @@ class Layer:
     def area(self) -> float:
         """Cross-sectional area of one strand, normal to its own axis, m^2."""
         return float(np.pi * self.diameter**2 / 4.0)
+
+    @property
+    def section_area(self) -> float:
+        """Area of all strands of the layer in the cross-section of the wire, m^2."""
+        return float(self.count * self.area / np.cos(self.lay_angle))
+
+    @property
+    def strand_stiffness(self) -> float:
+        """Bending stiffness of one straight strand about its own axis, E pi d^4 / 64, N m^2."""
+        return float(self.material.modulus * np.pi * self.diameter**4 / 64.0)
 
     @property
     def straight_count(self) -> float:
@@ -158,8 +168,8 @@ class Insulation:
         return self.bending_stiffness / (1.0 + self.poisson)
 
 
-def compute_tube_moment(tube: Insulation, curvature: Floats) -> StrandMoment:
-    """Compute bending moment and tangent stiffness of the insulation on first loading.
+def compute_tube_moment(tube: Insulation, curvature: Floats) -> BendingMoment:
+    """Compute moment and tangent stiffness of the insulation on first loading.
 
     Parameters
     ----------
@@ -183,10 +193,11 @@ def compute_tube_moment(tube: Insulation, curvature: Floats) -> StrandMoment:
     """
     if tube.curve is None:
         stiffness = tube.bending_stiffness
-        return StrandMoment(stiffness * curvature, np.full(np.shape(curvature), stiffness))
+        return BendingMoment(stiffness * curvature, np.full(np.shape(curvature), stiffness))
     diameters = 2.0 * tube.outer_radius, 2.0 * tube.bore_radius
-    bar, bore = (compute_strand_moment(tube.curve, diameter, curvature) for diameter in diameters)
-    return StrandMoment(bar.moment - bore.moment, bar.tangent - bore.tangent)
+    outer, inner = (compute_strand_moment(tube.curve, d, curvature) for d in diameters)
+    tangent_stiffness = outer.tangent_stiffness - inner.tangent_stiffness
+    return BendingMoment(outer.moment - inner.moment, tangent_stiffness)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -235,23 +246,23 @@ class CrossSection(ArrayRecord):
         return np.arctan2(self.y, self.x)
 
     def compute_mass_per_length(
-        self, conductor: float = COPPER_DENSITY, insulation: float = PVC_DENSITY
+        self, conductor_density: float = COPPER_DENSITY, insulation_density: float = PVC_DENSITY
     ) -> float:
         """Compute the mass per length of the wire, kg/m.
 
         Parameters
         ----------
-        conductor : density of the strands, kg/m^3
-        insulation : density of the insulation, kg/m^3
+        conductor_density : kg/m^3, density of the strands
+        insulation_density : kg/m^3
 
         Notes
         -----
         A helical strand is longer than the wire by the factor 1 / cos(lay angle). The density of
         PVC for cables is 1300 to 1500 kg/m^3, depending on its fillers.
         """
-        strand_area = sum(ring.count * ring.area / np.cos(ring.lay_angle) for ring in self.layers)
+        strand_area = sum(layer.section_area for layer in self.layers)
         insulation_area = self.insulation.area if self.insulation else 0.0
-        return float(conductor * strand_area + insulation * insulation_area)
+        return float(conductor_density * strand_area + insulation_density * insulation_area)
 
 
 def compute_strand_diameter(conductor_area: float, n_strands: int) -> float:
@@ -319,7 +330,7 @@ def _require_equal_strands(layers: tuple[Layer, ...]) -> None:
 
 
 def _place_hexagon_ring(ring: int) -> Floats:
-    """Return the centres of one ring of the lattice, strand diameters, from the x axis."""
+    """Return the centres of one ring of the lattice, strand diameters, the first on the x axis."""
     if ring == 0:
         return np.zeros((1, 2))
     corners = ring * np.exp(1j * np.pi / 3.0 * np.arange(7))
@@ -346,8 +357,9 @@ def place_rings(layers: tuple[Layer, ...], insulation: Insulation | None = None)
     With equal strands of diameter d and a core, ring q has the radius q d. Without a core the n
     strands of the first ring touch each other, and the ring has the radius d / (2 sin(pi / n)).
     """
-    n, first_radius = layers[0].count, layers[0].diameter / (2.0 * np.sin(np.pi / layers[0].count))
-    radii = [0.0 if n == 1 else float(first_radius)]
+    first = layers[0]
+    touching_radius = first.diameter / (2.0 * np.sin(np.pi / first.count))
+    radii = [0.0 if first.count == 1 else float(touching_radius)]
     for inner, outer in pairwise(layers):
         radii.append(radii[-1] + (inner.diameter + outer.diameter) / 2.0)
     return place_strands("concentric", layers, _spread_rings(layers, radii), insulation)
@@ -391,19 +403,19 @@ def place_sectors(
 
     Notes
     -----
-    The areas of the strands determine the edges of the rings. The centroid of a sector of
-    half-angle b between the radii a and c has the radius 2/3 (c^3 - a^3) / (c^2 - a^2) sin(b) / b.
-    The bending stiffness of a sector about its own axis is taken as that of the round strand.
+    The areas of the strands determine the radii at the edges of the rings. The centroid of a sector
+    of half-angle b between the radii a and c has the radius 2/3 (c^3 - a^3) / (c^2 - a^2) sin(b) /
+    b. The bending stiffness of a sector about its own axis is taken as that of the round strand.
     """
-    edges = np.sqrt(np.cumsum([0.0, *(layer.count * layer.area for layer in layers)]) / np.pi)
+    edge_radii = np.sqrt(np.cumsum([0.0, *(layer.count * layer.area for layer in layers)]) / np.pi)
     if insulation is not None:
-        bore, min_radius = insulation.bore_radius, float(edges[-1])
+        bore, min_radius = insulation.bore_radius, float(edge_radii[-1])
         expected = f"at least the {min_radius:.6g} m that the strands need without any gap"
         holds = min_radius <= bore * (1.0 + MAX_RELATIVE_OVERLAP)
         require("bore_radius", float(f"{bore:.6g}"), expected, holds=holds)
     if radii is None:
         half_angles = np.pi / np.array([layer.count for layer in layers])
-        mean_radii = 2.0 / 3.0 * np.diff(edges**3) / np.diff(edges**2)
+        mean_radii = 2.0 / 3.0 * np.diff(edge_radii**3) / np.diff(edge_radii**2)
         centroids = mean_radii * np.sin(half_angles) / half_angles
         radii = np.where(half_angles < np.pi, centroids, 0.0).tolist()
     expected = f"one for each of {len(layers)} layers"
@@ -430,7 +442,7 @@ def place_strands(
         If strands overlap each other or the bore by more than `MAX_RELATIVE_OVERLAP`. The message
         states the overlap.
     """
-    radii = np.repeat([ring.diameter / 2.0 for ring in layers], [ring.count for ring in layers])
+    radii = np.repeat([layer.diameter / 2.0 for layer in layers], [layer.count for layer in layers])
     outer_radius = float((np.hypot(*centres.T) + radii).max())
     bore = insulation.bore_radius if insulation else outer_radius
     overlap, obstacle = max(
@@ -519,11 +531,12 @@ def pack_strands(
     """
     max_starts = 12  # the search ends with the first packing without overlap
     energy_tolerance = 1e-16  # squared strand radii; allows overlaps of 1e-8 strand radii
-    offset_deviation = 0.1  # standard deviation of strands from the rings of a start, strand radii
+    offset_deviation = 0.1  # standard deviation of the starts near rings, strand radii
     _require_equal_strands(layers)
     n_strands, strand_radius = sum(layer.count for layer in layers), layers[0].diameter / 2.0
     # Lengths are in strand radii, because the tolerances of the optimiser are absolute.
-    bore_radius, core = insulation.bore_radius / strand_radius, np.zeros(2 * (layers[0].count == 1))
+    bore_radius = insulation.bore_radius / strand_radius
+    core = np.zeros(2 if layers[0].count == 1 else 0)  # coordinates of the core
     rng = np.random.default_rng(seed)
     best_centres, lowest_energy = np.zeros((n_strands, 2)), np.inf
 
@@ -586,8 +599,8 @@ def make_cross_section(
     ----------
     layers : layers of strands, from the axis outwards
     insulation : tube around the strands
-    kind : name of the layout; None for the first of these layouts that fits: the hexagon,
-        concentric rings, and a packing of strands of one diameter
+    kind : name of the layout; None for the first that fits of the hexagon, concentric rings and,
+        for strands of one diameter, a packing
 
     Raises
     ------
@@ -625,13 +638,13 @@ def compute_helix_overlap(section: CrossSection) -> float:
     with k = tan(lay angle) / sqrt(a b). a and b are their radii, p is the angle between them in the
     cross-section, and their pitch is 2 pi / k.
     """
-    max_neighbour_distance = 1.5  # strand diameters
+    max_neighbour_distance = 1.5  # distance of the centres of neighbours, strand diameters
     largest_overlap = 0.0
     for index, layer in enumerate(section.layers):
         is_in_layer = section.layer == index
         centres = np.column_stack([section.x[is_in_layer], section.y[is_in_layer]])
-        reach = max_neighbour_distance * layer.diameter
-        first, second = KDTree(centres).query_pairs(reach, output_type="ndarray").T
+        max_distance = max_neighbour_distance * layer.diameter
+        first, second = KDTree(centres).query_pairs(max_distance, output_type="ndarray").T
         if first.size and layer.lay_angle:
             distances = _compute_helix_distances(centres[first], centres[second], layer.lay_angle)
             largest_overlap = max(largest_overlap, 1.0 - float(distances.min()) / layer.diameter)
@@ -641,8 +654,8 @@ def compute_helix_overlap(section: CrossSection) -> float:
 def _compute_helix_distances(first: Floats, second: Floats, lay_angle: float) -> Floats:
     """Compute the smallest distance of the centre lines of each pair of strands, shape (pairs,).
 
-    The distance is computed from a point of the first strand to 401 points of the second strand.
-    These are between the point in the same cross-section and the point at the same angle.
+    The distance is the smallest from a point of the first strand to 401 points of the second. These
+    are between the point in the same cross-section and the point at the same angle.
     """
     a, b = np.hypot(*first.T), np.hypot(*second.T)
     cross_product = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
@@ -683,7 +696,7 @@ def compute_stretch_torsion(section: CrossSection) -> StretchTorsion:
 
     Notes
     -----
-    The torsional stiffness of the strands about their own axes is own = sum E I cos(a) (cos^2 a /
+    The torsional stiffness of the strands about their own axes is GJ_s = sum E I cos(a) (cos^2 a /
     (1 + nu) + sin^2 a), with I = pi d^4 / 64. A twist of the wire has a component along the strand,
     which twists the strand (G J = E I / (1 + nu)), and a component normal to the strand, which
     bends it (Love's thin rod). The energy argument is that of the helix factor, equation (3.18) of
@@ -697,9 +710,8 @@ def compute_stretch_torsion(section: CrossSection) -> StretchTorsion:
         axial += layer.count * rigidity * cosine**3
         coupling += rigidity * float(radius.sum()) * sine * cosine**2
         torsional += rigidity * float(np.sum(radius**2)) * sine**2 * cosine
-        helix_factor = cosine**2 / (1.0 + layer.poisson) + sine**2
-        bending_stiffness = layer.material.modulus * np.pi * layer.diameter**4 / 64.0
-        torsional += layer.count * bending_stiffness * cosine * helix_factor
+        twist_factor = cosine**2 / (1.0 + layer.poisson) + sine**2
+        torsional += layer.count * layer.strand_stiffness * cosine * twist_factor
     tube = section.insulation
     if tube is not None:
         axial += tube.axial_stiffness

@@ -1,7 +1,7 @@
-"""Compute loading curves of a clamped wire at all deflections together.
+"""Compute loading curves of a clamped wire, with all deflections solved together.
 
 At rest the clamp and the tip are level, and the string or an end load holds the tip. The wire is
-loaded from rest. Newton's method solves for the moments at the stations of all deflections together
+loaded from rest. Newton's method solves for the moments at all stations and deflections together
 (`wire.cantilever`). Masing's rule gives the curvature where the weight has bent the wire in the
 opposite direction, and where a station unloads from its largest moment.
 """
@@ -47,18 +47,18 @@ N_LOADING_STATIONS = 24
 
 The relative differences from the forces with 160 stations are at most 3e-4, and 6e-5 on average.
 """
-PATH_STATIONS = 48
+N_PATH_STATIONS = 48
 """Number of stations along a wire that may unload.
 
 The relative differences from the loads with 160 stations are at most 1e-4.
 """
 _N_COARSE_STATIONS = 12
-"""Number of stations of a coarse wire, on which Newton's steps of the wire are computed."""
+"""Number of stations of the coarse wire, on which Newton's steps are computed."""
 _MOMENT_TOLERANCE = 1e-5
-"""Last change of the moments, relative to the largest moment; convergence is quadratic."""
-_START_TOLERANCE = 1e-3
-"""Last change of the moments of the coarse wire, whose solution is the first guess for the wire."""
-END_OF_FIRST_LOADING = 0.7
+"""Largest last change of the moments, relative to the largest moment."""
+_COARSE_TOLERANCE = 1e-3
+"""As `_MOMENT_TOLERANCE`, for the coarse wire, whose solution is the first guess for the wire."""
+_UNLOADING_DEFLECTION = 0.7
 """Approximate deflection, relative to the length, at which stations at the tip begin to unload."""
 
 
@@ -70,9 +70,9 @@ class LoadingCurve(ArrayRecord):
     ----------
     deflection : m, deflection of the tip from rest, normal to the undeformed axis, increasing
     moment : shape (n, stations), N m, moments at the stations
-    tension : N, tension of the string, which the load cell reads; without a string, the end load
-    shear_force : N, force normal to the wire at its tip; where it decreases, the moments near the
-        tip also decrease
+    tension : N, tension of the string, as read by a load cell; without a string, the end load
+    shear_force : N, force normal to the wire at its tip; where it decreases with deflection, the
+        moments near the tip also decrease
     tip_angle : rad, angle of the tangent at the tip from the undeformed axis
     clamp_curvature : 1/m, curvature at the clamp
     stiffness : N/m, derivative of the tension with respect to deflection; at rest, the secant to
@@ -80,7 +80,8 @@ class LoadingCurve(ArrayRecord):
     tension_sensitivity : shape (parameters, n), N, derivative of the tension above that at rest
         with respect to each parameter of the law, at constant deflection. It is NaN beyond rest if
         stations may unload
-    full_curve : longer curve of which this is the first part; the first guess for a similar law
+    full_curve : curve up to the last deflection, of which this curve is the first part. It is the
+        first guess for a similar law
     """
 
     deflection: Vector
@@ -110,10 +111,11 @@ class LoadingCurve(ArrayRecord):
         sagging wire they may decrease earlier.
         """
         relative_tolerance = 1e-5  # smaller decreases of a moment are errors of the solution
-        step = np.diff(self.moment, axis=0)
+        moment_step = np.diff(self.moment, axis=0)
         change_from_rest = self.moment[:-1] - self.moment[0]
         tolerance = relative_tolerance * np.max(np.abs(self.moment[1:]), axis=1, keepdims=True)
-        is_unloading = ((step * change_from_rest < 0.0) & (np.abs(step) > tolerance)).any(axis=1)
+        is_decrease = (moment_step * change_from_rest < 0.0) & (np.abs(moment_step) > tolerance)
+        is_unloading = is_decrease.any(axis=1)
         is_unloading[1:] |= np.diff(self.shear_force[1:]) <= 0.0
         return 1 + (int(np.argmax(is_unloading)) if is_unloading.any() else len(is_unloading))
 
@@ -153,14 +155,14 @@ def load_cantilever(
     """
     n_points = 64
     spacing_power = 2.75  # points are denser near rest, where strands begin to slip
-    end = min(deflection, END_OF_FIRST_LOADING * length)
-    deflections = end * (np.arange(1, n_points + 1) / n_points) ** spacing_power
+    last_deflection = min(deflection, _UNLOADING_DEFLECTION * length)
+    deflections = last_deflection * (np.arange(1, n_points + 1) / n_points) ** spacing_power
     full_guess = None if guess is None else guess.full_curve
     curve = find_equilibria(table, length, rig, self_weight, deflections, guess=full_guess)
-    n = curve.count_loading_points()
+    n_loading = curve.count_loading_points()
     names = [item.name for item in fields(curve) if item.name not in {"moment", "full_curve"}]
-    first_points = {name: getattr(curve, name)[..., :n] for name in names}
-    return replace(curve, **first_points, moment=curve.moment[:n], full_curve=curve)
+    first_points = {name: getattr(curve, name)[..., :n_loading] for name in names}
+    return replace(curve, **first_points, moment=curve.moment[:n_loading], full_curve=curve)
 
 
 def find_equilibria(
@@ -209,15 +211,15 @@ def find_equilibria(
     wire = replace(one_grid_wire, coarse_wire=coarse)
     start = None if guess is None else (guess.moment, guess.tension)
     if start is None:
-        start = _solve_from_linear(table, coarse, bend_from_rest, tolerance=_START_TOLERANCE)
+        start = _solve_from_linear(table, coarse, bend_from_rest, tolerance=_COARSE_TOLERANCE)
     solution = None if start is None else _solve_from_guess(wire, *start)
     solve_one_grid = partial(_solve_from_linear, table, tolerance=_MOMENT_TOLERANCE)
     solution = solution or solve_one_grid(one_grid_wire, bend_from_rest)
     if solution is None:
         level_wire = replace(one_grid_wire, condition=TipCondition(rig, np.zeros(1)))
         has_rest = solve_one_grid(level_wire, bend_from_rest) is not None
-        failure = f"up to a deflection of {np.max(deflections):.6g} m" if has_rest else "at rest"
-        message = f"length={length:.6g} m: no equilibrium found {failure}"
+        place = f"up to a deflection of {np.max(deflections):.6g} m" if has_rest else "at rest"
+        message = f"length={length:.6g} m: no equilibrium found {place}"
         raise ValueError(message)
     return _make_curve(table, wire, *solution, is_first_loading=n_stations is None)
 
@@ -231,8 +233,8 @@ def _solve_from_linear(
 ) -> _Equilibria | None:
     """Solve for all deflections from a first guess; None if no solution is found.
 
-    The guess is the solution at rest plus the moments of a linear wire. If the solution fails, the
-    solution for first loading is the next guess.
+    The guess is the solution at rest plus the moments of a linear wire. If Newton's method fails
+    from this guess, it starts again from the solution for first loading.
     """
     position, deflection = wire.stations.position, wire.condition.deflection
     assert deflection is not None
@@ -245,7 +247,11 @@ def _solve_from_linear(
     rest = level_wire.solve(moment[None], np.array([tip_force + weight]), tolerance=tolerance)
     if rest is None:
         return None
-    clamp_moment = _guess_clamp_moment(table, length, deflection)
+    # The law is extrapolated linearly to the curvatures at the clamp of a linear wire.
+    ratio = deflection / length
+    curvature = 3.0 * ratio / (1.0 - 0.5 * ratio**2) / length
+    clamp_moment = np.interp(curvature, table.curvature, table.moment)
+    clamp_moment += np.maximum(curvature - table.curvature[-1], 0.0) / table.end_compliance[-1]
     load_guess = rest[1] + clamp_moment / length
     guess = rest[0] + clamp_moment[:, None] * (1.0 - position / length), load_guess
     solution = wire.solve(*guess, tolerance=tolerance)
@@ -254,8 +260,8 @@ def _solve_from_linear(
 
 
 def _solve_from_guess(wire: Cantilever, moment: Floats, load: Floats) -> _Equilibria | None:
-    """Solve for all deflections from the solution of a similar law; None if no solution is near."""
-    max_relative_change = 0.3  # relative to the largest moment; a larger one leads to a curled wire
+    """Solve for all deflections from the solution for a similar law; None if none is near."""
+    max_relative_change = 0.3  # relative to the largest moment; above it, the wire may be curled
     moment = moment @ make_transfer_matrix(moment.shape[1], len(wire.stations.position)).T
     solution = wire.solve(moment, load, tolerance=_MOMENT_TOLERANCE)
     if solution is None:
@@ -275,10 +281,10 @@ def _make_curve(
     derivatives = np.full((1 + len(table.start_sensitivity), len(deflection)), np.nan)
     if is_first_loading:
         rest = wire.bend(moment[:1], load[:1])
-        at_rest = rest.compute_sensitivities(table.compute_sensitivities(moment[:1]))
-        sensitivity = table.compute_sensitivities_from_rest(moment[0], moment, at_rest[1:, 0, :-1])
+        at_rest = rest.compute_sensitivities(table.compute_sensitivities(moment[:1]))[1:]
+        sensitivity = table.compute_sensitivities_from_rest(moment[0], moment, at_rest[:, 0, :-1])
         derivatives = bent.compute_sensitivities(sensitivity)[:, :, -1]
-        derivatives[1:] -= at_rest[1:, :, -1]
+        derivatives[1:] -= at_rest[:, :, -1]
     derivatives[:, 0] = 0.0
     derivatives[0, 0] = (load[1] - load[0]) / deflection[1] if len(load) > 1 else np.nan
     (force_x, force_y), cos, sin = bent.tip_force.force.T, bent.cos[:, -1], bent.sin[:, -1]
@@ -292,17 +298,6 @@ def _make_curve(
         stiffness=derivatives[0],
         tension_sensitivity=derivatives[1:],
     )
-
-
-def _guess_clamp_moment(table: LoadingTable, length: float, deflections: Floats) -> Floats:
-    """Guess moments at the clamp, N m, from the curvatures of a linear wire, shape (n,).
-
-    The law is interpolated linearly between knots, and extrapolated linearly.
-    """
-    ratio = deflections / length
-    curvature = 3.0 * ratio / (1.0 - 0.5 * ratio**2) / length
-    moment_beyond = np.maximum(curvature - table.curvature[-1], 0.0) / table.end_compliance[-1]
-    return np.asarray(np.interp(curvature, table.curvature, table.moment) + moment_beyond)
 
 
 def interpolate_force(curve: LoadingCurve, deflection: Floats) -> tuple[Floats, Floats]:
@@ -324,11 +319,11 @@ def interpolate_force(curve: LoadingCurve, deflection: Floats) -> tuple[Floats, 
     ValueError
         If a deflection is beyond the end of the curve.
     """
-    magnitude, end = np.abs(deflection), curve.deflection[-1]
-    if np.any(magnitude > end):
+    magnitude, last_deflection = np.abs(deflection), curve.deflection[-1]
+    if np.any(magnitude > last_deflection):
         message = (
-            f"deflection={np.nanmax(magnitude):.6g} m: the curve ends at {end:.6g} m, where the "
-            f"tip is inclined by {np.degrees(curve.tip_angle[-1]):.3g} deg"
+            f"deflection={np.nanmax(magnitude):.6g} m: the curve ends at {last_deflection:.6g} m, "
+            f"where the tip is inclined by {np.degrees(curve.tip_angle[-1]):.3g} deg"
         )
         raise ValueError(message)
     sensitivity = curve.tension_sensitivity
@@ -358,13 +353,18 @@ class EndLoadPath:
     rest: WireAtRest | None = None
     notes: tuple[QualityNote, ...] = ()
 
-    def find_deflection(self, law: MomentCurve, curvature: float) -> float:
+    def find_deflection(self, curve: MomentCurve, curvature: float) -> float:
         """Find the deflection, m, at which the clamp has a curvature, 1/m.
 
         The deflection is infinite if the path does not reach the curvature. The clamp moment must
         increase along the path.
+
+        Parameters
+        ----------
+        curve : law of the wire
+        curvature : 1/m, curvature at the clamp
         """
-        moment = float(np.interp(curvature, law.curvature, law.moment, right=np.inf))
+        moment = float(np.interp(curvature, curve.curvature, curve.moment, right=np.inf))
         if moment >= self.clamp_moment[-1]:
             return float("inf")
         return float(PchipInterpolator(self.clamp_moment, self.deflection)(moment))
@@ -375,7 +375,7 @@ def compute_end_load_path(
     length: float,
     deflections: Floats,
     *,
-    n_stations: int = PATH_STATIONS,
+    n_stations: int = N_PATH_STATIONS,
     self_weight: float = 0.0,
 ) -> EndLoadPath:
     """Compute end load and clamp moment at successive tip deflections, from rest.
@@ -402,13 +402,13 @@ def compute_end_load_path(
 
     Notes
     -----
-    The deflections up to the first decrease are solved together, the others one after another.
+    The deflections before the first decrease are solved together, the others one after another.
     """
     require_positive("length", length)
     require_finite("deflections", deflections)
     require_not_negative("self_weight", self_weight)
-    # Stations near the tip may unload at large deflections. Their largest moments are found on this
-    # grid.
+    # Stations near the tip may unload at large deflections. The grid resolves their largest
+    # moments.
     unloading_grid = length * np.arange(0.5, 1.0, 0.0125)
     table = LoadingTable.of_plays(law)
     is_rising = np.append(np.diff(deflections, prepend=0.0) > 0.0, False)
@@ -418,7 +418,7 @@ def compute_end_load_path(
     curve = find_equilibria(table, length, None, self_weight, grid, n_stations=n_stations)
 
     def make_state(row: int, history: Floats) -> WireState:
-        """Make the state at a point of the curve after a history."""
+        """Make the state in a row of the curve, after a history of the law."""
         moment, load = curve.moment[row], float(curve.tension[row])
         response, deflection = law.respond(moment, history), float(curve.deflection[row])
         bent, force = (moment, response.curvature, response.history), np.array([0.0, load])
@@ -431,15 +431,15 @@ def compute_end_load_path(
     for deflection in deflections[len(rising_deflections) :].tolist():
         state = deflect(law, state, length, deflection)
         load, clamp_moment = np.append(load, state.load), np.append(clamp_moment, state.moment[0])
-    n = int(np.argmin(np.append(is_within(law, clamp_moment[1:]), False)))
+    n_valid = int(np.argmin(np.append(is_within(law, clamp_moment[1:]), False)))
     rest = _describe_rest(rest_state, length) if self_weight > 0.0 else None
-    load_above_rest = load[1 : n + 1] - (0.0 if rest is None else rest.force)
-    return EndLoadPath(deflections[:n], load_above_rest, clamp_moment[1 : n + 1], rest)
+    load_above_rest = load[1 : n_valid + 1] - (0.0 if rest is None else rest.force)
+    return EndLoadPath(deflections[:n_valid], load_above_rest, clamp_moment[1 : n_valid + 1], rest)
 
 
 def _describe_rest(state: WireState, length: float) -> WireAtRest:
     """Describe a wire at rest; raise ValueError if it is inclined by more than 1 rad."""
-    max_angle = 1.0  # rad; a steeper wire has several equilibria
+    max_angle = 1.0  # rad; a steeper wire may have several equilibria
     shape = compute_shape(state, length)
     angle = float(np.max(np.abs(shape.angle)))
     if angle > max_angle:
@@ -449,8 +449,8 @@ def _describe_rest(state: WireState, length: float) -> WireAtRest:
     return WireAtRest(float(state.force[1]), moment, curvature, sag=-float(np.min(shape.y)))
 
 
-END_DEFLECTION = 0.8
-"""Largest tip deflection of the path of a wire, relative to the length."""
+_LAST_PATH_DEFLECTION = 0.8
+"""Last tip deflection of the path of a wire, relative to the length."""
 
 
 def bend_cantilever(spec: WireSpec, curve: MomentCurve, self_weight: float) -> EndLoadPath:
@@ -464,8 +464,8 @@ def bend_cantilever(spec: WireSpec, curve: MomentCurve, self_weight: float) -> E
 
     Returns
     -------
-    The path from rest. It has a note if no equilibrium was found with the weight and the weight was
-    left out, and a note if the law ends before 0.8 of the length. If the law cannot be made
+    The path from rest. It has a note if the weight was left out because no equilibrium was found
+    with the weight, and a note if the law ends before 0.8 of the length. If the law cannot be made
     concave, the path has a single point at zero, and a note.
 
     Raises
@@ -491,15 +491,15 @@ def bend_cantilever(spec: WireSpec, curve: MomentCurve, self_weight: float) -> E
         )
         notes.append(note)
         path = _bend_to_end(law, spec.length, 0.0)
-    target_deflection = END_DEFLECTION * spec.length
-    if path.deflection[-1] < target_deflection:
+    nominal_deflection = _LAST_PATH_DEFLECTION * spec.length
+    if path.deflection[-1] < nominal_deflection:
         note = QualityNote.of(
             "mechanics.wire.cantilever_cut",
             spec.place,
             length=length_mm,
-            reached=1e3 * path.deflection[-1],
-            wanted=1e3 * target_deflection,
-            last=curve.curvature[-1],
+            deflection=1e3 * path.deflection[-1],
+            nominal_deflection=1e3 * nominal_deflection,
+            last_curvature=curve.curvature[-1],
         )
         notes.append(note)
     return replace(path, notes=tuple(notes))
@@ -509,16 +509,17 @@ def _bend_to_end(law: PlayLaw, length: float, self_weight: float) -> EndLoadPath
     """Compute the path from rest up to 0.8 of the length, or to the end of the law."""
     n_points = 49  # including zero
     spacing_power = 3  # the first point is at 1e-5 of the last point, before strands slip
-    end_factor = 0.9999  # the path ends at this fraction of the largest moment of the law
-    endless_law, end = replace(law, largest_moment=np.inf), END_DEFLECTION * length
+    last_moment_factor = 0.9999  # last clamp moment relative to the largest moment of the law
+    unlimited_law = replace(law, largest_moment=np.inf)
+    last_deflection = _LAST_PATH_DEFLECTION * length
     for _ in range(2):
-        deflection = end * np.linspace(0.0, 1.0, n_points) ** spacing_power
-        path = compute_end_load_path(endless_law, length, deflection[1:], self_weight=self_weight)
+        deflection = last_deflection * np.linspace(0.0, 1.0, n_points) ** spacing_power
+        path = compute_end_load_path(unlimited_law, length, deflection[1:], self_weight=self_weight)
         clamp_moment = np.append(path.rest.moment if path.rest else 0.0, path.clamp_moment)
         if clamp_moment[-1] <= law.largest_moment:
             break
         interpolant = PchipInterpolator(clamp_moment, deflection)
-        end = float(interpolant(end_factor * law.largest_moment))
+        last_deflection = float(interpolant(last_moment_factor * law.largest_moment))
     return EndLoadPath(deflection, np.append(0.0, path.load), clamp_moment, path.rest)
 
 

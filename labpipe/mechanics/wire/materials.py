@@ -5,7 +5,7 @@ tension and compression), and its initial slope is the modulus of elasticity. St
 dimensionless, stresses in Pa. A curve is not extrapolated beyond its last strain.
 
 A round strand of radius a at the curvature kappa has the strain y kappa at height y. With the width
-b(y) of the section and y = a sin p, the moment of the strand about its own axis is
+b(y) of the strand and y = a sin p, the moment of the strand about its own axis is
 
     m = integral of stress y b(y) dy = 4 a^3 int_0^(pi/2) stress(a kappa sin p) sin p cos^2 p dp.
 
@@ -115,24 +115,24 @@ class StressTable:
     stresses: tuple[float, ...]
 
     def __post_init__(self) -> None:
-        lengths = len(self.strains), len(self.stresses)
-        holds = 0 < lengths[0] == lengths[1]
-        require("numbers of strains and stresses", lengths, "equal and >= 1", holds=holds)
+        counts = len(self.strains), len(self.stresses)
+        holds = 0 < counts[0] == counts[1]
+        require("numbers of strains and stresses", counts, "equal and >= 1", holds=holds)
         strains, stresses = self._prepend_origin()
         require_rising("strains", strains[1:])
         slopes = np.diff(stresses) / np.diff(strains)
         is_valid = bool(np.all(np.isfinite(slopes)) and slopes[0] > 0.0 and np.all(slopes >= 0.0))
         require("stresses", stresses[1:].tolist(), "positive and not decreasing", holds=is_valid)
-        steepest = int(np.argmax(slopes))
+        steepest = int(np.argmax(slopes))  # index of the steepest segment
         if slopes[steepest] > slopes[0] * (1.0 + 1e-9):  # tolerance for rounding errors
             message = (
-                f"slope {slopes[steepest]:.4g} Pa from strain={strains[steepest]:.4g} is above the "
-                f"first, {slopes[0]:.4g} Pa: slopes must not exceed the modulus"
+                f"slope {slopes[steepest]:.4g} Pa from strain={strains[steepest]:.4g} is above "
+                f"the first, {slopes[0]:.4g} Pa: slopes must not exceed the modulus"
             )
             raise ValueError(message)
 
     def _prepend_origin(self) -> tuple[Floats, Floats]:
-        """Return the strains, and the stresses, Pa, with the origin as first point."""
+        """Return strains, and stresses in Pa, of the origin and the given points."""
         return np.array([0.0, *self.strains]), np.array([0.0, *self.stresses])
 
     @property
@@ -162,7 +162,7 @@ class StressTable:
 
 
 Material: TypeAlias = RambergOsgood | StressTable
-"""Stress-strain curve. Curves are hashable, because results are cached."""
+"""Stress-strain curve; hashable, because tables of its moments are cached."""
 
 ANNEALED_COPPER = RambergOsgood(modulus=110e9, strength=530e6, exponent=0.44)
 """Annealed copper with the values of a handbook that are used in [1]_."""
@@ -174,17 +174,17 @@ _STRAIN_TOLERANCE = 1e-12
 """Tolerance by which a strain may exceed the last strain of a curve, relative to that strain."""
 
 
-class StrandMoment(NamedTuple):
-    """Moment of one straight strand about its own axis; arrays have the shape of the curvature.
+class BendingMoment(NamedTuple):
+    """Bending moment of strands or of the insulation; arrays have the shape of the curvature.
 
     Parameters
     ----------
-    moment : N m, bending moment
-    tangent : N m^2, tangent stiffness, the derivative of the moment with respect to curvature
+    moment : N m
+    tangent_stiffness : N m^2, derivative of the moment with respect to curvature
     """
 
     moment: Floats
-    tangent: Floats
+    tangent_stiffness: Floats
 
 
 def compute_helix_factor(lay_angle: float, poisson: float) -> float:
@@ -236,9 +236,9 @@ def compute_elastic_ratio(material: Material, rim_strain: Floats, *, n_points: i
 
 
 def _compute_table_ratio(material: StressTable, rim_strain: Floats) -> tuple[Floats, Floats]:
-    """Compute the elastic ratio of a piecewise linear curve, and d(ratio x strain) / d(strain).
+    """Compute moment and tangent stiffness relative to those of an elastic strand.
 
-    The second result is the tangent stiffness relative to that of an elastic strand.
+    The first result is that of `compute_elastic_ratio`.
     """
     min_strain = 1e-300  # prevents a division by zero
     corner_strain, slope_decrease = material.corners
@@ -254,8 +254,8 @@ def _compute_table_ratio(material: StressTable, rim_strain: Floats) -> tuple[Flo
     return ratio, 1.0 - 16.0 / np.pi * tangent_integral @ slope_decrease
 
 
-def compute_strand_moment(material: Material, diameter: float, curvature: Floats) -> StrandMoment:
-    """Compute bending moment and tangent stiffness of a straight round strand on first loading.
+def compute_strand_moment(material: Material, diameter: float, curvature: Floats) -> BendingMoment:
+    """Compute moment and tangent stiffness of a straight round strand on first loading.
 
     Parameters
     ----------
@@ -283,10 +283,10 @@ def compute_strand_moment(material: Material, diameter: float, curvature: Floats
     rim_strain = np.abs(np.asarray(curvature, dtype=np.float64)) * diameter / 2.0
     max_strain = min(material.largest_strain, _MAX_RIM_STRAIN)
     if np.any(rim_strain > max_strain * (1.0 + _STRAIN_TOLERANCE)):
-        largest_strain = np.nanmax(rim_strain)
+        largest_rim_strain = np.nanmax(rim_strain)
         message = (
-            f"curvature={2.0 * largest_strain / diameter:.6g} 1/m strains a strand of diameter="
-            f"{diameter:.4g} m by {largest_strain:.4g}: the largest strain of its material is "
+            f"curvature={2.0 * largest_rim_strain / diameter:.6g} 1/m strains a strand of diameter="
+            f"{diameter:.4g} m by {largest_rim_strain:.4g}: the largest strain of its material is "
             f"{max_strain:.4g}, at {2.0 * max_strain / diameter:.6g} 1/m"
         )
         raise ValueError(message)
@@ -298,7 +298,7 @@ def compute_strand_moment(material: Material, diameter: float, curvature: Floats
         ratio = interpolate_ratio(log_strain)
         slope = np.where(rim_strain > first_strain, interpolate_slope(log_strain), 0.0)
         tangent_ratio = ratio + slope
-    return StrandMoment(stiffness * ratio * curvature, stiffness * tangent_ratio)
+    return BendingMoment(stiffness * ratio * curvature, stiffness * tangent_ratio)
 
 
 @lru_cache(maxsize=64)
@@ -309,8 +309,8 @@ def _tabulate_ratio(
 
     The splines give the ratio and the derivative of the ratio with respect to log(strain).
     """
-    elastic_log10 = np.linspace(-14.0, -6.0, 97)
-    plastic_log10 = np.linspace(-6.0, np.log10(_MAX_RIM_STRAIN), 385)
-    strain = 10.0 ** np.append(elastic_log10[:-1], plastic_log10)
+    coarse_exponents = np.linspace(-14.0, -6.0, 97)
+    fine_exponents = np.linspace(-6.0, np.log10(_MAX_RIM_STRAIN), 385)
+    strain = 10.0 ** np.append(coarse_exponents[:-1], fine_exponents)
     spline = CubicSpline(np.log(strain), compute_elastic_ratio(material, strain))
     return float(strain[0]), spline, spline.derivative()

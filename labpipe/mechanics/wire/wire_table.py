@@ -66,11 +66,11 @@ def tabulate_wire(spec: WireSpec) -> WireTable:
 
     Returns
     -------
-    The table. Its curvatures are zero, 200 logarithmically spaced values over four decades up to
-    the end of the range, and the slip onsets of the strands. An onset below a millionth of the
-    largest curvature is reported as zero. The notes are those of `build_wire` and
-    ``range_shortened``, ``tension``, ``slips_at_once``, ``insulation_doubtful``, ``cantilever_cut``
-    and ``weight_left_out``.
+    The table. Its curvatures are zero, 200 logarithmically spaced values over the last four decades
+    of the range, and the slip onsets of the strands. An onset below a millionth of the largest
+    curvature is reported as zero. The notes are those of `build_wire` and ``range_shortened``,
+    ``tension``, ``slips_at_once``, ``insulation_doubtful``, ``cantilever_cut`` and
+    ``weight_left_out``.
 
     Raises
     ------
@@ -81,12 +81,12 @@ def tabulate_wire(spec: WireSpec) -> WireTable:
 
     Notes
     -----
-    The law is that of `labpipe.mechanics.wire.bending_law`. The cantilever is clamped at one
-    end, with an end load normal to the undeformed axis. The first point is at rest, where the end
-    load holds the tip level against the weight of the wire.
+    The law is that of `labpipe.mechanics.wire.bending_law`. The cantilever is clamped at one end,
+    with an end load normal to the undeformed axis. The first point is at rest, where the end load
+    holds the tip level against the weight of the wire.
     """
     wire = build_wire(spec)
-    largest_curvature, range_notes = find_law_range(spec, strain=wire.axial_strain)
+    largest_curvature, range_notes = find_law_range(spec, axial_strain=wire.axial_strain)
     onsets = _find_onsets(wire, largest_curvature)
     curvature = make_curvature_grid(largest_curvature, onsets[onsets > 0.0])
     curve = _compute_rising_curve(wire, curvature)
@@ -126,8 +126,8 @@ def make_layout(section: CrossSection) -> WireLayout:
     tube = section.insulation
     assert tube is not None  # every wire of a sheet is insulated
     diameter = section.repeat_per_strand(layer.diameter for layer in section.layers)
-    strands = section.kind, section.x, section.y, section.layer, diameter
-    return WireLayout(*strands, tube.bore_radius, tube.outer_radius)
+    placement = section.kind, section.x, section.y, section.layer, diameter
+    return WireLayout(*placement, tube.bore_radius, tube.outer_radius)
 
 
 def make_curvature_grid(largest_curvature: float, onsets: Floats) -> Floats:
@@ -137,7 +137,7 @@ def make_curvature_grid(largest_curvature: float, onsets: Floats) -> Floats:
     ----------
     largest_curvature : 1/m, last curvature of the grid
     onsets : shape (n,), 1/m, slip onsets, positive, distinct and below the largest curvature; an
-        onset replaces points of the grid that are close to it
+        onset replaces grid points close to it
     """
     n_points = 200
     n_decades = 4.0  # range of the grid below the largest curvature
@@ -162,11 +162,10 @@ def _find_onsets(wire: BuiltWire, largest_curvature: float) -> Floats:
 def _compute_rising_curve(wire: BuiltWire, curvature: Floats) -> MomentCurve:
     """Compute the law of first loading; raise ValueError if the law softens."""
     curve = wire.compute_curve(curvature)
-    drops = np.flatnonzero(np.diff(curve.moment) <= 0.0)
-    if len(drops):
-        first, last = curve.curvature[drops[0] : drops[0] + 2]
-        high, low = curve.moment[drops[0] : drops[0] + 2]
-        facts = {"first": first, "last": last, "high": high, "low": low}
+    drop_rows = np.flatnonzero(np.diff(curve.moment) <= 0.0)
+    if len(drop_rows):
+        rows = slice(drop_rows[0], drop_rows[0] + 2)
+        facts = {"curvature": curve.curvature[rows], "moment": curve.moment[rows]}
         raise ValueError(format_sentence("mechanics.wire.softens", **facts))
     return curve
 
@@ -183,7 +182,7 @@ def compute_insulation_limit(spec: WireSpec) -> float:
 
 
 def _find_law_notes(
-    spec: WireSpec, onsets: Floats, curve: MomentCurve, linear_limit: float
+    spec: WireSpec, onsets: Floats, curve: MomentCurve, insulation_limit: float
 ) -> Iterator[QualityNote]:
     """Yield notes on tension, immediate slip and the range in which the insulation is linear."""
     if spec.tension:
@@ -192,13 +191,13 @@ def _find_law_notes(
         yield QualityNote.of(
             "mechanics.wire.slips_at_once",
             spec.place,
-            force=spec.radial_force,
-            strand=spec.friction_strand,
-            insulation=spec.friction_insulation,
+            radial_force=spec.radial_force,
+            friction_strand=spec.friction_strand,
+            friction_insulation=spec.friction_insulation,
             slope=curve.secant_stiffness[1],
-            stick=curve.stick_stiffness,
+            stick_stiffness=curve.stick_stiffness,
         )
-    if curve.curvature[-1] > linear_limit:
+    if curve.curvature[-1] > insulation_limit:
         percent = 100.0 * spec.insulation_strain
         yield QualityNote.of("mechanics.wire.insulation_doubtful", spec.place, percent=percent)
 
@@ -213,7 +212,7 @@ class BuiltWire:
     section : cross-section of the wire
     contacts : friction coefficients of the rings, and radial force
     axial_strain : strain of the straight wire under its tension
-    notes : notes on defaults for missing entries of the row, and on tolerated deviations
+    notes : notes on defaults for missing entries of the row, and on the layout
     """
 
     spec: WireSpec
@@ -272,10 +271,10 @@ def build_wire(spec: WireSpec) -> BuiltWire:
         insulation=spec.friction_insulation,
         radial_force=spec.radial_force,
     )
-    strain = compute_axial_strain(section, spec.tension)  # raises for a negative tension
-    find_law_range(spec, strain=strain)  # raises for a tension beyond a stress table
-    notes += _find_section_notes(section, spec, strain)
-    return BuiltWire(spec, section, contacts, strain, tuple(notes))
+    axial_strain = compute_axial_strain(section, spec.tension)  # raises for a negative tension
+    find_law_range(spec, axial_strain=axial_strain)  # raises for a tension beyond a stress table
+    notes += _find_section_notes(section, spec, axial_strain)
+    return BuiltWire(spec, section, contacts, axial_strain, tuple(notes))
 
 
 def make_layers(spec: WireSpec) -> tuple[Layer, ...]:
@@ -301,7 +300,7 @@ def make_layers(spec: WireSpec) -> tuple[Layer, ...]:
         facts = {"layers": len(counts), "diameters": len(diameters), "angles": n_angles}
         raise ValueError(format_sentence("mechanics.wire.layers_differ", **facts))
     rows = zip(counts, diameters, angles, strict=True)
-    return tuple(Layer(n, diameter, angle, material, spec.poisson) for n, diameter, angle in rows)
+    return tuple(Layer(*row, material, spec.poisson) for row in rows)
 
 
 def make_insulation(spec: WireSpec) -> Insulation:
@@ -334,31 +333,32 @@ def _place_strands(spec: WireSpec) -> tuple[CrossSection, list[QualityNote]]:
 
 
 def _find_section_notes(
-    section: CrossSection, spec: WireSpec, strain: float
+    section: CrossSection, spec: WireSpec, axial_strain: float
 ) -> Iterator[QualityNote]:
     """Yield notes on a loose bore, eccentric strands, overlaps, and yielding in tension.
 
-    The model assumes elastic strands in tension. A note states if the strands would yield.
+    The model assumes elastic strands in tension. The note states that real strands would yield.
     """
     min_fill = 0.4  # fraction of the area of the bore; two strands that touch the bore fill 0.5
     max_silent_offset, touch_tolerance = 0.02, 1e-9  # relative to the radius of the bore
     max_elastic_factor = 1.2  # elastic stress relative to the stress of the stress-strain curve
     bore_radius = spec.wire_diameter / 2.0 - spec.insulation_thickness
-    area = section.repeat_per_strand(layer.area for layer in section.layers)
-    offset = float(np.hypot(section.x @ area, section.y @ area) / area.sum())
-    if (fill := float(area.sum()) / (np.pi * bore_radius**2)) < min_fill:
+    areas = section.repeat_per_strand(layer.area for layer in section.layers)
+    offset = float(np.hypot(section.x @ areas, section.y @ areas) / areas.sum())
+    fill = float(areas.sum()) / (np.pi * bore_radius**2)
+    if fill < min_fill:
         bore_mm = 2e3 * bore_radius
         yield QualityNote.of("mechanics.wire.bore_loose", spec.place, fill=fill, bore=bore_mm)
     if section.kind == "packed" and offset > max_silent_offset * bore_radius:
         angles = np.linspace(0.0, np.pi, 180, endpoint=False)
-        stiffness = [compute_stick_stiffness(section, orientation=angle) for angle in angles]
+        stiffnesses = [compute_stick_stiffness(section, orientation=angle) for angle in angles]
         yield QualityNote.of(
             "mechanics.wire.layout_eccentric",
             spec.place,
             offset=1e3 * offset,
             percent=100.0 * offset / bore_radius,
-            lowest=min(stiffness),
-            highest=max(stiffness),
+            lowest=min(stiffnesses),
+            highest=max(stiffnesses),
         )
     if section.overlap > touch_tolerance * bore_radius:
         yield QualityNote.of(
@@ -369,16 +369,16 @@ def _find_section_notes(
             allowed=100.0 * MAX_RELATIVE_OVERLAP,
         )
     material = section.layers[0].material
-    elastic_stress = material.modulus * strain
-    stress = float(material.stress(np.array([strain]))[0])
+    elastic_stress = material.modulus * axial_strain
+    stress = float(material.stress(np.array([axial_strain]))[0])
     if elastic_stress > max_elastic_factor * stress:
         yield QualityNote.of(
             "mechanics.wire.tension_yields",
             spec.place,
             tension=spec.tension,
-            strain=strain,
-            elastic=elastic_stress / 1e6,
-            carried=stress / 1e6,
+            strain=axial_strain,
+            elastic_stress=elastic_stress / 1e6,
+            stress=stress / 1e6,
         )
 
 
@@ -391,7 +391,7 @@ def _find_helix_notes(section: CrossSection, spec: WireSpec) -> Iterator[Quality
     """
     max_silent_overlap = 0.05  # relative to the diameter of the strands
     max_overlap = 0.1  # relative to the diameter of the strands, and to the area of the bore
-    strand_area = sum(ring.count * ring.area / np.cos(ring.lay_angle) for ring in section.layers)
+    strand_area = sum(layer.section_area for layer in section.layers)
     bore_area = np.pi * (spec.wire_diameter / 2.0 - spec.insulation_thickness) ** 2
     if strand_area > (1.0 + max_overlap) * bore_area:
         areas = {"copper": strand_area * 1e6, "bore": bore_area * 1e6}
@@ -406,19 +406,20 @@ def _find_helix_notes(section: CrossSection, spec: WireSpec) -> Iterator[Quality
     yield QualityNote.of("mechanics.wire.helices_overlap", spec.place, percent=percent)
 
 
-def find_law_range(spec: WireSpec, *, strain: float = 0.0) -> tuple[float, tuple[QualityNote, ...]]:
+def find_law_range(spec: WireSpec, *, axial_strain: float = 0.0) -> tuple[float, list[QualityNote]]:
     """Find the curvature up to which the law of a wire is tabulated.
 
     Parameters
     ----------
     spec : row of the wire in its sheet
-    strain : axial strain of the straight wire under its tension
+    axial_strain : axial strain of the straight wire under its tension
 
     Returns
     -------
-    The curvature, 1/m, and notes. The curvature is stated in the sheet, or is that of a bending
-    radius of five wire diameters. It is smaller, with the note ``range_shortened``, if tension and
-    bending would strain the rim of a strand or of the insulation beyond a stress table.
+    The curvature, 1/m, and notes. The curvature is that of the sheet or, if the sheet does not
+    state it, that of a bending radius of five wire diameters. It is smaller, with the note
+    ``range_shortened``, if tension and bending would strain the rim of a strand or of the
+    insulation beyond a stress table.
 
     Raises
     ------
@@ -427,43 +428,44 @@ def find_law_range(spec: WireSpec, *, strain: float = 0.0) -> tuple[float, tuple
     """
     min_radius_diameters = 5.0  # wire diameters; harnesses are rarely bent to smaller radii
     largest_curvature = spec.largest_curvature or 1.0 / (min_radius_diameters * spec.wire_diameter)
-    notes: tuple[QualityNote, ...] = ()
+    notes: list[QualityNote] = []
     strand_diameter, wire_diameter = max(spec.strand_diameters), spec.wire_diameter
-    for table, diameter, part in (
+    for table, diameter, body in (
         (spec.stress_table, strand_diameter, f"a strand of {strand_diameter * 1e3:.3g} mm"),
         (spec.insulation_table, wire_diameter, f"the insulation of {wire_diameter * 1e3:.3g} mm"),
     ):
         if table is None:
             continue
-        last = table[0][-1]
-        if strain >= last:
-            facts = {"tension": spec.tension, "strain": strain, "last": last}
+        last_strain = table[0][-1]
+        if axial_strain >= last_strain:
+            facts = {"tension": spec.tension, "strain": axial_strain, "last_strain": last_strain}
             raise ValueError(format_sentence("mechanics.wire.tension_beyond_table", **facts))
-        end = 2.0 * (last - strain) / diameter
-        if end >= largest_curvature:
+        table_end = 2.0 * (last_strain - axial_strain) / diameter
+        if table_end >= largest_curvature:
             continue
-        tension_text = f", of which the tension takes {strain:.3g}" if strain else ""
+        tension_text = f", of which the tension takes {axial_strain:.3g}" if axial_strain else ""
         note = QualityNote.of(
             "mechanics.wire.range_shortened",
             spec.place,
-            end=end,
-            wanted=largest_curvature,
-            part=part,
-            last=last,
-            pulled=tension_text,
+            end=table_end,
+            nominal_end=largest_curvature,
+            body=body,
+            last_strain=last_strain,
+            tension_text=tension_text,
         )
-        largest_curvature, notes = end, (*notes, note)
+        notes.append(note)
+        largest_curvature = table_end
     return largest_curvature, notes
 
 
 DEFAULT_SHARE_RANGE = (0.35, 1.0)
-"""Default range of the isotropic share of hardening, for annealed copper.
+"""Default range of the isotropic share of the hardening of annealed copper.
 
-With a share below 0.35, a wire would spring back farther than standards for winding wire allow.
+With a smaller share, a wire would spring back farther than standards for winding wire allow.
 """
 
 
-def set_parameters(spec: WireSpec, values: Mapping[str, float]) -> WireSpec:
+def replace_parameters(spec: WireSpec, values: Mapping[str, float]) -> WireSpec:
     """Return the row of a wire with calibrated values in place of those of the sheet.
 
     Parameters
@@ -475,7 +477,7 @@ def set_parameters(spec: WireSpec, values: Mapping[str, float]) -> WireSpec:
 
     Returns
     -------
-    The changed row. The friction coefficients remain, and the value of `RADIAL_FRICTION`
+    The changed row. The friction coefficients are not changed. The value of `RADIAL_FRICTION`
     determines the radial force.
     """
     values = {name: value for name, value in values.items() if np.isfinite(value)}
@@ -493,7 +495,7 @@ def set_parameters(spec: WireSpec, values: Mapping[str, float]) -> WireSpec:
 
 
 def compute_chord_ratio(law: SliderLaw, table: WireTable) -> float:
-    """Compute the first stiffness of a fitted law, divided by that of its table.
+    """Compute the ratio of the first stiffness of a fitted law to that of its table.
 
     The stiffness of the table is the slope of its concave hull up to the first corner of the law.
     """

@@ -68,7 +68,7 @@ def mass(of: Values) -> Bounds:
         (place_sectors, (area / np.pi) ** 0.5),
     ):
         section = layout(layers, Insulation(bore, outer - bore, 1e7))
-        found.append(section.compute_mass_per_length(insulation=of["density"]))
+        found.append(section.compute_mass_per_length(insulation_density=of["density"]))
     return min(found), max(found)
 
 

@@ -13,11 +13,11 @@ from labpipe.mechanics.law.plays import PlayLaw
 from labpipe.mechanics.wire.bending_law import fit_play_law
 from labpipe.mechanics.wire.calibration import hardening
 from labpipe.mechanics.wire.calibration.hardening import (
+    COMPUTED_SHARES,
+    CYCLE_MEASURES,
     ENERGY,
-    HARDENING_NUMBERS,
     RATIO,
     RESIDUAL,
-    SHARES,
     CycledTest,
     _unload_to_zero,
     calibrate_share,
@@ -130,8 +130,8 @@ def measured(
     curves, changes = computed()
     log_changes = random.multivariate_normal(np.zeros(2), COVARIANCE)
     numbers = {}
-    for number, name in enumerate(HARDENING_NUMBERS):
-        exact = np.polyval(np.polyfit(SHARES, curves[:, number], 3), share)
+    for number, name in enumerate(CYCLE_MEASURES):
+        exact = np.polyval(np.polyfit(COMPUTED_SHARES, curves[:, number], 3), share)
         truth = float(exact + changes[:, number] @ log_changes)
         truth *= 1.0 + creep * (-0.1 if name == RATIO else 1.0)
         sample_error = 0.0 if name == RATIO else random.normal(0.0, SCATTER)

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from labpipe.mechanics.wire.calibration.identification import (
+    compare_with_prior,
     describe_parameter,
     find_separability,
     find_verdict,
     format_value,
-    weigh_prior,
 )
 from labpipe.records.curve import Interval
 from labpipe.records.wire import CalibratedParameter, Identifiability, PriorConflict
@@ -115,9 +115,9 @@ def test_words(approved: Approve) -> None:
 
 def test_priors_are_weighed(approved: Approve) -> None:
     conflicts = [
-        weigh_prior("copper_scale", CONFLICT),
-        weigh_prior("copper_scale", replace(CONFLICT, freedom=2.0)),
-        weigh_prior("insulation_modulus", replace(CONFLICT, centre=1e9, estimate=1.2e9)),
+        compare_with_prior("copper_scale", CONFLICT),
+        compare_with_prior("copper_scale", replace(CONFLICT, freedom=2.0)),
+        compare_with_prior("insulation_modulus", replace(CONFLICT, centre=1e9, estimate=1.2e9)),
     ]
     assert [conflict.contradicts for conflict in conflicts] == [True, False, True]
     approved(conflict.message for conflict in conflicts)

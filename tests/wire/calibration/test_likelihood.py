@@ -10,7 +10,7 @@ import pytest
 from scipy.special import ndtr
 
 from labpipe.mechanics.wire.calibration.calibrate_wire import calibrate
-from labpipe.mechanics.wire.calibration.identification import compute_quantile
+from labpipe.mechanics.wire.calibration.identification import compute_t_quantile
 from labpipe.mechanics.wire.calibration.law_components import split_law
 from labpipe.mechanics.wire.calibration.local_minima import (
     LocalProfile,
@@ -213,7 +213,7 @@ def test_t_with_one_degree_less_than_samples(samples: int) -> None:
     # The gain is not quite free, which shows in the far tail of two samples.
     close = 0.15 if samples == 2 else 0.03
     half = 0.5 * (high[0] - low[0])
-    assert half / error == pytest.approx(compute_quantile(samples - 1.0), rel=close)
+    assert half / error == pytest.approx(compute_t_quantile(samples - 1.0), rel=close)
 
 
 def test_starts_share_the_load_between_insulation_and_copper() -> None:
@@ -295,7 +295,7 @@ def test_a_given_scatter_is_one_distribution() -> None:
     low, high = compute_quantiles(minimum.mixture, np.eye(4)[:3])
     errors = np.sqrt(np.diag(minimum.uncertainty.covariance)[:3])
     assert 0.5 * (high - low) == pytest.approx(
-        compute_quantile(minimum.mixture.freedom) * errors, rel=1e-3
+        compute_t_quantile(minimum.mixture.freedom) * errors, rel=1e-3
     )
 
 

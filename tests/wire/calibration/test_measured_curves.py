@@ -232,7 +232,7 @@ def test_errors_that_points_or_curves_share() -> None:
     assert place == pytest.approx(2e-3 * slope)
     assert scale == pytest.approx(0.01 * curve.deflection * slope)
     assert not compute_shared_errors(CURVE, slope).any()
-    alike = select_usable_curves((replace(CURVE, scale_error=0.01, own_scale_error=0.015),) * 4)
+    alike = select_usable_curves((replace(CURVE, scale_error=0.01, curve_scale_error=0.015),) * 4)
     assert not isinstance(alike, CalibrationFailure)
     scale = compute_shared_errors(alike[0], slope)[2]
     np.testing.assert_allclose(scale, 0.025 * alike[0].deflection * slope)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labpipe.mechanics.wire.calibration.identification import compute_quantile
+from labpipe.mechanics.wire.calibration.identification import compute_t_quantile
 from labpipe.mechanics.wire.calibration.law_components import split_law
 from labpipe.mechanics.wire.calibration.measured_curves import MeasuredCurve
 from labpipe.mechanics.wire.calibration.objective import (
@@ -65,7 +65,7 @@ def test_levels_are_those_of_the_analysis_of_variance() -> None:
     stated = estimate_levels(given(fit, 3.0), 0.0)
     assert stated.scatter == 3.0
     assert stated.noise == pytest.approx(within, rel=0.1)
-    assert [compute_quantile(freedom) for freedom in (2.0, np.inf, 0.1)] == pytest.approx(
+    assert [compute_t_quantile(freedom) for freedom in (2.0, np.inf, 0.1)] == pytest.approx(
         [4.303, 1.960, 12.706], abs=1e-3
     )
 

@@ -94,8 +94,8 @@ def calibrate(
     return make_calibration(minima, settings)
 
 
-_FACTOR_99 = 1.727
-"""Rise of the objective at the ends of a 99 % interval relative to that at 95 %.
+_RISE_FACTOR_99 = 1.727
+"""Rise of the objective at the ends of a 99 % interval, relative to that at the ends of a 95 % one.
 
 Other solutions are reported up to this rise.
 """
@@ -110,20 +110,18 @@ def make_calibration(minima: Minima, settings: Settings) -> Calibration:
     settings : settings of the calibration
     """
     fit, problem = minima.fit, minima.fit.problem
-    solutions = tuple(_make_solution(minima, minimum) for minimum in minima.local_minima)
-    solutions = tuple(
-        solution for solution in solutions if solution.rise <= _FACTOR_99 * solution.limit
-    )
+    candidates = [_make_solution(minima, minimum) for minimum in minima.local_minima]
+    solutions = tuple(x for x in candidates if x.rise <= _RISE_FACTOR_99 * x.limit)
     parameters = tuple(
         _make_parameter(minima, solutions, index, settings.choices.get(name, ParameterChoice()))
         for index, name in enumerate(PARAMETERS)
     )
-    factors = fit.factors
-    compared = tuple(
+    models_and_factors = zip(problem.curves, fit.model_forces, fit.factors, strict=True)
+    agreements = tuple(
         compare_with_model(curve, model.force, float(factor))
-        for curve, model, factor in zip(problem.curves, fit.model_forces, factors, strict=True)
+        for curve, model, factor in models_and_factors
     )
-    sse = sum(curve.sse for curve in compared)
+    sse = sum(curve.sse for curve in agreements)
     rmse = float(np.sqrt(sse / problem.n_points))
     return Calibration(
         wire=problem.curves[0].wire,
@@ -133,14 +131,14 @@ def make_calibration(minima: Minima, settings: Settings) -> Calibration:
         correlations=_compute_correlations(minima),
         levels=_make_noise_levels(minima),
         separability=_compute_separability(minima),
-        curves=compared,
+        curves=agreements,
         n_points=problem.n_points,
         n_samples=problem.n_samples,
         sse=sse,
         rmse=rmse,
         rmse_share=rmse / max(curve.peak for curve in problem.curves),
         method=format_sentence("mechanics.wire.method"),
-        notes=tuple(_find_notes(minima, parameters, solutions, compared)),
+        notes=tuple(_find_notes(minima, parameters, solutions, agreements)),
     )
 
 
@@ -166,7 +164,7 @@ def _make_parameter(
     name, problem, uncertainty = PARAMETERS[index], minima.fit.problem, minima.lowest.uncertainty
     value = float(np.exp(minima.fit.logs[index]))
     if not problem.law.is_active[index]:
-        text = f"{identification.NAMES[name]} does not act on this wire"
+        text = f"{identification.PHRASES[name]} does not act on this wire"
         return CalibratedParameter(name, PARAMETER_UNITS[name], np.nan, explanation=text)
     if not problem.is_free[index]:
         fixed = CalibratedParameter(name, PARAMETER_UNITS[name], value, source=choice.source)
@@ -183,7 +181,7 @@ def _make_parameter(
         freedom=uncertainty.compute_freedom(np.eye(P + 1)[index]),
         is_open_below=any(profile.is_open_below for profile in profiles),
         is_open_above=any(profile.is_open_above for profile in profiles),
-        at_bound=_find_bound(minima, index),
+        at_bound=_find_active_bound(minima, index),
         profiles=tuple(
             Profile(np.exp(x.logs), x.deviance, x.threshold_below, x.threshold_above)
             for x in profiles
@@ -195,10 +193,10 @@ def _make_parameter(
         for solution in solutions
         if not solution.is_allowed
     )
-    ends = _find_interval_at_99(minima, index, parameter)
-    verdict = identification.find_verdict(parameter, alternatives, ends)
+    interval_99 = _find_interval_at_99(minima, index, parameter)
+    verdict = identification.find_verdict(parameter, alternatives, interval_99)
     parameter = replace(parameter, verdict=verdict)
-    text = identification.describe_parameter(parameter, alternatives, ends)
+    text = identification.describe_parameter(parameter, alternatives, interval_99)
     return replace(parameter, explanation=text)
 
 
@@ -209,20 +207,20 @@ def _find_interval_at_99(
 
     An identified parameter must also be identified at 99 %, because noise may shorten an interval.
     """
-    # With a smaller ratio of the ends at 95 %, the ratio at 99 % is below `MAX_WELL_SPAN`.
-    min_span = 1.5
+    # With a smaller ratio of the ends at 95 %, the ratio at 99 % is below `MAX_IDENTIFIED_RATIO`.
+    min_ratio = 1.5
     lower, upper = parameter.intervals[0].lower, parameter.intervals[-1].upper
-    line_range = local_minima.find_line_range(minima, index, _FACTOR_99)
+    line_range = local_minima.find_line_range(minima, index, _RISE_FACTOR_99)
     ends = [lower, upper, *np.exp(line_range).tolist()]
-    if min_span < upper / lower < identification.MAX_WELL_SPAN:
-        for profile in local_minima.follow_profiles(minima, index, factor=_FACTOR_99):
+    if min_ratio < upper / lower < identification.MAX_IDENTIFIED_RATIO:
+        for profile in local_minima.follow_profiles(minima, index, factor=_RISE_FACTOR_99):
             ends += np.exp([profile.lower, profile.upper]).tolist()
     return min(ends), max(ends)
 
 
-def _find_bound(minima: Minima, index: int) -> str:
-    """Return the bound at which the search ended; empty if none, or if the objective is flat."""
-    min_slope = 0.05  # derivative of half the objective with respect to the logarithm
+def _find_active_bound(minima: Minima, index: int) -> str:
+    """Return the bound at which the search ended; empty if none, or for a flat objective."""
+    min_slope = 0.05  # of half the objective with respect to the logarithm of the parameter
     value, problem = minima.fit.logs[index], minima.fit.problem
     slope = -float(objective.make_normal_equations(minima.fit)[1][index])
     if value <= problem.lower[index] and slope > min_slope:
@@ -233,7 +231,7 @@ def _find_bound(minima: Minima, index: int) -> str:
 def _fit_without_prior(minima: Minima, index: int, choice: ParameterChoice) -> PriorConflict:
     """Fit without the prior of a parameter, and compare the fit with the prior.
 
-    The size of a conflict is the square root of the decrease of the objective.
+    The size of a conflict is the square root of the decrease of the objective without the prior.
     """
     best, problem = minima.fit, minima.fit.problem
     precision = np.where(np.arange(P) == index, 0.0, problem.prior_precision)
@@ -255,7 +253,7 @@ def _fit_without_prior(minima: Minima, index: int, choice: ParameterChoice) -> P
         freedom=float(freedom),
         source=choice.source,
     )
-    return identification.weigh_prior(PARAMETERS[index], conflict)
+    return identification.compare_with_prior(PARAMETERS[index], conflict)
 
 
 def _compute_correlations(minima: Minima) -> Floats:
@@ -263,24 +261,24 @@ def _compute_correlations(minima: Minima) -> Floats:
     covariance, is_free = minima.lowest.uncertainty.covariance[:P, :P], minima.fit.problem.is_free
     errors = np.sqrt(np.diag(covariance))[is_free]
     correlations = np.full((P, P), np.nan)
-    free_pairs = np.ix_(is_free, is_free)
-    correlations[free_pairs] = covariance[free_pairs] / np.outer(errors, errors)
+    free_entries = np.ix_(is_free, is_free)
+    correlations[free_entries] = covariance[free_entries] / np.outer(errors, errors)
     return correlations
 
 
 def _make_noise_levels(minima: Minima) -> NoiseLevels:
     """Build the record of noise and scatter, with degrees of freedom from their variances."""
-    covariance, levels = minima.lowest.uncertainty.level_covariance, minima.fit.levels
+    level_covariance, levels = minima.lowest.uncertainty.level_covariance, minima.fit.levels
     scatter_freedom = 0.0 if minima.fit.problem.scatter is None else np.inf
-    if covariance[1, 1] > 0.0:
-        scatter_freedom = 2.0 / float(covariance[1, 1])
+    if level_covariance[1, 1] > 0.0:
+        scatter_freedom = 2.0 / float(level_covariance[1, 1])
     return NoiseLevels(
         noise_factor=float(np.sqrt(levels.noise)),
         correlation=levels.correlation,
         scatter=levels.scatter,
         gain=minima.fit.problem.gain_uncertainty,
         scatter_freedom=scatter_freedom,
-        noise_freedom=2.0 / float(covariance[0, 0]),
+        noise_freedom=2.0 / float(level_covariance[0, 0]),
     )
 
 
@@ -288,11 +286,11 @@ def _compute_separability(minima: Minima) -> Separability:
     """Compute the separability of the active parameters, for noise without scatter of samples."""
     fit = minima.fit
     active = np.flatnonzero(fit.problem.law.is_active).tolist()
-    rows = [
+    whitened_derivatives = [
         whiten((model.sensitivity[active] / np.asarray(curve.noise)).T, fit.levels.correlation)
         for model, curve in zip(fit.model_forces, fit.problem.curves, strict=True)
     ]
-    jacobian = np.concatenate(rows) / np.sqrt(fit.levels.noise)
+    jacobian = np.concatenate(whitened_derivatives) / np.sqrt(fit.levels.noise)
     names = tuple(PARAMETERS[index] for index in active)
     return identification.find_separability(names, jacobian, "the parameters that act")
 
@@ -301,7 +299,7 @@ def _find_notes(
     minima: Minima,
     parameters: tuple[CalibratedParameter, ...],
     solutions: tuple[Solution, ...],
-    compared: tuple[CurveAgreement, ...],
+    agreements: tuple[CurveAgreement, ...],
 ) -> Iterator[QualityNote]:
     """Yield notes on parameters, several solutions, noise and scatter."""
     for parameter in parameters:
@@ -317,11 +315,11 @@ def _find_notes(
         wire = minima.fit.problem.curves[0].wire
         description = identification.describe_solutions(solutions)
         yield QualityNote.of("mechanics.wire.two_solutions", wire, description=description)
-    yield from _find_level_notes(minima, compared)
+    yield from _find_level_notes(minima, agreements)
 
 
 def _find_level_notes(
-    minima: Minima, compared: tuple[CurveAgreement, ...]
+    minima: Minima, agreements: tuple[CurveAgreement, ...]
 ) -> Iterator[QualityNote]:
     """Yield notes on noise, scatter of samples, correlation and convergence."""
     noise_ratio_range = (0.8, 1.25)  # estimated noise relative to stated noise
@@ -334,7 +332,7 @@ def _find_level_notes(
     if not noise_ratio_range[0] <= factor <= noise_ratio_range[1]:
         yield QualityNote.of("mechanics.wire.noise_misstated", wire, factor=factor)
     if levels.correlation > max_correlation:
-        worst_curve = max(compared, key=lambda curve: curve.lag_one_correlation)
+        worst_curve = max(agreements, key=lambda curve: curve.lag_one_correlation)
         yield QualityNote.of(
             "mechanics.wire.residuals_correlated",
             wire,
@@ -371,10 +369,10 @@ def predict(
     -------
     The curve of the best solution with two bands. Both contain the uncertainty of the parameters
     (linear in their logarithms) and of the gain. The band of a measured curve also contains the
-    scatter of samples and noise. With several solutions, a band extends from the lowest to the
-    highest limit of the bands of the solutions. The band of each solution is narrowed according to
-    its likelihood. Differences between the two wires (dimensions, lots of copper and insulation)
-    are not included.
+    scatter of samples and noise. With several solutions, a band extends from the lowest lower limit
+    to the highest upper limit of all solutions. A solution with a higher objective has a narrower
+    band. Differences between the two wires (dimensions, lots of copper and insulation) are not
+    included.
 
     Raises
     ------
@@ -387,7 +385,7 @@ def predict(
     Noise is added as 1.96 s in quadrature.
     """
     max_deflection = float(np.nanmax(np.abs(deflection)))
-    forces, bands = [], []
+    forces, lower_limits, upper_limits = [], [], []
     for solution in (solution for solution in calibration.solutions if solution.is_allowed):
         curve = compute_calibrated_curve(wire, solution.values, length, rig, max_deflection)
         force, sensitivity = interpolate_force(curve, deflection)
@@ -395,15 +393,16 @@ def predict(
         mean_error = np.abs(compute_quantiles(solution.mixture, gradients))
         error = np.abs(compute_quantiles(solution.mixture, gradients, force))
         scatter = np.sqrt(np.maximum(error**2 - mean_error**2, 0.0))
-        # The uncertainty of the parameters is larger than in the linear model.
+        # In the nonlinear model, the uncertainty of the parameters is larger.
         mean_error *= calibration.widening * np.sqrt(1.0 - solution.rise / solution.limit)
         error = np.hypot(np.hypot(mean_error, scatter), NORMAL_95 * noise)
         forces.append(force)
-        band = [force - error[0], force + error[1], force - mean_error[0], force + mean_error[1]]
-        bands.append(band)
-    low, high = np.min(bands, axis=0), np.max(bands, axis=0)
+        lower_limits.append((force - error[0], force - mean_error[0]))
+        upper_limits.append((force + error[1], force + mean_error[1]))
+    lower, lower_mean = np.min(lower_limits, axis=0)
+    upper, upper_mean = np.max(upper_limits, axis=0)
     notes = tuple(_find_prediction_notes(calibration))
-    return Prediction(deflection, forces[0], low[0], high[1], low[2], high[3], notes)
+    return Prediction(deflection, forces[0], lower, upper, lower_mean, upper_mean, notes)
 
 
 def _find_prediction_notes(calibration: Calibration) -> Iterator[QualityNote]:
@@ -421,7 +420,7 @@ def _find_prediction_notes(calibration: Calibration) -> Iterator[QualityNote]:
 
 
 def find_tested_curvature(wire: Wire, values: Floats, curves: Sequence[MeasuredCurve]) -> float:
-    """Compute the largest curvature at the clamp that the curves reach, 1/m.
+    """Find the largest curvature at the clamp that the curves reach, 1/m.
 
     Parameters
     ----------
@@ -437,14 +436,14 @@ def find_tested_curvature(wire: Wire, values: Floats, curves: Sequence[MeasuredC
     if not curves:
         message = "curves: expected at least one"
         raise ValueError(message)
-    ends: dict[tuple[float, StringRig | None], float] = {}
+    deflections: dict[tuple[float, StringRig | None], float] = {}
     for curve in curves:
-        end = float(np.nanmax(np.abs(curve.deflection)))
-        ends[curve.length, curve.rig] = max(end, ends.get((curve.length, curve.rig), 0.0))
+        setup, peak = (curve.length, curve.rig), float(np.nanmax(np.abs(curve.deflection)))
+        deflections[setup] = max(peak, deflections.get(setup, 0.0))
     curvatures = []
-    for (length, rig), end in ends.items():
-        loading = compute_calibrated_curve(wire, values, length, rig, end)
-        curvatures.append(float(np.interp(end, loading.deflection, loading.clamp_curvature)))
+    for setup, peak in deflections.items():
+        loading = compute_calibrated_curve(wire, values, *setup, peak)
+        curvatures.append(float(np.interp(peak, loading.deflection, loading.clamp_curvature)))
     return max(curvatures)
 
 

@@ -25,36 +25,39 @@ from labpipe.records.wire import (
     Solution,
 )
 
-NAMES: Mapping[str, str] = {
+PHRASES: Mapping[str, str] = {
     RADIAL_FRICTION: "phi = F_rad (mu_s + mu_p)",
     INSULATION_MODULUS: "the modulus of the insulation",
     COPPER_SCALE: "the strength of the copper",
 }
-"""Name of each parameter in sentences, keyed by the names of `PARAMETERS`."""
+"""Wording for each parameter in sentences, keyed by the names of `PARAMETERS`."""
 
 Alternatives: TypeAlias = Sequence[tuple[float, float]]
-"""Value of a parameter and relative likelihood of each solution outside the 95 % set."""
+"""Value of a parameter in each solution outside the 95 % set, and likelihood of the solution.
 
-MAX_WELL_SPAN = 2.0
-"""Ratio of the ends of an interval below which a parameter is well identified."""
+The likelihood is relative to that of the best solution.
+"""
+
+MAX_IDENTIFIED_RATIO = 2.0
+"""Ratio of the ends of an interval below which a parameter is identified."""
 
 
 def find_verdict(
     parameter: CalibratedParameter,
     alternatives: Alternatives = (),
-    ends: tuple[float, float] | None = None,
+    interval_99: tuple[float, float] | None = None,
 ) -> Identifiability:
-    """Find the verdict on a fitted parameter.
+    """Decide how well the tests identify a fitted parameter.
 
     Parameters
     ----------
-    parameter, alternatives, ends : fitted parameter, its values in other solutions, and ends of
-        its interval at 99 %, as for `describe_parameter`
+    parameter, alternatives, interval_99 : fitted parameter, its values in other solutions, and its
+        99 % interval, as for `describe_parameter`
     """
-    max_span = 100.0  # ratio of the ends of an interval above which a parameter is not identified
-    min_error_ratio = 0.9  # error relative to that of the prior, above which the prior decides
+    min_open_ratio = 100.0  # ratio of the ends of an interval of a parameter that is not identified
+    min_prior_ratio = 0.9  # error relative to that of the prior, above which the prior decides
     low, high = parameter.intervals[0].lower, parameter.intervals[-1].upper
-    possible_values = [low, high, *(ends or ()), *(value for value, _ in alternatives)]
+    possible_values = [low, high, *(interval_99 or ()), *(value for value, _ in alternatives)]
     conflict = parameter.conflict
     if parameter.at_bound:
         return Identifiability.AT_BOUND
@@ -62,13 +65,13 @@ def find_verdict(
         return Identifiability.AGAINST_PRIOR
     if conflict is not None:
         prior_error = np.log(conflict.factor) / NORMAL_95
-        if parameter.log_error > min_error_ratio * prior_error:
+        if parameter.log_error > min_prior_ratio * prior_error:
             return Identifiability.BY_PRIOR
-    if parameter.is_open_below or parameter.is_open_above or high > max_span * low:
+    if parameter.is_open_below or parameter.is_open_above or high > min_open_ratio * low:
         return Identifiability.NOT_IDENTIFIED
-    if max(possible_values) < MAX_WELL_SPAN * min(possible_values):
+    if max(possible_values) < MAX_IDENTIFIED_RATIO * min(possible_values):
         return Identifiability.IDENTIFIED
-    is_split = len(parameter.intervals) > 1 or _has_other_value(parameter, alternatives)
+    is_split = len(parameter.intervals) > 1 or _has_distinct_alternative(parameter, alternatives)
     return Identifiability.TWO_SOLUTIONS if is_split else Identifiability.WEAKLY_IDENTIFIED
 
 
@@ -91,8 +94,8 @@ def format_value(name: str, *values: float) -> str:
     return f"{numbers} {unit}".rstrip()
 
 
-def _has_other_value(parameter: CalibratedParameter, alternatives: Alternatives) -> bool:
-    """Return whether the value of another solution is outside all intervals."""
+def _has_distinct_alternative(parameter: CalibratedParameter, alternatives: Alternatives) -> bool:
+    """Return whether another solution has a value outside all intervals."""
     return any(
         not any(interval.lower <= value <= interval.upper for interval in parameter.intervals)
         for value, _ in alternatives
@@ -102,7 +105,7 @@ def _has_other_value(parameter: CalibratedParameter, alternatives: Alternatives)
 def describe_parameter(
     parameter: CalibratedParameter,
     alternatives: Alternatives = (),
-    ends: tuple[float, float] | None = None,
+    interval_99: tuple[float, float] | None = None,
 ) -> str:
     """Describe the result for a parameter in a sentence.
 
@@ -110,10 +113,10 @@ def describe_parameter(
     ----------
     parameter : parameter without an explanation
     alternatives : values of the parameter in other solutions
-    ends : ends of the interval at 99 %; None without such an interval
+    interval_99 : ends of the 99 % interval; None without such an interval
     """
     key, interval, verdict = parameter.name, parameter.interval, parameter.verdict
-    name, value = NAMES[key], format_value(key, parameter.value)
+    name, value = PHRASES[key], format_value(key, parameter.value)
     if interval is None:
         source = _format_source(parameter.source)
         return format_sentence("mechanics.wire.held", name=name, value=value, source=source)
@@ -128,14 +131,14 @@ def describe_parameter(
     statement, ending = f"is {verdict.value}", ""
     if verdict is Identifiability.TWO_SOLUTIONS:
         statement = "has two solutions"
-        if _has_other_value(parameter, alternatives):
+        if _has_distinct_alternative(parameter, alternatives):
             ending = "".join(
-                f", or near {format_value(key, value)}, by a solution {chance:.2g} times as likely"
-                for value, chance in alternatives
+                f", or near {format_value(key, value)}, by a solution {ratio:.2g} times as likely"
+                for value, ratio in alternatives
             )
-    is_short = interval.upper < MAX_WELL_SPAN * interval.lower
-    if ends is not None and verdict is Identifiability.WEAKLY_IDENTIFIED and is_short:
-        ending = f", and at 99 % between {format_value(key, *ends)}"
+    is_short = interval.upper < MAX_IDENTIFIED_RATIO * interval.lower
+    if interval_99 is not None and verdict is Identifiability.WEAKLY_IDENTIFIED and is_short:
+        ending = f", and at 99 % between {format_value(key, *interval_99)}"
     return f"{name} {statement}: {text}{ending}"
 
 
@@ -149,16 +152,16 @@ def _describe_range(parameter: CalibratedParameter) -> str:
     key, intervals = parameter.name, parameter.intervals
     is_open = {"below": parameter.is_open_below, "above": parameter.is_open_above}
     if all(is_open.values()) and len(intervals) == 1:
-        ends = format_value(key, intervals[0].lower, intervals[0].upper)
-        return f"may lie anywhere between the bounds, {ends}"
-    ranges = [f"between {format_value(key, part.lower, part.upper)}" for part in intervals]
+        bounds = format_value(key, intervals[0].lower, intervals[0].upper)
+        return f"may lie anywhere between the bounds, {bounds}"
+    texts = [f"between {format_value(key, span.lower, span.upper)}" for span in intervals]
     if is_open["below"]:
-        ranges[0] = f"below {format_value(key, intervals[0].upper)}"
+        texts[0] = f"below {format_value(key, intervals[0].upper)}"
     if is_open["above"]:
-        ranges[-1] = f"above {format_value(key, intervals[-1].lower)}"
-    sides = " or from ".join(side for side, opens in is_open.items() if opens)
-    ending = f"; the tests do not bound it from {sides}" if sides else ""
-    return f"lies {' or '.join(ranges)}{ending}"
+        texts[-1] = f"above {format_value(key, intervals[-1].lower)}"
+    open_sides = " or from ".join(side for side in is_open if is_open[side])
+    ending = f"; the tests do not bound it from {open_sides}" if open_sides else ""
+    return f"lies {' or '.join(texts)}{ending}"
 
 
 def describe_solutions(solutions: Sequence[Solution]) -> str:
@@ -170,18 +173,18 @@ def describe_solutions(solutions: Sequence[Solution]) -> str:
     """
     texts = []
     for index, solution in enumerate(solutions):
-        named_values = zip(PARAMETERS, solution.values.tolist(), strict=True)
-        values = (f"{NAMES[name]} {format_value(name, v)}" for name, v in named_values if v > 0.0)
+        pairs = zip(PARAMETERS, solution.values.tolist(), strict=True)
+        values = (f"{PHRASES[name]} {format_value(name, v)}" for name, v in pairs if v > 0.0)
         likelihood = f", {solution.likelihood:.2g} times as likely as (1)" if index else ""
-        limit = "" if solution.is_allowed else ", outside of the 95 % set"
+        outside = "" if solution.is_allowed else ", outside of the 95 % set"
         rmse = f"{1e3 * solution.rmse:.3g} mN"
-        texts.append(f"({index + 1}) {', '.join(values)}: RMSE {rmse}{likelihood}{limit}")
+        texts.append(f"({index + 1}) {', '.join(values)}: RMSE {rmse}{likelihood}{outside}")
     count = "two" if len(solutions) == 2 else str(len(solutions))
     return format_sentence("mechanics.wire.solutions", count=count, solutions="; ".join(texts))
 
 
 def find_separability(names: tuple[str, ...], jacobian: Floats, subject: str) -> Separability:
-    """Find the parameters that the data determine, by singular values of the derivatives.
+    """Find the parameters that data determine, by singular values of a Jacobian matrix.
 
     Parameters
     ----------
@@ -192,14 +195,14 @@ def find_separability(names: tuple[str, ...], jacobian: Floats, subject: str) ->
     """
     min_singular_value = 1.0  # with a smaller value, a combination has an error of a factor of e
     max_unknown_weight = 0.05  # largest squared weight of a known parameter in unknown directions
-    _, values, rows = np.linalg.svd(jacobian, full_matrices=False)
+    _, values, directions = np.linalg.svd(jacobian, full_matrices=False)
     is_unknown = values < min_singular_value
-    weights = np.sum(rows[is_unknown] ** 2, axis=0)
+    weights = np.sum(directions[is_unknown] ** 2, axis=0)
     is_known = {
         name: bool(weight < max_unknown_weight) for name, weight in zip(names, weights, strict=True)
     }
-    numbers = [f"{value:.0f}" if value >= 100.0 else f"{value:.2g}" for value in values]
-    unknown_names = [NAMES.get(name, name) for name in names if not is_known[name]]
+    value_texts = [f"{value:.0f}" if value >= 100.0 else f"{value:.2g}" for value in values]
+    unknown_names = [PHRASES.get(name, name) for name in names if not is_known[name]]
     n_known = len(names) - int(is_unknown.sum())
     verdict = f"{subject} can be distinguished"
     if len(unknown_names) == 1:
@@ -212,18 +215,18 @@ def find_separability(names: tuple[str, ...], jacobian: Floats, subject: str) ->
         verdict=verdict,
         known=f"{n_known} of {len(names)} combinations {'is' if n_known == 1 else 'are'} known",
         subject=subject,
-        values=", ".join(numbers),
+        values=", ".join(value_texts),
     )
-    return Separability(names, values, rows, is_known, text)
+    return Separability(names, values, directions, is_known, text)
 
 
-def compute_quantile(freedom: float) -> float:
+def compute_t_quantile(freedom: float) -> float:
     """Compute the two-sided 95 % quantile of Student's t, for at least one degree of freedom."""
-    min_freedom = 1.0  # Satterthwaite's formula can give less for few samples
+    min_freedom = 1.0  # Satterthwaite's formula can give less for a few samples
     return float(stdtrit(min(max(freedom, min_freedom), 1e9), 0.975))
 
 
-def weigh_prior(name: str, conflict: PriorConflict) -> PriorConflict:
+def compare_with_prior(name: str, conflict: PriorConflict) -> PriorConflict:
     """Compare a prior with the value that the tests determine without the prior.
 
     Parameters
@@ -235,11 +238,11 @@ def weigh_prior(name: str, conflict: PriorConflict) -> PriorConflict:
     -------
     The same values, with verdict and message.
     """
-    limit = compute_quantile(conflict.freedom)
+    limit = compute_t_quantile(conflict.freedom)
     contradicts = conflict.size > limit
     message = format_sentence(
         "mechanics.wire.prior_contradicts" if contradicts else "mechanics.wire.prior_agrees",
-        name=NAMES[name],
+        name=PHRASES[name],
         centre=format_value(name, conflict.centre),
         factor=conflict.factor,
         source=_format_source(conflict.source),

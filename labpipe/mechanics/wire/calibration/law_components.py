@@ -30,7 +30,7 @@ from labpipe.mechanics.wire.bending_law import Contacts, compute_moment_curve, f
 from labpipe.mechanics.wire.cantilever import StringRig
 from labpipe.mechanics.wire.cross_section import CrossSection, compute_tube_moment
 from labpipe.mechanics.wire.first_loading import LoadingCurve, load_cantilever
-from labpipe.mechanics.wire.materials import RambergOsgood, compute_elastic_ratio
+from labpipe.mechanics.wire.materials import Material, RambergOsgood, compute_elastic_ratio
 from labpipe.records.arrays import Floats
 from labpipe.records.wire import (
     COPPER_SCALE,
@@ -116,20 +116,20 @@ class WireLaw:
         return tuple(np.isfinite(self.nominal).tolist())
 
     def find_known_range(self, values: Floats) -> tuple[float, str]:
-        """Find the curvature up to which all components are known, 1/m, and state its cause.
+        """Find the curvature up to which all components are known, 1/m, and describe its cause.
 
         Parameters
         ----------
         values : shape (3,), values of `PARAMETERS`
         """
-        end, statement = np.inf, ""
+        known_curvature, cause = np.inf, ""
         for component in self.components:
             last = component.last_curvature * component.compute_scale(values)
-            if last < end:
-                scale = f" at a copper scale of {values[_COPPER]:.4g}" if component.power else ""
-                end, name = last, component.limit_name
-                statement = f"the {name} is known up to {last:.6g} 1/m{scale}"
-        return end, statement
+            if last < known_curvature:
+                known_curvature, name = last, component.limit_name
+                at_scale = f" at a copper scale of {values[_COPPER]:.4g}" if component.power else ""
+                cause = f"the {name} is known up to {last:.6g} 1/m{at_scale}"
+        return known_curvature, cause
 
     def compute_moment(self, values: Floats, curvature: Floats) -> tuple[Floats, Floats, Floats]:
         """Compute moment, tangent stiffness, and derivatives with respect to log parameters, N m.
@@ -179,12 +179,12 @@ def split_law(section: CrossSection, contacts: Contacts, *, orientation: float =
 def _split_friction(section: CrossSection, contacts: Contacts, orientation: float) -> LawComponent:
     """Tabulate the moment of the axial forces of strands for a radial force of 1 N."""
     n_knots = 24  # number of knots in addition to the slip onsets
-    end_factor = 4.0  # last knot relative to the last onset
+    last_knot_factor = 4.0  # last knot relative to the last onset
     corner_tolerance = 1e-9  # smallest change of slope at a corner, relative to the first slope
     unit_contacts = replace(contacts, radial_force=1.0)
     onsets = find_slip_onsets(section, unit_contacts, orientation=orientation)
     onsets = onsets[np.isfinite(onsets)]
-    knots = np.geomspace(onsets.min(), end_factor * onsets.max(), n_knots)
+    knots = np.geomspace(onsets.min(), last_knot_factor * onsets.max(), n_knots)
     knots = np.union1d(onsets, knots)
     knots = knots[np.diff(knots, prepend=0.0) > _MIN_GAP * knots]
     law = compute_moment_curve(section, unit_contacts, knots, orientation=orientation)
@@ -204,7 +204,7 @@ def _split_friction(section: CrossSection, contacts: Contacts, orientation: floa
     return replace(component, reference_value=contacts.friction_sum)
 
 
-def _get_exponent(material: object) -> float:
+def _get_exponent(material: Material) -> float:
     """Return n of a Ramberg-Osgood curve; 0 for a material without a strength K."""
     return material.exponent if isinstance(material, RambergOsgood) else 0.0
 
@@ -222,8 +222,7 @@ def _split_strands(section: CrossSection, exponent: float) -> LawComponent:
     moment = np.zeros_like(curvature)
     for layer in layers:
         ratio = compute_elastic_ratio(layer.material, curvature * layer.diameter / 2.0)
-        stiffness = layer.material.modulus * np.pi * layer.diameter**4 / 64.0
-        moment += layer.straight_count * stiffness * curvature * ratio
+        moment += layer.straight_count * layer.strand_stiffness * curvature * ratio
     power = 1.0 / (1.0 - exponent) if exponent > 0.0 else 0.0
     unit_moment = _interpolate_moment(curvature, moment)
     return LawComponent(_COPPER, unit_moment, float(curvature[-1]), "material", power)
@@ -267,8 +266,8 @@ def make_loading_table(law: WireLaw, values: Floats, largest_curvature: float) -
     knots = (edges[:-1, None] + np.diff(edges)[:, None] * fractions).ravel()
     curvature = np.append(knots, edges[-1])
     compliances, sensitivities = [], []
-    for side in (curvature[:-1] * (1.0 + corner_offset), curvature[1:] * (1.0 - corner_offset)):
-        _, slope, derivative = law.compute_moment(values, side)
+    for points in (curvature[:-1] * (1.0 + corner_offset), curvature[1:] * (1.0 - corner_offset)):
+        _, slope, derivative = law.compute_moment(values, points)
         compliances.append(1.0 / slope)  # discontinuous at edges, where strands begin to slip
         sensitivities.append(-derivative * compliances[-1])
     moment, _, _ = law.compute_moment(values, curvature)
@@ -278,9 +277,9 @@ def make_loading_table(law: WireLaw, values: Floats, largest_curvature: float) -
 def _require_known(law: WireLaw, values: Floats, curvature: float) -> None:
     """Raise ValueError if a curvature is beyond the range of a component."""
     relative_tolerance = 1e-9  # for rounding errors
-    known_curvature, statement = law.find_known_range(values)
+    known_curvature, cause = law.find_known_range(values)
     if curvature > known_curvature * (1.0 + relative_tolerance):
-        message = f"curvature={curvature:.6g} 1/m: {statement}"
+        message = f"curvature={curvature:.6g} 1/m: {cause}"
         raise ValueError(message)
 
 
@@ -330,8 +329,8 @@ def compute_loading_curve(
     curvature_margin = 3.0  # relative to a wire whose curvature decreases linearly to the tip
     ratio = min(deflection / length, 0.9)
     known_curvature, _ = law.find_known_range(values)
-    end = min(known_curvature, curvature_margin * 3.0 * ratio / (1.0 - ratio**2) / length)
-    table = make_loading_table(law, values, end)
+    last_curvature = curvature_margin * 3.0 * ratio / (1.0 - ratio**2) / length
+    table = make_loading_table(law, values, min(known_curvature, last_curvature))
     curve = load_cantilever(table, length, rig, self_weight, deflection, guess=guess)
     _require_known(law, values, float(curve.clamp_curvature.max()))
     return curve

@@ -1,10 +1,10 @@
 """Find all solutions of a calibration: local minima of the objective, and profiles from each.
 
-A wire of hard copper with a soft insulation can have nearly the same loading curves as a wire of
-soft copper with a stiff insulation. The objective then has two or more local minima, and noise
+A wire of strong copper with a soft insulation can have nearly the same loading curves as a wire of
+weak copper with a stiff insulation. The objective then has two or more local minima, and noise
 decides which is the lowest. All minima are on one line, along which the strength of the copper
 varies and all other unknowns are fitted. The line is followed from bound to bound, and a search
-starts from each low point of the line.
+starts from each local minimum on the line.
 
 The profile likelihood gives the interval of a parameter: the values for which the objective is at
 most q^2 above its minimum. q is the 97.5 % quantile, relative to the standard error, of the
@@ -59,11 +59,6 @@ _LINE_STEP = 0.3
 """Spacing of points on the line, in the logarithm of the strength of the copper."""
 _MIN_SEPARATION = 0.1 * _LINE_STEP
 """Difference of the logarithm of the strength of the copper below which minima count as equal."""
-_MAX_RISE = 200.0
-"""Rise of the objective above which a minimum is left out.
-
-No squared quantile of few samples is as large.
-"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -130,23 +125,25 @@ def find_minima(problem: Problem, logs: Floats) -> Minima:
     levels = Levels(1.0, 0.0, first_scatter if problem.scatter is None else problem.scatter)
     fit = refine_levels(_search_first_fit(problem, levels, _yield_starts(problem, logs)))
     line = follow_line(fit)
-    found_minima = find_local_minima(line, fit)
-    lowest = min(found_minima, key=lambda minimum: minimum.objective)
+    line_minima = find_local_minima(line, fit)
+    lowest = min(line_minima, key=lambda minimum: minimum.objective)
     fit = lowest if lowest is fit else refine_levels(lowest)
     fits = [fit]
-    for other in found_minima:
-        if other is not lowest and other.objective - lowest.objective <= _MAX_RISE:
-            fits += _search_from(fit, other)
-    fits = _select_distinct(fits)
-    best = fits[0]
-    line = sorted(
-        [best, *(point for point in line if _is_separate(point, best))], key=_get_strength
-    )
+    for minimum in line_minima:
+        if minimum is not lowest and minimum.objective - lowest.objective <= objective.MAX_RISE:
+            fits += _search_from(fit, minimum)
+    distinct_fits: list[Fit] = []  # two searches may end in the same minimum
+    for fit in sorted(fits, key=lambda fit: fit.objective):
+        if all(_is_separate(fit, distinct_fit) for distinct_fit in distinct_fits):
+            distinct_fits.append(fit)
+    best = distinct_fits[0]
+    line = [best, *(point for point in line if _is_separate(point, best))]
+    line.sort(key=_get_strength)
     rises = [0.0 if fit is best else max(fit.objective - lowest.objective, 0.0) for fit in line]
     local_minima = tuple(
         LocalMinimum(fit, rise, variances.estimate_uncertainty(fit), variances.make_mixture(fit))
-        for fit in fits
-        if (rise := max(fit.objective - best.objective, 0.0)) <= _MAX_RISE
+        for fit in distinct_fits
+        if (rise := max(fit.objective - best.objective, 0.0)) <= objective.MAX_RISE
     )
     unknowns = np.array([fit.unknowns[: P + 1] for fit in line])
     return Minima(local_minima, unknowns, np.array(rises), compute_widening(line, best))
@@ -157,17 +154,8 @@ def _is_separate(first: Fit, second: Fit) -> bool:
     return abs(_get_strength(first) - _get_strength(second)) > _MIN_SEPARATION
 
 
-def _select_distinct(fits: list[Fit]) -> list[Fit]:
-    """Select distinct minima, the lowest first; two searches may end in the same minimum."""
-    distinct_fits: list[Fit] = []
-    for fit in sorted(fits, key=lambda fit: fit.objective):
-        if all(_is_separate(fit, other) for other in distinct_fits):
-            distinct_fits.append(fit)
-    return distinct_fits
-
-
 def _search_from(fit: Fit, start: Fit) -> list[Fit]:
-    """Search in the problem of a fit from another fit; return an empty list if the model fails."""
+    """Search with the levels of a fit from another fit; an empty list if the model fails."""
     unknowns = _drop_offsets(start.unknowns, fit.levels)
     try:
         guess, best = start.model_forces, fit.objective
@@ -209,7 +197,7 @@ def _search_first_fit(problem: Problem, levels: Levels, starts: Iterable[Floats]
 
 
 def _drop_offsets(unknowns: Floats, levels: Levels) -> Floats:
-    """Return the unknowns; without scatter, the logarithms of the factors of samples are 0."""
+    """Set the logarithms of the factors of samples to 0 if the scatter is 0."""
     is_offset = np.arange(len(unknowns)) > P
     return np.where(is_offset & (levels.scatter == 0.0), 0.0, unknowns)
 
@@ -250,10 +238,10 @@ def find_local_minima(line: list[Fit], fit: Fit) -> list[Fit]:
 
     Returns
     -------
-    Minima in order of the strength of the copper. Of two minima without a hill between them, only
-    the lower is returned.
+    Minima in order of the strength of the copper. Of two minima without a barrier between them,
+    only the lower minimum is returned.
     """
-    min_hill = 1.0  # rise of the objective above the higher of two separate minima
+    min_barrier = 1.0  # smallest rise of the objective between minima, above the higher minimum
     heights = np.pad([point.objective for point in line], 1, constant_values=np.inf)
     minima = [fit]
     for index, point in enumerate(line, start=1):
@@ -261,7 +249,7 @@ def find_local_minima(line: list[Fit], fit: Fit) -> list[Fit]:
             minima += _search_from(fit, point)
     distinct_minima: list[Fit] = []
     for minimum in sorted(minima, key=_get_strength):
-        if distinct_minima and _compute_hill_height(line, distinct_minima[-1], minimum) < min_hill:
+        if distinct_minima and _compute_barrier(line, distinct_minima[-1], minimum) < min_barrier:
             pair = distinct_minima.pop(), minimum
             distinct_minima.append(min(pair, key=lambda fit: fit.objective))
         else:
@@ -274,8 +262,8 @@ def _get_strength(fit: Fit) -> float:
     return float(fit.logs[_COPPER])
 
 
-def _compute_hill_height(line: list[Fit], first: Fit, second: Fit) -> float:
-    """Compute the height of the line between two minima above the higher minimum."""
+def _compute_barrier(line: list[Fit], first: Fit, second: Fit) -> float:
+    """Compute the height of the line between two minima, above the higher minimum."""
     start, stop = _get_strength(first), _get_strength(second)
     heights = [fit.objective for fit in line if start < _get_strength(fit) < stop]
     return max(heights, default=-np.inf) - max(first.objective, second.objective)
@@ -290,8 +278,8 @@ def follow_line(fit: Fit) -> list[Fit]:
 
     Returns
     -------
-    Fits for evenly spaced strengths of the copper from bound to bound, including the minimum. It is
-    only the minimum unless insulation and copper are both fitted.
+    Fits for evenly spaced strengths of the copper from bound to bound, including the minimum. Only
+    the minimum is returned unless insulation and copper are both fitted.
     """
     problem, strength = fit.problem, _get_strength(fit)
     if not _has_trade_off(problem):
@@ -299,19 +287,19 @@ def follow_line(fit: Fit) -> list[Fit]:
     sides = []
     for bound in (float(problem.lower[_COPPER]), float(problem.upper[_COPPER])):
         count = int(np.ceil(abs(bound - strength) / _LINE_STEP))
-        sides.append(_follow_side(fit, np.linspace(strength, bound, count + 1)[1:]))
+        sides.append(_follow_to_bound(fit, np.linspace(strength, bound, count + 1)[1:]))
     return [*sides[0][::-1], fit, *sides[1]]
 
 
-def _follow_side(fit: Fit, stops: Floats) -> list[Fit]:
+def _follow_to_bound(fit: Fit, strengths: Floats) -> list[Fit]:
     """Fit at successive strengths of the copper; each search starts from an extrapolation."""
     fits, problem = [fit, fit], fit.problem.hold(_COPPER)
     search_line = partial(search, problem, fit.levels, tolerance=0.01, best_objective=fit.objective)
-    for stop in stops:
+    for strength in strengths:
         previous, last = fits[-2:]
         change = np.clip(last.logs - previous.logs, -1.0, 1.0)
         start = apply_step(last, np.pad(change, (0, len(last.unknowns) - P)))
-        start[_COPPER] = stop
+        start[_COPPER] = strength
         try:
             fits.append(search_line(start, guess=last.model_forces))
         except ValueError:
@@ -320,12 +308,12 @@ def _follow_side(fit: Fit, stops: Floats) -> list[Fit]:
 
 
 def compute_widening(line: list[Fit], base: Fit) -> float:
-    """Compute the quantile of a curved family of curves relative to that of a straight family.
+    """Compute the ratio of the quantile for a nonlinear family of curves to that for a linear one.
 
     Parameters
     ----------
     line : fits along the family, in order, including the base
-    base : fit from which angles are measured
+    base : fit from which the directions to the others are measured
 
     Returns
     -------
@@ -339,7 +327,7 @@ def compute_widening(line: list[Fit], base: Fit) -> float:
 
 
 def compute_tube_quantile(angle: float) -> float:
-    """Compute the square root of the rise of the objective with a probability of 5 %.
+    """Compute the root of the rise of the objective that is exceeded with a probability of 5 %.
 
     Parameters
     ----------
@@ -363,7 +351,7 @@ def _sum_angles(products: Floats, side: range) -> float:
 
     The products are those of the differences of the points from the base.
     """
-    max_distance = 6.0  # standard deviations of noise; no farther curve fits better by chance
+    max_distance = 6.0  # standard deviations of noise; a farther curve does not fit by chance
     distance = np.sqrt(np.maximum(np.diag(products), 0.0))
     total_angle = 0.0
     for i, j in pairwise(side):
@@ -418,13 +406,13 @@ class LocalProfile:
 
 
 def follow_profiles(minima: Minima, index: int, *, factor: float = 1.0) -> tuple[LocalProfile, ...]:
-    """Follow the objective from each of its minima within the interval of a parameter.
+    """Compute the profiles of a parameter from all minima in the 95 % set.
 
     Parameters
     ----------
     minima : minima of a calibration
     index : index of the parameter
-    factor : factor on the rise of the objective at the ends of the 95 % set
+    factor : factor on the rise of the objective at the ends of the 95 % set; 1 for this set
     """
     return tuple(
         _follow_profile(minima, index, minimum, factor)
@@ -434,7 +422,7 @@ def follow_profiles(minima: Minima, index: int, *, factor: float = 1.0) -> tuple
 
 
 def unite_intervals(profiles: tuple[LocalProfile, ...]) -> tuple[tuple[float, float], ...]:
-    """Return the intervals of the union of several profiles, in increasing logarithms."""
+    """Return the intervals of which the union of several profiles consists, in increasing order."""
     intervals: list[tuple[float, float]] = []
     for lower, upper in sorted((profile.lower, profile.upper) for profile in profiles):
         if intervals and lower <= intervals[-1][1]:
@@ -476,13 +464,10 @@ def find_line_range(minima: Minima, index: int, factor: float) -> tuple[float, f
     limits = np.maximum(_compute_limits(minima, directions), 1e-30)
     height = np.sqrt(minima.line_rise / limits / factor)
     values, is_inside = minima.line_unknowns[:, index], height <= 1.0
-    ends = [values[is_inside]]
-    for start, stop in ((slice(None, -1), slice(1, None)), (slice(1, None), slice(None, -1))):
-        crosses = is_inside[start] & ~is_inside[stop]
-        low, high = height[start][crosses], height[stop][crosses]
-        fraction = (1.0 - low) / (high - low)
-        ends.append(values[start][crosses] + fraction * (values[stop] - values[start])[crosses])
-    range_values = np.concatenate(ends)
+    crosses = is_inside[:-1] != is_inside[1:]
+    fraction = (1.0 - height[:-1][crosses]) / np.diff(height)[crosses]
+    ends = values[:-1][crosses] + fraction * np.diff(values)[crosses]
+    range_values = np.append(values[is_inside], ends)
     return float(range_values.min()), float(range_values.max())
 
 
@@ -510,7 +495,7 @@ def _compute_quantile_ratio(quantile: Floats, error: Floats) -> Floats:
 def _follow_profile(
     minima: Minima, index: int, minimum: LocalMinimum, factor: float
 ) -> LocalProfile:
-    """Follow the objective to both sides of a minimum, with all other unknowns fitted."""
+    """Compute the profile of a parameter on both sides of a minimum; other unknowns are fitted."""
     fit, start = minimum.fit, float(minimum.fit.logs[index])
     error = float(np.sqrt(minimum.uncertainty.covariance[index, index]))
     below, above = variances.compute_quantiles(minimum.mixture, np.eye(P + 1)[[index]])
@@ -523,7 +508,7 @@ def _follow_profile(
     points = {(start, 0.0)}
     for side in (low, high):
         is_single = len(minima.local_minima) == 1
-        points |= set(side.points if is_single else _select_uphill(start, side))
+        points |= set(side.points if is_single else _select_rising(start, side))
     logs, heights = np.array(sorted(points)).T
     return LocalProfile(
         *(logs, heights**2 + minimum.rise, low.end, high.end, low.is_open, high.is_open),
@@ -548,8 +533,8 @@ class _ProfileSide:
     points: list[tuple[float, float]]
 
 
-def _select_uphill(start: float, side: _ProfileSide) -> list[tuple[float, float]]:
-    """Select the points of a side up to the first hill; minima beyond are followed separately."""
+def _select_rising(start: float, side: _ProfileSide) -> list[tuple[float, float]]:
+    """Select the points before the deviance decreases; farther minima have their own profiles."""
     points: list[tuple[float, float]] = []
     for point in sorted(side.points, key=lambda point: abs(point[0] - start)):
         if points and point[1] < points[-1][1]:
@@ -591,7 +576,7 @@ class _ProfilePath:
         The search starts from a nearby fit. It is repeated without extrapolation if the deviance is
         far above the threshold, `root` squared.
         """
-        max_threshold_factor = 3.0
+        max_factor = 3.0  # largest rise of the first search relative to the threshold
         problem = self.fit.problem.hold(self.index)
         search_profile = partial(search, problem, self.fit.levels, tolerance=1e-3)
         shift = (target - float(start.logs[self.index])) * self.direction
@@ -602,7 +587,7 @@ class _ProfilePath:
             fits.append(search_profile(unknowns, guess=start.model_forces))
             best = min(fits, key=lambda fit: fit.objective)
             rise = best.objective - self.fit.objective
-            if rise <= max_threshold_factor * root**2:
+            if rise <= max_factor * root**2:
                 break
         return float(np.sqrt(max(rise, 0.0))), best
 
@@ -616,7 +601,7 @@ def _find_end(path: _ProfilePath, sign: float, root: float, error: float) -> _Pr
     max_distance = sign * (bound - start)
     if max_distance <= 0.0:
         return _ProfileSide(bound, is_open=True, points=[])
-    inner, start_fit, n_kept = (0.0, 0.0), path.fit, 0
+    inner, start_fit, n_same_side = (0.0, 0.0), path.fit, 0
     outer: tuple[float, float] | None = None
     points: list[tuple[float, float]] = []
     distance = min(root * error, max_distance) if error > 0.0 else max_distance
@@ -626,12 +611,12 @@ def _find_end(path: _ProfilePath, sign: float, root: float, error: float) -> _Pr
         if abs(height - root) <= root_tolerance * root:
             break
         if height >= root:
-            outer, n_kept = (distance, height), min(n_kept, 0) - 1
+            outer, n_same_side = (distance, height), min(n_same_side, 0) - 1
         elif distance >= max_distance:
             return _ProfileSide(bound, is_open=True, points=points)
         else:
-            start_fit, inner, n_kept = fit, (distance, height), max(n_kept, 0) + 1
-        distance = _choose_distance(inner, outer, n_kept, root, max_distance)
+            start_fit, inner, n_same_side = fit, (distance, height), max(n_same_side, 0) + 1
+        distance = _choose_distance(inner, outer, n_same_side, root, max_distance)
     else:  # without convergence, the wider interval is taken
         distance = outer[0] if outer else max_distance
     return _ProfileSide(start + sign * distance, outer is None and distance >= max_distance, points)
@@ -640,22 +625,23 @@ def _find_end(path: _ProfilePath, sign: float, root: float, error: float) -> _Pr
 def _choose_distance(
     inner: tuple[float, float],
     outer: tuple[float, float] | None,
-    n_kept: int,
+    n_same_side: int,
     root: float,
     max_distance: float,
 ) -> float:
     """Choose the next distance: a limited extrapolation, then false position or bisection.
 
-    `inner` and `outer` are the last points inside and outside the interval: distance and root of
-    the deviance. `n_kept` counts successive points on the same side, negative outside. After three
-    such points the interval between the two is bisected, because the deviance is not quadratic.
+    `inner` and `outer` are the last points inside and outside the interval: distance from the
+    minimum and root of the deviance. `n_same_side` counts successive points inside, or outside with
+    a negative sign. After three such points the distance between `inner` and `outer` is bisected,
+    because the deviance is not quadratic.
     """
     max_growth = 2.5  # ratio of successive distances
     inner_distance, height = inner
     if outer is None:
         target = inner_distance * root / height if height > 0.0 else np.inf
         return min(max(target, 1.1 * inner_distance), max_growth * inner_distance, max_distance)
-    if abs(n_kept) > 2:
+    if abs(n_same_side) > 2:
         return 0.5 * (inner_distance + outer[0])
     fraction = (root - height) / (outer[1] - height)
     return inner_distance + min(max(fraction, 0.02), 0.98) * (outer[0] - inner_distance)

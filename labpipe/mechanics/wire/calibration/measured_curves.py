@@ -24,7 +24,7 @@ from labpipe.records.wire import (
 )
 
 MAX_DEFLECTION = 0.65
-"""Largest deflection relative to the length.
+"""Largest deflection of a measured curve, relative to the length.
 
 At larger deflections, stations may unload (`wire.first_loading`).
 """
@@ -50,7 +50,7 @@ class MeasuredCurve(ArrayRecord):
     offset_error : m, standard error of the common offset of the deflections, due to zero and clock
     scale_error : relative standard error of the scale of the deflection, common to all curves of a
         calibration
-    own_scale_error : relative standard error of the scale of the deflection in this curve only
+    curve_scale_error : relative standard error of the scale of the deflection in this curve alone
     self_weight : N/m, weight per length of the wire, which is level at rest
     """
 
@@ -65,7 +65,7 @@ class MeasuredCurve(ArrayRecord):
     zero_error: float = 0.0
     offset_error: float = 0.0
     scale_error: float = 0.0
-    own_scale_error: float = 0.0
+    curve_scale_error: float = 0.0
     self_weight: float = 0.0
 
     def __post_init__(self) -> None:
@@ -75,9 +75,9 @@ class MeasuredCurve(ArrayRecord):
 
     @property
     def setup(self) -> tuple[float, ...]:
-        """Inputs of the loading curve of the model, which is the same for curves of equal setup."""
-        wire = self.length, self.self_weight
-        return wire if self.rig is None else (*wire, *astuple(self.rig))
+        """Length, weight and rig; curves with the same values have the same model curve."""
+        rig = () if self.rig is None else astuple(self.rig)
+        return self.length, self.self_weight, *rig
 
     @property
     def peak(self) -> float:
@@ -96,7 +96,7 @@ class MeasuredCurve(ArrayRecord):
 
 
 def compute_shared_errors(curve: MeasuredCurve, slope: Floats) -> Floats:
-    """Compute the change of force for one standard deviation of each error that all points share.
+    """Compute the change of force for one standard error of each error that all points share.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ def compute_shared_errors(curve: MeasuredCurve, slope: Floats) -> Floats:
     Shape (3, n), N, for the zero of the force, and for offset and scale of the deflection.
     """
     zero = np.full(len(slope), curve.zero_error)
-    scale = float(np.hypot(curve.scale_error, curve.own_scale_error))
+    scale = float(np.hypot(curve.scale_error, curve.curve_scale_error))
     return np.stack([zero, curve.offset_error * slope, scale * curve.deflection * slope])
 
 
@@ -121,7 +121,7 @@ def select_usable_curves(
     -------
     The curves, or a failure if a calibration cannot use them: ``no_sample_usable``,
     ``wires_mixed``, ``noise_not_positive`` or ``deflection_too_large``. The common error of the
-    scale is multiplied by n^(1/2), and can then be treated as an independent error of each of the n
+    scale is multiplied by n^(1/2). It can then be treated as an independent error of each of the n
     curves.
 
     Notes
@@ -131,8 +131,8 @@ def select_usable_curves(
     """
     usable = tuple(_select_finite_points(curve) for curve in curves)
     usable = tuple(curve for curve in usable if len(curve.force))
-    root_n = np.sqrt(len(usable))
-    usable = tuple(replace(curve, scale_error=root_n * curve.scale_error) for curve in usable)
+    factor = np.sqrt(len(usable))
+    usable = tuple(replace(curve, scale_error=factor * curve.scale_error) for curve in usable)
     if not usable:
         return CalibrationFailure.of("mechanics.wire.no_sample_usable", number=len(curves))
     wires = sorted({curve.wire for curve in usable})
@@ -175,7 +175,7 @@ def whiten(values: Floats, correlation: float) -> Floats:
 
     Returns
     -------
-    Values of the same shape, with uncorrelated noise.
+    Values with uncorrelated noise of variance 1, of the same shape.
     """
     if correlation == 0.0:
         return values
@@ -193,7 +193,7 @@ def compute_curve_errors(
     Parameters
     ----------
     force, model : shape (n,), N, measured and modelled force
-    lower, upper : shape (n,), N, ends of a band; None without a band
+    lower, upper : shape (n,), N, limits of a band; None without a band
 
     Returns
     -------
@@ -235,7 +235,7 @@ def compare_with_model(curve: MeasuredCurve, model: Floats, factor: float) -> Cu
 
     Returns
     -------
-    Errors of the model without the factor, and correlation and runs test of the residuals of the
+    Errors of the model without the factor; correlation and runs test of the residuals from the
     model with the factor.
     """
     errors = compute_curve_errors(curve.force, model)
@@ -263,7 +263,7 @@ def compute_lag_one_correlation(residuals: Floats) -> float:
 
 
 def compute_runs_p(residuals: Floats) -> float:
-    """Compute the two-sided p-value of the runs test of Wald and Wolfowitz on signs of residuals.
+    """Compute the two-sided p-value of the Wald-Wolfowitz runs test on the signs of residuals.
 
     Notes
     -----
@@ -301,7 +301,7 @@ def compare_curves(
     curve : external curve
     deflection : shape (m,), m, deflections of the reference curve, increasing
     force : shape (m,), N, forces of the reference curve
-    band : lower and upper ends of the 95 % band of the reference curve, shape (m,), N, which may be
+    band : lower and upper limits of the 95 % band of the reference curve, shape (m,), N, may be
         NaN; None without a band
     label : name of the reference curve in messages: ``the tests``, ``the model``
 
@@ -317,10 +317,10 @@ def compare_curves(
     curve at these points.
     """
     points, n_points = curve.deflection, len(curve.deflection)
-    no_values = np.full(n_points, np.nan)
+    all_missing = np.full(n_points, np.nan)
     if not len(deflection):
         text = f"no point was compared: there is no curve of {label}"
-        return CurveMatch(no_values, None, n_points, text)
+        return CurveMatch(all_missing, None, n_points, text)
     is_shared = (deflection[0] <= points) & (points <= deflection[-1])
     n_shared, text = int(is_shared.sum()), ""
     span = f"{1e3 * deflection[0]:.3g} to {1e3 * deflection[-1]:.4g} mm, the range of {label}"
@@ -329,12 +329,12 @@ def compare_curves(
             f"{n_shared} of {n_points} points, from {1e3 * points[0]:.4g} to "
             f"{1e3 * points[-1]:.4g} mm, lie within {span}: expected at least {MIN_COMPARED_POINTS}"
         )
-        return CurveMatch(no_values, None, n_points, text)
+        return CurveMatch(all_missing, None, n_points, text)
     if n_shared < n_points:
         text = f"{n_points - n_shared} of {n_points} points left out, outside of {span}"
-    lower = upper = no_values
+    lower = upper = all_missing
     if band is not None:
-        lower, upper = (np.interp(points, deflection, end) for end in band)
+        lower, upper = (np.interp(points, deflection, limit) for limit in band)
     reference = np.where(is_shared, np.interp(points, deflection, force), np.nan)
     errors = compute_curve_errors(curve.force, reference, lower, upper)
     if not np.isfinite(lower[is_shared]).all():

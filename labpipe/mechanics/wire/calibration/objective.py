@@ -9,10 +9,10 @@ The unknowns are the logarithms of the parameters p, the logarithm g of the gain
 and the logarithms b_s of the factors of the samples. F are measured forces, f forces of the model.
 The matrix W whitens the residuals, v is the variance of the noise relative to the stated variance,
 and tau is the scatter of the samples. u_g and u_p are standard uncertainties of the gain and of the
-priors p_0. The factors multiply the forces of the model. A covariance computed from measured forces
-would bias the model to small forces if the scatter is large (Peelle's puzzle). For fixed levels v
-and tau, the objective is the Laplace form of the marginal likelihood. It is minimised by damped
-Gauss-Newton steps within the bounds.
+priors p_0. The factors multiply the forces of the model, because a covariance computed from
+measured forces would bias the model to small forces if the scatter is large (Peelle's puzzle). For
+fixed levels v and tau, the objective is -2 times the logarithm of the likelihood and the priors, up
+to a constant. It is minimised by damped Gauss-Newton steps within the bounds.
 
 The unknowns are in one vector: the logarithms of P parameters, then that of the gain, then those of
 the factors of the samples.
@@ -69,7 +69,7 @@ class Wire:
     contacts : nominal radial force, and friction coefficients, whose ratios are not changed
     orientation : rad, rotation of the section relative to the neutral axis
     self_weight : N/m, weight per length of the wire
-    linear_range : 1/m, curvature up to which the insulation is linear
+    linear_range : 1/m, largest curvature at which the insulation is linear
     """
 
     section: CrossSection
@@ -143,7 +143,7 @@ class Problem:
     scatter: float | None = None
 
     def hold(self, index: int) -> Problem:
-        """Return the problem in which the parameter with an index is not fitted."""
+        """Return the problem in which the parameter with this index is not fitted."""
         return replace(self, is_free=self.is_free & (np.arange(P) != index))
 
     @property
@@ -157,7 +157,7 @@ class Problem:
         return sum(len(curve.force) for curve in self.curves)
 
     def compute_precision(self, scatter: float) -> Floats:
-        """Compute the inverse prior variances of all unknowns; infinite for one fixed at 0.
+        """Compute the inverse prior variances of all unknowns; infinite for an unknown fixed at 0.
 
         Parameters
         ----------
@@ -185,7 +185,7 @@ def set_up_problem(
 
     Returns
     -------
-    The problem and the logarithms from which the search starts, shape (3,). Otherwise a failure
+    The problem and the logarithms from which the search starts, shape (3,); or a failure:
     ``parameter_without_effect``, ``value_out_of_bounds`` or ``too_few_points``.
     """
     logs, centre, precision, lower, upper = np.zeros((5, P))
@@ -211,8 +211,8 @@ def set_up_problem(
         if choice.factor is not None and not choice.is_fixed:
             centre[index] = logs[index]
             precision[index] = (NORMAL_95 / np.log(choice.factor)) ** 2
-    names = list(dict.fromkeys(curve.sample for curve in curves))
-    sample_index = np.array([names.index(curve.sample) for curve in curves], dtype=np.int64)
+    samples = list(dict.fromkeys(curve.sample for curve in curves))
+    sample_index = np.array([samples.index(curve.sample) for curve in curves], dtype=np.int64)
     bounds_and_gain = lower, upper, settings.gain, is_free, settings.scatter
     problem = Problem(law, curves, sample_index, centre, precision, *bounds_and_gain)
     min_points = int(is_free.sum()) + problem.n_samples + 1
@@ -283,9 +283,9 @@ def compute_model_forces(
         force, sensitivity = interpolate_force(loading, deflections)
         slope = np.interp(np.abs(deflections), loading.deflection, loading.stiffness)
         ends = np.cumsum([len(curves[i].deflection) for i in indices])[:-1]
-        pieces = (np.split(array, ends, axis=-1) for array in (force, sensitivity, slope))
-        for index, *piece in zip(indices, *pieces, strict=True):
-            forces[index] = ModelForce(piece[0], piece[1], piece[2], loading)
+        split_arrays = (np.split(array, ends, axis=-1) for array in (force, sensitivity, slope))
+        for index, *arrays in zip(indices, *split_arrays, strict=True):
+            forces[index] = ModelForce(arrays[0], arrays[1], arrays[2], loading)
     return [forces[index] for index in range(len(curves))]
 
 
@@ -308,9 +308,10 @@ def compute_whitened_products(
     Notes
     -----
     With errors N that all points share, the covariance is R + N N', where R is that of the noise.
-    For whitened columns W and errors N the products are W'W - W'N (1 + N'N)^-1 N'W (Woodbury). The
-    result is the same as if each error were fitted with its standard deviation as prior. If the
-    residuals have more noise than stated, the shared errors are larger by the same factor.
+    For whitened columns W and whitened errors N the products are W'W - W'N (1 + N'N)^-1 N'W
+    (Woodbury). The result is the same as if each error were fitted with its standard error as
+    prior. If the residuals have more noise than stated, the shared errors are increased by the same
+    factor.
     """
     noise = np.asarray(curve.noise)[:, None]
     white_columns = whiten(columns / noise, correlation)
@@ -347,9 +348,9 @@ class Fit:
     levels : levels of noise and scatter
     unknowns : shape (4 + samples,), logarithms of parameters, gain and factors of samples
     objective : value of the objective
-    grams : shape (samples, 5, 5), Gram matrix of each sample, whose columns are the derivatives
-        with respect to the parameters, the force of the model and the residual; see
-        `compute_whitened_products`
+    grams : shape (samples, 5, 5), Gram matrix of each sample. Its columns are the derivatives with
+        respect to the three parameters, the force of the model and the residual
+        (`compute_whitened_products`)
     model_forces : forces of the model for each curve
     n_steps : number of steps of the search
     has_converged : whether the search converged
@@ -371,7 +372,7 @@ class Fit:
 
     @property
     def factors(self) -> Floats:
-        """Factor of sample and load cell on the force of the model, shape (curves,)."""
+        """Factors on the forces of the model due to sample and load cell, shape (curves,)."""
         offsets = self.unknowns[P + 1 :][self.problem.sample_index]
         return np.asarray(np.exp(self.unknowns[P] + offsets))
 
@@ -379,7 +380,7 @@ class Fit:
 def evaluate_objective(
     problem: Problem, levels: Levels, unknowns: Floats, guess: list[ModelForce] | None = None
 ) -> Fit:
-    """Evaluate the objective for a set of unknowns, with an optional guess of the model forces."""
+    """Evaluate the objective; `guess` has the forces of the model for similar unknowns."""
     forces = compute_model_forces(problem.law, np.exp(unknowns[:P]), problem.curves, guess)
     fit = Fit(problem, levels, unknowns, np.nan, np.zeros(0), forces)
     grams = compute_products(fit, levels.correlation)
@@ -411,8 +412,8 @@ def make_normal_equations(fit: Fit) -> tuple[Floats, Floats, Flags]:
     """
     problem = fit.problem
     total, grams = fit.grams.sum(axis=0) / fit.levels.noise, fit.grams / fit.levels.noise
-    cross, own = grams[:, P, : P + 1], np.diag(grams[:, P, P])
-    matrix = np.block([[total[: P + 1, : P + 1], cross.T], [cross, own]])
+    cross_block, sample_block = grams[:, P, : P + 1], np.diag(grams[:, P, P])
+    matrix = np.block([[total[: P + 1, : P + 1], cross_block.T], [cross_block, sample_block]])
     right_side = np.append(total[-1, : P + 1], grams[:, P, -1])
     precision = problem.compute_precision(fit.levels.scatter)
     may_change = np.isfinite(precision)
@@ -441,6 +442,11 @@ def scale_matrix(matrix: Floats, ridge: float = 1e-12) -> tuple[Floats, Floats]:
     return matrix / np.outer(scale, scale) + ridge * np.eye(len(scale)), scale
 
 
+MAX_RISE = 200.0
+"""Rise of the objective above which a fit cannot be a solution.
+
+No squared quantile of a few samples is as large.
+"""
 _MAX_SEARCH_STEPS = 60
 """Largest number of steps of a search."""
 
@@ -472,17 +478,16 @@ def search(
         If the model cannot follow the curves at the start.
     """
     idle_decrease = 1e-3  # largest decrease of the objective in an idle step
-    max_idle_steps = 3  # after as many successive idle steps, a search along a flat valley ends
+    max_idle_steps = 3  # successive idle steps after which a search in a flat valley ends
     relative_tolerance = 1e-3  # decrease relative to the rise above the better fit
-    table_error = 1e-2  # a smaller predicted decrease may fail because curves are tabulated
+    table_error = 1e-2  # error of the objective because curves are tabulated
     min_damping, damping_factor, max_damping = 1e-6, 10.0, 1e8
-    # No quantile of so few samples is as large as this rise.
-    max_far_steps, far_rise = 8, 200.0
+    max_far_steps = 8  # largest number of steps with a rise above `MAX_RISE`
     fit = evaluate_objective(problem, levels, start, guess)
     damping, n_steps, n_idle_steps = min_damping, 0, 0
     while damping <= max_damping and n_idle_steps < max_idle_steps:
         rise = fit.objective - best_objective
-        if n_steps >= (max_far_steps if rise > far_rise else _MAX_SEARCH_STEPS):
+        if n_steps >= (max_far_steps if rise > MAX_RISE else _MAX_SEARCH_STEPS):
             break
         step, decrease = _compute_step(fit, damping)
         if decrease <= max(tolerance, relative_tolerance * rise):
@@ -502,12 +507,12 @@ def search(
 
 
 def _take_step(fit: Fit, step: Floats, decrease: float) -> Fit | None:
-    """Evaluate a step, or a part of it if a parabola has its minimum well before the full step.
+    """Evaluate a step, or a fraction of it if a parabola has its minimum well before the full step.
 
     `decrease` is the predicted decrease of the objective. In a narrow curved valley, full steps
     would oscillate between the sides of the valley.
     """
-    min_full_fraction = 0.75  # the full step is taken if the minimum is beyond this fraction
+    min_full_fraction = 0.75  # the full step is taken if the minimum is beyond this fraction of it
     min_fraction = 0.1
     full_step = _evaluate_step(fit, step)
     if full_step is None:

@@ -1,11 +1,11 @@
 """Estimate the variances of noise and samples, and the covariance of calibrated parameters.
 
 At the minimum of the objective the model is linearised in parameters and factors. The Gram matrices
-of the samples then contain all sums over points. Noise and scatter of samples are estimated by
-restricted maximum likelihood [1]_, with the mean factor of the samples as an unknown. The estimated
-scatter is therefore that between samples, independent of priors and of the gain of the load cell.
-The variance C of a parameter depends on noise and scatter. The degrees of freedom of C are those of
-Satterthwaite [2]_, 2 C^2 / var(C), as in [3]_.
+of the samples then contain all required sums over points. Noise and scatter of samples are
+estimated by restricted maximum likelihood [1]_, with the mean factor of the samples as an unknown.
+The estimated scatter is therefore that between samples, independent of priors and of the gain of
+the load cell. The variance C of a parameter depends on noise and scatter. The degrees of freedom of
+C are those of Satterthwaite, 2 C^2 / var(C) [2]_ [3]_.
 
 Two or three samples hardly determine the scatter of samples. The scatter determines whether a
 parameter depends more on the mean of the samples or on the shape of the curves. Intervals are
@@ -111,9 +111,9 @@ class LinearModel:
 
         The shape is (samples, 5, 5).
         """
-        sample = self.grams[:, P, :]
+        by_factor = self.grams[:, P, :]
         weights = ratio / (1.0 + ratio * self.grams[:, P, P])
-        return self.grams - weights[:, None, None] * sample[:, :, None] * sample[:, None, :]
+        return self.grams - weights[:, None, None] * by_factor[:, :, None] * by_factor[:, None, :]
 
     def estimate_noise(self, ratio: float) -> tuple[float, float]:
         """Estimate the variance of noise, and compute -2 times the log restricted likelihood.
@@ -139,8 +139,8 @@ def estimate_levels(fit: Fit, correlation: float) -> Levels:
     correlation : correlation of neighbouring points with which the Gram matrices of the fit were
         whitened
     """
-    # First, last and number of logarithms of scatter^2 times information over noise variance.
-    log_ratios = (-6.0, 14.0, 41)
+    # Logarithms of the ratio of scatter^2 to the variance of a factor due to noise.
+    log_ratios = np.linspace(-6.0, 14.0, 41)
     linear, scatter = make_linear_model(fit), fit.problem.scatter
     if scatter is None and fit.problem.n_samples == 1:
         scatter = 0.0
@@ -154,9 +154,8 @@ def estimate_levels(fit: Fit, correlation: float) -> Levels:
     def compute_deviance(log_ratio: float) -> float:
         return linear.estimate_noise(float(np.exp(log_ratio)) / information)[1]
 
-    grid = np.linspace(*log_ratios)
-    best = int(np.argmin([compute_deviance(log_ratio) for log_ratio in grid]))
-    bracket = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
+    best = int(np.argmin([compute_deviance(log_ratio) for log_ratio in log_ratios]))
+    bracket = log_ratios[max(best - 1, 0)], log_ratios[min(best + 1, len(log_ratios) - 1)]
     optimum = minimize_scalar(
         compute_deviance, bounds=bracket, method="bounded", options={"xatol": 1e-3}
     )
@@ -194,9 +193,9 @@ def estimate_uncertainty(fit: Fit) -> Uncertainty:
 
 
 def _compute_posterior(fit: Fit, total: Floats) -> tuple[Floats, Floats]:
-    """Compute the shift from the fit and the covariance of parameters and gain.
+    """Compute shift from the fit, shape (4,), and covariance, shape (4, 4), of parameters and gain.
 
-    Both follow from the whitened products `total`, shape (5, 5), and from the priors.
+    They follow from the whitened products `total`, shape (5, 5), and from the priors.
     """
     problem = fit.problem
     is_free = np.append(problem.is_free, problem.gain_uncertainty > 0.0)
@@ -300,10 +299,15 @@ def make_mixture(fit: Fit) -> ScatterMixture:
     the standard error due to noise of the factor of a sample. Smaller scatters have no effect.
     """
     min_probability = 1e-6  # smallest probability of a scatter that is included
+    min_factor = 0.3  # smallest scatter relative to the noise error of the factor of a sample
+    max_factor = 1000.0  # largest scatter relative to that error or to the estimated scatter
+    n_scatters = 64
     linear, levels = make_linear_model(fit), fit.levels
     ratios = np.array([levels.scatter**2 / levels.noise])
     if fit.problem.scatter is None and fit.problem.n_samples > 1:
-        ratios = _space_variance_ratios(linear, levels)
+        noise_error = float(np.median(linear.grams[:, P, P])) ** -0.5
+        largest = max_factor * max(levels.scatter / np.sqrt(levels.noise), noise_error)
+        ratios = np.geomspace(min_factor * noise_error, largest, n_scatters) ** 2
     estimates = [linear.estimate_noise(float(ratio)) for ratio in ratios]
     deviances = np.array([deviance for _, deviance in estimates])
     likelihood = np.exp(-0.5 * (deviances - deviances.min()))
@@ -320,13 +324,3 @@ def make_mixture(fit: Fit) -> ScatterMixture:
         np.array([covariance for _, covariance in posteriors])[is_likely],
         float(linear.freedom),
     )
-
-
-def _space_variance_ratios(linear: LinearModel, levels: Levels) -> Floats:
-    """Return a grid of ratios of the variance of samples to that of noise."""
-    min_factor = 0.3  # relative to the standard error due to noise of the factor of a sample
-    max_factor = 1000.0  # relative to the estimated scatter
-    n_scatters = 64
-    noise_error = float(np.median(linear.grams[:, P, P])) ** -0.5
-    largest = max_factor * max(levels.scatter / np.sqrt(levels.noise), noise_error)
-    return np.geomspace(min_factor * noise_error, largest, n_scatters) ** 2
