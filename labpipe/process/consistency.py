@@ -413,7 +413,7 @@ def _check_zero_drift(record: CheckedRecord) -> Iterator[Finding]:
     # The size of a jump has the error of two samples.
     max_misfit = MIN_REST_ERROR_RATIO * record.force_noise * sqrt(2.0 / count + 2.0)
     jump = sum(size for _, size in record.jumps["force"])
-    has_jumped = abs(end_level - level - jump) < max_misfit
+    has_jumped = abs(end_level - level - jump) < max_misfit < abs(jump)
     if has_jumped or any(kind == "level" for kind, *_ in record.cycle_changes):
         change = abs(change)
     largest_force = float(np.nanmax(np.abs(branch_forces - level)))
