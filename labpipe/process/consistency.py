@@ -256,7 +256,7 @@ def _interpolate_common_forces(*paths: BranchPath) -> list[Floats]:
 def _check_displacement_jumps(record: CheckedRecord) -> Iterator[Finding]:
     """Report the largest jump or outlier of the displacement, except a single one at a break."""
     min_break_drop = 0.3  # drop of the force at a break as a fraction of the largest force
-    min_outlier = 0.02  # fraction of the range of the displacement
+    min_outlier = 0.02  # smallest outlier as a fraction of the range of the displacement
     displacement, force = record.curve.displacement, record.curve.force
     deviations = displacement - bridge_spikes(displacement, find_spikes(displacement))
     outliers = np.flatnonzero(np.abs(deviations) > min_outlier * record.displacement_range)
@@ -279,7 +279,8 @@ def _check_rest_levels(record: CheckedRecord) -> Iterator[Finding]:
     differs from this zero before the motion.
     """
     min_samples = 8
-    min_force, min_displacement = 1e-4, 0.02  # fractions of largest force and displacement range
+    # Fractions of the largest force and of the range of the displacement.
+    min_force_fraction, min_displacement_fraction = 1e-4, 0.02
     signals, curve, start = record.signals, record.curve, record.curve.branches[0].start
     is_zeroed = signals.is_zeroed(signals.force)
     jumps = find_level_jumps(curve.time[:start], curve.force[:start])
@@ -288,8 +289,8 @@ def _check_rest_levels(record: CheckedRecord) -> Iterator[Finding]:
     rest_forces = drop_missing(curve.force[rest_start:start])
     rest_force, count = median(rest_forces), max(1, len(rest_forces))
     ratio, error = abs(rest_force) / record.largest_force, record.force_noise / sqrt(count)
-    limit = record.compute_min_change(min_force, error, MIN_REST_ERROR_RATIO)
-    if count >= min_samples and abs(rest_force) > limit:
+    min_force = record.compute_min_change(min_force_fraction, error, MIN_REST_ERROR_RATIO)
+    if count >= min_samples and abs(rest_force) > min_force:
         max_zero_error = 2.0 * signals.raw[signals.force].zero_drift
         is_small = ratio <= max(record.limits.rest_force, max_zero_error)
         facts: dict[str, Any] = {"level": rest_force, "ratio": ratio}
@@ -300,7 +301,7 @@ def _check_rest_levels(record: CheckedRecord) -> Iterator[Finding]:
         elif not is_small:
             yield record.report("process.rest_force_left", "force_zero", at=rest_start, **facts)
     displacement = float(curve.displacement[start])
-    is_displaced = abs(displacement) > min_displacement * record.displacement_range
+    is_displaced = abs(displacement) > min_displacement_fraction * record.displacement_range
     if is_displaced and not signals.is_zeroed(signals.displacement):
         facts = {"level": 1e3 * displacement, "channel": "displacement"}
         yield record.report("process.rest_displacement", **facts)
@@ -333,28 +334,30 @@ def _check_early_force(record: CheckedRecord) -> Iterator[Finding]:
 
 
 def _check_force_level(record: CheckedRecord) -> Iterator[Finding]:
-    """Report a jump of the force that a specimen cannot cause or, without one, a drift of the zero.
+    """Report a jump of the force that no specimen causes; without such a jump, a drift of the zero.
 
     Such a jump is a rise in loading, or any jump in unloading. If a converter overflows, the force
     jumps over the whole range of the record. One or two jumps over the whole range are an overflow
     only if they lead to the opposite force.
     """
     max_jumps = 2  # more jumps are attributed to the specimen, or are overflows
-    min_overflow = 0.9  # jump as a fraction of the range of the force
-    max_asymmetry = 0.1  # difference between the final force and half the jump, over the jump
+    min_overflow_fraction = 0.9  # jump divided by the range of the force
+    max_asymmetry = (
+        0.1  # difference between the force after the jump and half the jump, over the jump
+    )
     force, branches = record.curve.force, record.curve.branches
     all_jumps = record.find_jumps("force")
-    min_size = min_overflow * np.ptp(drop_missing(force))
-    overflows = [jump for jump in all_jumps if abs(jump[1]) > min_size]
+    min_overflow = min_overflow_fraction * np.ptp(drop_missing(force))
+    overflows = [jump for jump in all_jumps if abs(jump[1]) > min_overflow]
     if len(overflows) <= max_jumps:
         overflows = [x for x in overflows if abs(force[x[0]] / x[1] - 0.5) < max_asymmetry]
     # Each branch is extended to the start of the next one, and then includes the rest after it.
-    ends = [*(branch.start for branch in branches[1:]), branches[-1].stop]
+    rest_ends = [*(branch.start for branch in branches[1:]), branches[-1].stop]
     jumps = [
         (sample, size)
-        for branch, end in zip(branches, ends, strict=True)
+        for branch, rest_end in zip(branches, rest_ends, strict=True)
         for sample, size in all_jumps
-        if branch.start + TURN_REACH < sample < end - TURN_REACH
+        if branch.start + TURN_REACH < sample < rest_end - TURN_REACH
         and abs(sample - branch.stop) > TURN_REACH
         and (branch.direction is Direction.UNLOADING or record.loading_sign * size > 0.0)
     ]
@@ -582,7 +585,7 @@ def _check_turns(record: CheckedRecord) -> Iterator[Finding]:
             float(np.convolve(forces, np.ones(n_averaged) / n_averaged, "valid").max())
             for forces in (last_forces, first_forces)
         )
-        # The turn lies between two samples, so that the force may grow by its mean step.
+        # The turn is between two samples. The force may therefore grow by its mean step.
         mean_step = max(0.0, float(last_forces[-1] - last_forces[0])) / (len(last_forces) - 1)
         growths.append((largest_after - largest_before - mean_step, next_branch))
     if not growths:
@@ -604,19 +607,19 @@ def _check_skipped_turns(record: CheckedRecord) -> Iterator[Finding]:
     min_step_ratio = 5.0  # largest step of the force at a turn divided by that at the other turns
     curve, jumps = record.curve, dict(record.find_jumps("force"))
     for direction in Direction:
-        turns = [
+        ranges = [
             range(max(second.start - TURN_REACH, 0), second.start + TURN_REACH + 1)
             for _, second, _ in record.turns
             if second.direction is direction
         ]
-        turn_forces = [curve.force[turn.start : turn.stop] for turn in turns]
+        turn_forces = [curve.force[samples.start : samples.stop] for samples in ranges]
         steps = [np.fmax.reduce(np.abs(np.diff(force)), initial=0.0) for force in turn_forces]
-        for index, turn in enumerate(turns):
+        for index, samples in enumerate(ranges):
             other_steps = [*steps[:index], *steps[index + 1 :]]
-            sample = next((sample for sample in turn if sample in jumps), None)
+            sample = next((sample for sample in samples if sample in jumps), None)
             is_interrupted = steps[index] > min_step_ratio * max(other_steps, default=inf)
             if sample is not None and is_interrupted:
-                segment = turn.start, min(turn.stop, len(curve.time)) - 1
+                segment = samples.start, min(samples.stop, len(curve.time)) - 1
                 facts: dict[str, Any] = {"at": sample, "size": jumps[sample]}
                 facts |= {"segment": segment, "channel": "displacement"}
                 yield record.report("process.turn_skipped", *QUANTITIES, **facts)
@@ -632,22 +635,23 @@ def _check_force_clipping(record: CheckedRecord) -> Iterator[Finding]:
     turn_reaches = 0.1, 0.05, 0.03  # displacements on each side as fractions of that of the branch
     # Smallest constant force as a fraction of the largest force; largest error as a fraction of the
     # largest force, divided by the reach.
-    min_level, max_error = 0.5, 0.1
+    min_level_fraction, max_error_ratio = 0.5, 0.1
     n_standard_errors, min_piece_samples = 4.0, 8
     for cycle in record.cycles:
-        turn = record.curve.displacement[cycle.unloading.start]
+        turn_position = record.curve.displacement[cycle.unloading.start]
         for reach in turn_reaches:
             pieces = list[Floats]()
             for displacement, force in cycle.paths:
-                is_near = np.abs(displacement - turn) < reach * np.ptp(displacement)
+                is_near = np.abs(displacement - turn_position) < reach * np.ptp(displacement)
                 pieces += np.array_split(force[is_near], 2)
             if min(map(len, pieces)) < min_piece_samples:
                 break
             error = n_standard_errors * max(piece.std() / sqrt(len(piece)) for piece in pieces)
             levels = [float(piece.mean()) for piece in pieces]
             level, is_level = float(np.mean(levels)), np.ptp(levels) < error
-            is_precise = error < max_error * reach * record.largest_force
-            if is_level and is_precise and abs(level) > min_level * record.largest_force:
+            min_level = min_level_fraction * record.largest_force
+            is_precise = error < max_error_ratio * reach * record.largest_force
+            if is_level and is_precise and abs(level) > min_level:
                 facts: dict[str, Any] = {"cycle": cycle.loading.cycle, "level": level}
                 segment = cycle.loading.start, cycle.unloading.stop - 1
                 yield record.report("process.force_limited", "force", segment=segment, **facts)
@@ -661,12 +665,13 @@ def _check_held_turns(record: CheckedRecord) -> Iterator[Finding]:
     for first, second, _ in record.turns:
         # A damper reverses its force at a turn, so that each branch has a sign of its own.
         sign = record.compute_sign(first) * (1 if first.direction is Direction.LOADING else -1)
-        turn = first.stop - 1
-        force = drop_missing(sign * curve.force[turn : second.start + 1])
+        turn_sample = first.stop - 1
+        force = drop_missing(sign * curve.force[turn_sample : second.start + 1])
         growth = float(force.max() - max(force[0], force[-1])) if len(force) else 0.0
         if growth > record.compute_min_change(min_growth, record.force_noise):
-            facts: dict[str, Any] = {"growth": growth, "position": 1e3 * curve.displacement[turn]}
-            facts |= {"at": turn, "segment": (first.start, second.stop - 1)}
+            position = 1e3 * curve.displacement[turn_sample]  # mm
+            facts: dict[str, Any] = {"growth": growth, "position": position, "at": turn_sample}
+            facts |= {"segment": (first.start, second.stop - 1)}
             quantity: Quantity = "displacement"
             yield record.report("process.displacement_limited", quantity, channel=quantity, **facts)
 
@@ -690,9 +695,9 @@ def _check_jump_to_peak(record: CheckedRecord) -> Iterator[Finding]:
     if len(steps) < 2 * reach or not len(forces_after):
         return
     jump, largest_step = float(steps[reach:].max()), np.abs(steps[:reach]).max()
-    limit = record.compute_min_change(min_jump, record.force_noise)
+    min_change = record.compute_min_change(min_jump, record.force_noise)
     is_lost = float(np.min(forces_after)) < max_remaining_force * force[peak]
-    if is_lost and jump > max(limit, min_step_ratio * float(largest_step)):
+    if is_lost and jump > max(min_change, min_step_ratio * float(largest_step)):
         segment = peak - reach, peak
         yield record.report("process.last_rise", "force", at=peak, segment=segment, size=jump)
 

@@ -382,8 +382,8 @@ def find_turn_events(
     Returns
     -------
     Shape (4, events), s. The rows are the time on the clock of the motion, the time on the clock of
-    the force, the standard error of their difference, and the error of the difference that the
-    unknown shape of the force after the corner causes. The last error is common to all events of a
+    the force, the standard error of their difference, and the component of this error from the
+    unknown shape of the force after the corner. This component is common to all events of a
     specimen and does not average out.
 
     Notes
@@ -407,7 +407,7 @@ def _fit_corners(force: Signal, turn: Turn, rough_time: float, window: float) ->
     """Fit the corners of a force at a turn of the motion, shape (corners, 5), s.
 
     The columns are the times on the clocks of motion and force, their standard errors, and the
-    error of the force time that the unknown shape of the force causes. A dwell longer than two
+    component of the latter error from the unknown shape of the force. A dwell longer than two
     windows has two rows, one for each of its corners.
     """
     search_reach = 1.0  # s, on each side of the rough time of the peak
@@ -433,7 +433,7 @@ def _fit_corners(force: Signal, turn: Turn, rough_time: float, window: float) ->
 
 
 def _average_corners(corners: Floats) -> list[float]:
-    """Average the corners of a turn, weighted by their errors, to one event of 4 values, s."""
+    """Average the corners of a turn, weighted by their errors, to an event of four values, s."""
     lags, lag_errors = corners[:, 1] - corners[:, 0], np.hypot(corners[:, 2], corners[:, 3])
     weights = lag_errors**-2.0 / (lag_errors**-2.0).sum()
     error_factor = max(1.0, float(np.ptp(lags)) / float(np.linalg.norm(lag_errors)))
@@ -602,8 +602,8 @@ def _check_cycle_lag(lag: CycleLag | None, fit: ClockFit) -> tuple[CycleLag | No
 def _fit_events(events: Floats, cycle_lag: CycleLag | None) -> ClockFit:
     """Fit the relation of the clocks to events and to the lag of a repeated cycle, if any."""
     motion_times, force_times, errors, shape_errors = events
-    # The error from the shape of the force is common to all events but one, so that it must not
-    # average out.
+    # Each error contains the shape error once. The shape error is common to all n events, and with
+    # the factor sqrt(n - 1) it does not average out.
     errors = np.hypot(errors, sqrt(len(errors) - 1) * shape_errors)
     method = "turning points: lines through the travel, smooth pieces of the force"
     method = method if cycle_lag is None else f"{method}; lag of the repeated cycle"

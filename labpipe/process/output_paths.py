@@ -88,12 +88,12 @@ def identify_recording(result: TestResult, protocol: Protocol) -> RecordingIdent
     columns = () if curve is None else (curve.displacement, curve.force)
     if not columns or not all(np.isfinite(values).any() for values in columns):
         return RecordingIdentity(export_key, (result.protocol, marker_names, 0))
-    step = max(1, len(columns[0]) // n_compared)
+    stride = max(1, len(columns[0]) // n_compared)
     travel, force_range = (float(np.nanmax(values) - np.nanmin(values)) for values in columns)
     noise = estimate_noise_level(columns[1])
     force_tolerance = max(noise_factor * noise, force_fraction * force_range)
     tolerances = displacement_fraction * travel, force_tolerance
-    samples = tuple(values[::step].copy() for values in columns)
+    samples = tuple(values[::stride].copy() for values in columns)
     group_key = (result.protocol, marker_names, len(columns[0]))
     mean_force = float(np.nanmean(samples[1]))
     return RecordingIdentity(export_key, group_key, samples, tolerances, mean_force)
@@ -115,17 +115,17 @@ def find_copies(recordings: Sequence[tuple[Path, RecordingIdentity]]) -> dict[st
     copies: dict[str, str] = {}
     for file, recording in recordings:
         # Mean forces differ by at most the root mean square of the differences of the samples.
-        group, mean = groups.setdefault(recording.group_key, []), recording.mean_force
+        group, mean_force = groups.setdefault(recording.group_key, []), recording.mean_force
         tolerance = recording.tolerances[1] if recording.tolerances else 0.0
-        start = bisect_left(group, mean - tolerance, key=itemgetter(0))
-        stop = bisect_right(group, mean + tolerance, key=itemgetter(0))
+        start = bisect_left(group, mean_force - tolerance, key=itemgetter(0))
+        stop = bisect_right(group, mean_force + tolerance, key=itemgetter(0))
         equal_files = (path for _, path, x in group[start:stop] if recording.has_samples_of(x))
         original = first_files.get(recording.export_key) or next(equal_files, None)
         if original is not None:
             copies[str(file)] = str(UsageError.about("process.copy", file, original=original))
             continue
         first_files[recording.export_key] = file
-        insort(group, (mean, file, recording), key=itemgetter(0))
+        insort(group, (mean_force, file, recording), key=itemgetter(0))
     return copies
 
 
@@ -144,7 +144,7 @@ def find_tests(targets: Sequence[Path]) -> list[Path]:
     Raises
     ------
     UsageError
-        If a path does not exist, holds no test, or is in a folder that labpipe was writing.
+        If a path does not exist, contains no test, or is in a folder that labpipe was writing.
     """
     for target in targets:
         if target.is_file() and target.suffix not in {".yaml", ".yml", ".h5"}:
@@ -167,7 +167,7 @@ def find_results(targets: Sequence[Path]) -> list[Path]:
     Raises
     ------
     UsageError
-        If a path does not exist, holds no processed test, or is in a folder that labpipe was
+        If a path does not exist, contains no processed test, or is in a folder that labpipe was
         writing.
     """
     return _find_files(targets, RESULT_FILE)

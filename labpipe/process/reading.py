@@ -220,9 +220,9 @@ def join_exports(parts: Sequence[Recording], names: Sequence[str], folder: Path)
             _check_sortable(path, part)
         parts_with_samples.sort(key=lambda path_and_part: float(path_and_part[1].clocks[0].time[0]))
     for (path, part), (next_path, next_part) in pairwise(parts_with_samples):
-        end, start = float(part.clocks[0].time[-1]), float(next_part.clocks[0].time[0])
-        if start <= end:
-            facts = {"end": end, "part": path, "start": start}
+        part_end, next_start = float(part.clocks[0].time[-1]), float(next_part.clocks[0].time[0])
+        if next_start <= part_end:
+            facts = {"end": part_end, "part": path, "start": next_start}
             raise ReadError.about("process.parts_overlap", next_path, "time", **facts)
     ordered_parts = [part for _, part in parts_with_samples]
     notes = [note for part in (*ordered_parts, *filter(is_empty, parts)) for note in part.notes]

@@ -342,11 +342,11 @@ def _read_stored_test(result_path: Path) -> tuple[RawTest, Protocol]:
     protocol = parse_protocol(raw_test.protocol_yaml, f"{result_path}, protocol_yaml")
     for role, source in protocol.sources.items():
         recording = raw_test.recordings.get(role, Recording(""))
-        names = [channel.name for channel in recording.channels]
-        missing_names = sorted(set(source.all_channels) - set(names))
+        channel_names = [channel.name for channel in recording.channels]
+        missing_names = sorted(set(source.all_channels) - set(channel_names))
         if missing_names or role not in raw_test.recordings:
             expected = " ".join(["the channels of its protocol,", *missing_names]).strip(", ")
-            facts = {"expected": expected, "found": ", ".join(map(repr, names)) or "none"}
+            facts = {"expected": expected, "found": ", ".join(map(repr, channel_names)) or "none"}
             raise StoreError.about("process.bad_result", result_path, f"raw/{role}", **facts)
     return raw_test, protocol
 
@@ -470,9 +470,9 @@ def _add_inputs(failure: FailedTest, task: Task) -> FailedTest:
         failure = replace(failure, test=read_test_name(source))
         if source.suffix == ".h5":
             return failure
-        sheet, text = load_test_sheet(source), source.read_text(encoding="utf-8")
+        sheet, test_yaml = load_test_sheet(source), source.read_text(encoding="utf-8")
         protocol = resolve_protocol(sheet, source, follow_links=task.follow_links)
-        texts = {"sheet": text, "protocol": format_protocol(protocol)}
+        texts = {"sheet": test_yaml, "protocol": format_protocol(protocol)}
         hashes = {name: sha256(text.encode()).hexdigest() for name, text in texts.items()}
         failure = replace(failure, made_of=hashes)  # the hashes remain if an export cannot be read
         inputs = fingerprint_inputs(source.parent, sheet, protocol)

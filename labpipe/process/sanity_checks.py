@@ -439,7 +439,7 @@ def find_cut_ends(
     records are complete.
     """
     max_missing_samples = 2.0  # samples that may be missing at the end of the force
-    signal, limits, ends = motion.signal, protocol.limits, dict[str, float]()
+    signal, limits, end_times = motion.signal, protocol.limits, dict[str, float]()
     if not motion.branches:
         return {}
     last_branch = motion.branches[-1]
@@ -450,7 +450,7 @@ def find_cut_ends(
         is_single, stroke = len(motion.branches) == 1, protocol.rig.stroke
         is_complete = is_full_stroke(signal, stroke) if is_single else _has_arrived(motion, limits)
         if not is_complete or any(note.code in _CUT_FILE_CODES for note in findings.notes):
-            ends = dict.fromkeys(("force", "displacement"), float(time[-1]))
+            end_times = dict.fromkeys(("force", "displacement"), float(time[-1]))
     force = signals.raw[signals.force]
     last_sample = int(np.flatnonzero(~np.isnan(force.values))[-1])
     force_end = motion.clocks.to_curve(float(force.time[last_sample]), force.clock)
@@ -458,7 +458,7 @@ def find_cut_ends(
     duration = last_branch.stop_time - last_branch.start_time
     max_missing_time = max(limits.force_shortfall * duration, max_missing_samples * time_step)
     is_cut = force_end < last_branch.stop_time - max_missing_time
-    return ends | {"force": force_end} if is_cut else ends
+    return end_times | {"force": force_end} if is_cut else end_times
 
 
 def _has_arrived(motion: Motion, limits: Limits) -> bool:
@@ -468,8 +468,8 @@ def _has_arrived(motion: Motion, limits: Limits) -> bool:
     """
     noise_factor = 5.0  # standard deviations of the motion
     values, branches, last_branch = motion.signal.values, motion.branches, motion.branches[-1]
-    start, end = float(values[last_branch.start]), float(drop_missing(values)[-1])
-    rising_values = values if end > start else -values  # rising in the last branch
+    travel = float(drop_missing(values)[-1] - values[last_branch.start])
+    rising_values = values if travel > 0.0 else -values  # rising in the last branch
     is_loading = last_branch.direction is Direction.LOADING
     turn_positions = [] if is_loading else [float(rising_values[branches[0].start])]
     turn_positions += [
@@ -480,10 +480,11 @@ def _has_arrived(motion: Motion, limits: Limits) -> bool:
     # Near the peak the force changes steeply with the displacement. At the end of unloading it is
     # small.
     shortfall = limits.loading_shortfall if is_loading else limits.unloading_shortfall
-    step = abs(end - start) / max(1, last_branch.stop - last_branch.start)
+    step = abs(travel) / max(1, last_branch.stop - last_branch.start)  # mean per sample
     noise = noise_factor * estimate_noise_level(values)
     tolerance = max(shortfall * _compute_range(values), step, noise)
-    return bool(turn_positions) and (end if end > start else -end) >= turn_positions[-1] - tolerance
+    end_position = float(drop_missing(rising_values)[-1])
+    return bool(turn_positions) and end_position >= turn_positions[-1] - tolerance
 
 
 def check_holds(prepared: PreparedTest, motion: Motion, protocol: Protocol) -> Iterator[Finding]:

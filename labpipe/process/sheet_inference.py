@@ -249,7 +249,7 @@ def match_protocols(
     Notes
     -----
     Protocols with the best `ProtocolMatch.score` are compared by the following criteria. The first
-    criterion that exactly one protocol meets decides.
+    criterion that exactly one protocol meets selects this protocol.
 
     1. One of `names` contains the name of the protocol.
     2. The metadata of an export name the standard after which the protocol is named.
@@ -376,7 +376,7 @@ def list_possible_exports(folder: Path) -> list[Path]:
 
 
 def list_test_folders(folder: Path) -> list[Path]:
-    """List the test folders of a campaign that may hold exports, sorted by name.
+    """List the test folders of a campaign that may contain exports, sorted by name.
 
     Parameters
     ----------
@@ -612,14 +612,14 @@ def _match_folder(
 def _assign_files(exports: Exports, matches: Sequence[ProtocolMatch]) -> dict[str, tuple[str, ...]]:
     """Assign exports to roles if all matches agree or, without matches, by the exports' formats."""
     if matches:
-        first, *others = (match.files for match in matches)
-        return {x: first[x] for x in first if all(files.get(x) == first[x] for files in others)}
-    files: dict[str, tuple[str, ...]] = {}
+        files, *other_files = (match.files for match in matches)
+        return {x: files[x] for x in files if all(y.get(x) == files[x] for y in other_files)}
+    files_by_format: dict[str, tuple[str, ...]] = {}
     for path, export in exports.items():
         role = "frame" if export.reader == "load-frame" else "force"
         role = "markers" if export.reader in MARKER_READERS else role
-        files[role] = (*files.get(role, ()), path.name)
-    return files
+        files_by_format[role] = (*files_by_format.get(role, ()), path.name)
+    return files_by_format
 
 
 def _describe_matches(exports: Exports, matches: Sequence[ProtocolMatch]) -> str:

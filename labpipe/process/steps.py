@@ -457,7 +457,7 @@ def zero_signal(signals: Signals, step: declarations.Zero) -> tuple[Signals, lis
     Raises
     ------
     ValueError
-        If the signal has no times, or the stretch holds too few samples.
+        If the signal has no times, or the stretch contains too few samples.
     """
     name, is_at_start = step.channel, step.at == "start"
     signal = signals.filtered[name]

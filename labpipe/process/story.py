@@ -147,8 +147,8 @@ def split_motion(
     """
     signals = prepared.signals
     motion, findings = find_motion_strokes(signals.raw[settings.channel], settings)
-    fit, motion, new_findings = align_clocks(signals, protocol.align, motion)
-    clocks = Clocks(signals.raw[signals.displacement].clock, force_fit=fit)
+    force_fit, motion, new_findings = align_clocks(signals, protocol.align, motion)
+    clocks = Clocks(signals.raw[signals.displacement].clock, force_fit=force_fit)
     motion = replace(motion, branches=split_at_turns(motion), clocks=clocks)
     findings += new_findings
     if prepared.span is not None:
