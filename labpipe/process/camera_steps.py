@@ -107,15 +107,16 @@ def repair_marker_tracks(
     clamp_path, findings = _read_clamp_path(tracks, settings, step, take.role)
     track_names, body_findings = _select_specimen_tracks(tracks, settings, take.role)
     limits = {"max_gap": step.max_gap, "max_jump": step.max_jump, "frozen_time": step.frozen}
-    repaired = repair_tracks(tracks, track_names=track_names, clamp=clamp_path, **limits)
+    repaired_tracks = repair_tracks(tracks, track_names=track_names, clamp=clamp_path, **limits)
     if settings.rings == "by-body":
-        rings = group_rings(repaired.names)
+        rings = group_rings(repaired_tracks.names)
         if len(rings) < min_rings:
-            facts = {"count": len(rings), "markers": len(repaired.names), "names": ", ".join(rings)}
+            facts: dict[str, Any] = {"count": len(rings), "names": ", ".join(rings)}
+            facts |= {"markers": len(repaired_tracks.names)}
             raise ValueError(format_sentence("process.few_rings", **facts))
-        repaired = compute_ring_centres(repaired, rings)
-    findings += [*body_findings, *_make_shape_findings(repaired.notes, take.role)]
-    take = replace(take, clamp_positions=clamp_path, repaired_tracks=repaired)
+        repaired_tracks = compute_ring_centres(repaired_tracks, rings)
+    findings += [*body_findings, *_make_shape_findings(repaired_tracks.notes, take.role)]
+    take = replace(take, clamp_positions=clamp_path, repaired_tracks=repaired_tracks)
     return replace(prepared, take=take), findings
 
 
@@ -163,14 +164,14 @@ def fit_specimen_shapes(
     """Run ``fit-shape``: fit the shape, and add the signal ``deflection`` if there is a clamp."""
     misfit_factor, misfit_offset = 3.0, 1e-2  # multiple of the rms deviation at rest; mm
     take, signals, role = prepared.take, prepared.signals, prepared.take.role
-    tracks, repaired = _require(take.tracks), _require(take.repaired_tracks)
+    tracks, repaired_tracks = _require(take.tracks), _require(take.repaired_tracks)
     frame, is_at_rest = _require(take.frame), _require(take.is_at_rest)
     order, grip_error = list(frame.marker_order), settings.offset_uncertainty
     has_clamp = take.clamp_positions is not None
     fit = fit_shape(
-        frame.to_specimen(repaired.positions[:, order]),
-        repaired.flags[:, order],
-        [repaired.names[index] for index in order],
+        frame.to_specimen(repaired_tracks.positions[:, order]),
+        repaired_tracks.flags[:, order],
+        [repaired_tracks.names[index] for index in order],
         tracks.time,
         clamp_specimen=frame.to_specimen(_require(take.clamp_positions)) if has_clamp else None,
         rotation_lab_to_specimen=frame.rotation_lab_to_specimen,
@@ -324,12 +325,12 @@ def fit_three_point_shape(
     # the variance is estimated.
     bent_fraction, min_rest_frames = 0.5, 4
     take = prepared.take
-    time, repaired = _require(take.tracks).time, _require(take.repaired_tracks)
+    time, repaired_tracks = _require(take.tracks).time, _require(take.repaired_tracks)
     if span is None:
         return _reject_span(prepared, Failure.of("process.no_span"))
     is_at_rest = np.asarray(time <= time[0] + step.over)
     try:
-        sections = find_sections(repaired.positions, is_at_rest, min_distance=step.section)
+        sections = find_sections(repaired_tracks.positions, is_at_rest, min_distance=step.section)
         deflections = np.abs(sections.markers[..., 1] - sections.rest_xyz[:, 1])
         max_deflections = np.max(np.nan_to_num(deflections), axis=1)  # of each frame
         is_bent = np.asarray(max_deflections > bent_fraction * max_deflections.max())
@@ -347,7 +348,7 @@ def fit_three_point_shape(
     mid_span = take.make_signal(time, deflection - rest_values.mean())
     mid_span = replace(mid_span, zero_error=float(np.sqrt(variance)))
     signals = prepared.signals.add_signal("mid_span", mid_span)
-    span_shape = _make_span_shape(sections, shape, time, repaired.flags)
+    span_shape = _make_span_shape(sections, shape, time, repaired_tracks.flags)
     n_around, noise = int((shape.lever_arm > 0.0).sum()), 1e6 * shape.axis.noise
     facts: dict[str, Any] = {"count": sections.n_sections, "n_around": n_around, "noise": noise}
     finding = Finding.of("process.three_point_shape", take.role, **facts)

@@ -24,7 +24,7 @@ from labpipe.protocol.load import (
     resolve_protocol,
 )
 from labpipe.protocol.schema import Markers, Protocol
-from labpipe.protocol.sheet_grammar import SHEET_NAME, TestSheet
+from labpipe.protocol.sheet_grammar import PLAN_NAME, SHEET_NAME, TestSheet
 from labpipe.protocol.yaml_text import parse_yaml, read_text
 from labpipe.readers import recognise_export
 from labpipe.records.declarations import Decimate, LowPass, Smooth, Zero
@@ -105,9 +105,9 @@ def check_paths(paths: Sequence[Path] = (), *, follow_links: bool = False) -> Ch
         yaml_files = [x for x in candidates if x.suffix in _YAML_SUFFIXES and x.is_file()]
         files |= dict.fromkeys(yaml_files)
         if not yaml_files:
-            found = "a folder without YAML files" if path.is_dir() else "a file of another kind"
-            found = found if path.exists() else "nothing of that name"
-            report.add(ProtocolError.about("process.nothing_to_check", path, found=found))
+            content = "a folder without YAML files" if path.is_dir() else "a file of another kind"
+            content = content if path.exists() else "nothing of that name"
+            report.add(ProtocolError.about("process.nothing_to_check", path, found=content))
     for file in files:
         load = _select_loader(file)
         if file.name == SHEET_NAME:
@@ -130,7 +130,6 @@ def check_paths(paths: Sequence[Path] = (), *, follow_links: bool = False) -> Ch
 def _select_loader(path: Path) -> Callable[[Path], object] | None:
     """Select the loader of a plan or harness file; None for any other file."""
     from labpipe.protocol.model_files import CalibrationPlan, HarnessFile
-    from labpipe.protocol.sheet_grammar import PLAN_NAME
 
     if path.name == PLAN_NAME:
         return load_campaign_plan

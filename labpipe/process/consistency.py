@@ -177,7 +177,7 @@ class CheckedRecord:
 
     def report(
         self,
-        message: str,
+        template: str,
         *quantities: str,
         channel: Quantity = "force",
         at: int | None = None,
@@ -188,7 +188,8 @@ class CheckedRecord:
 
         Parameters
         ----------
-        message, facts : name and facts of the message, see `labpipe.messages.format_sentence`
+        template, facts : name of the message template, and values of its fields, see
+            `labpipe.messages.format_sentence`
         quantities : doubtful quantities
         channel : quantity whose channel the note names
         at : index of the sample of the fact ``at``, which is its time, or its number if the export
@@ -202,7 +203,7 @@ class CheckedRecord:
             facts["at"] = f"{time[at]:.3f} s" if is_timed else f"sample {at + 1}"
         period = None if segment is None else (float(time[segment[0]]), float(time[segment[1]]))
         channel_name = getattr(self.signals, channel)
-        return Finding.of(message, channel_name, *quantities, period=period, **facts)
+        return Finding.of(template, channel_name, *quantities, period=period, **facts)
 
 
 def check_consistency(record: CheckedRecord) -> Iterator[Finding]:
@@ -322,12 +323,13 @@ def _check_early_force(record: CheckedRecord) -> Iterator[Finding]:
     if has_one_clock or start < (min_means + 1) * n_samples or not n_samples:
         return
     blocks = curve.force[start % n_samples : start].reshape(-1, n_samples)
-    means = drop_missing(blocks.mean(axis=1))
-    if len(means) <= min_means:
+    mean_forces = drop_missing(blocks.mean(axis=1))
+    if len(mean_forces) <= min_means:
         return
-    rest_force = median(means[:-1])
-    spread = 1.4826 * median(np.abs(means[:-1] - rest_force))  # standard deviation of the means
-    error, change = max(spread, record.force_noise / sqrt(n_samples)), float(means[-1] - rest_force)
+    rest_force = median(mean_forces[:-1])
+    spread = 1.4826 * median(np.abs(mean_forces[:-1] - rest_force))  # standard deviation
+    error = max(spread, record.force_noise / sqrt(n_samples))
+    change = float(mean_forces[-1] - rest_force)
     if abs(change) > record.compute_min_change(min_change_fraction, error):
         facts: dict[str, Any] = {"change": change, "ratio": abs(change) / record.largest_force}
         yield record.report("process.force_early", "clock", "force_zero", **facts)

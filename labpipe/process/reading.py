@@ -47,11 +47,9 @@ def _check_unit(channel: Channel, channel_source: ChannelSource, path: Path) -> 
     """
     file_unit, key, place = channel.unit_in_file, channel_source.key, f"channel {channel.path!r}"
     si_unit = _choose_si_unit(channel_source, channel_source.unit or file_unit)
-    likely_unit = file_unit
-    if not is_unit(file_unit):
-        spelling = file_unit.casefold()
-        likely_unit = _UNIT_SPELLINGS.get(spelling.removesuffix("s"), file_unit)
-        likely_unit = _UNIT_SPELLINGS.get(spelling, likely_unit)
+    spelling = file_unit.casefold()
+    singular_unit = _UNIT_SPELLINGS.get(spelling.removesuffix("s"), file_unit)
+    likely_unit = file_unit if is_unit(file_unit) else _UNIT_SPELLINGS.get(spelling, singular_unit)
     is_known = file_unit not in _UNKNOWN_UNITS and is_unit(likely_unit)
     has_dimension = has_dimension_of(likely_unit, si_unit)
     other_channel, unit_key = format_overrides(f"{key}.channel", "..."), f"{key}.unit"
