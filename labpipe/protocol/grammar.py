@@ -142,7 +142,8 @@ def suggest_number(number: str, unit: str = "") -> str:
     -------
     The remedy; empty if `number` needs no change, or is no number.
     """
-    if re.fullmatch(NUMBER_PATTERN, number) or not _NUMBER_AND_UNIT.fullmatch(number):
+    match = _NUMBER_AND_UNIT.fullmatch(number)
+    if re.fullmatch(NUMBER_PATTERN, number) or not match or match[2]:
         return ""
     if _DECIMAL_COMMA.fullmatch(number):
         return f"Write it with a decimal point: {number.replace(',', '.')} {unit}".rstrip() + "."

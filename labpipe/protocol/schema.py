@@ -387,7 +387,7 @@ Version: TypeAlias = Annotated[Literal[1], BeforeValidator(_parse_version)]
 
 def _number_steps(steps: tuple[Step, ...]) -> tuple[Step, ...]:
     # In a draft, None stands for a step of an unknown kind.
-    return tuple(step.with_number(index) for index, step in enumerate(steps) if step)
+    return tuple(step and step.with_number(index) for index, step in enumerate(steps))
 
 
 class Protocol(Block):
@@ -452,7 +452,7 @@ class Protocol(Block):
         """List the channels that steps add; those of a cantilever are added only with a clamp."""
         return [
             name.format(channel=getattr(step, "channel", None))
-            for step in steps
+            for step in filter(None, steps)
             if self.has_clamp or not isinstance(step, SpecimenFrame | FitShape)
             for name in step.added_channels
         ]
@@ -462,8 +462,9 @@ class Protocol(Block):
         sources = self.sources or {}
         for role in sources.keys() - {*ROLES}:
             yield build_choice_fault(("sources", role), role, ROLES, is_key=True)
-        # The channels of a source at fault may be unknown; then it has no reader either.
-        if sources and all(source.reader for source in sources.values()):
+        # The channels of a source at fault may be unknown; then it has no reader either. A step of
+        # an unknown kind may add any channel.
+        if sources and all(source.reader for source in sources.values()) and all(self.steps):
             yield from _find_repeated_channels(self)
             yield from _find_step_faults(self)
             yield from _find_curve_faults(self)
@@ -555,7 +556,10 @@ def _find_need_faults(protocol: Protocol) -> Faults:
 
 def _list_met_needs(protocol: Protocol) -> Iterator[str]:
     """Yield the needs of steps, results and figures that a protocol meets."""
-    sources, steps = protocol.sources or {}, {step.step for step in protocol.steps}
+    # In a draft, an entry of an unknown kind may be any step or result.
+    steps = {step.step for step in protocol.steps} if all(protocol.steps) else {*STEPS}
+    results = [x.result for x in protocol.results] if all(protocol.results) else [*KINDS_BY_NAME]
+    sources = protocol.sources or {}
     readers = {reader for source in sources.values() for reader in source.reader or ()}
     conditions = {
         # Sources with a fault are None in a draft; which of them exist is then unknown.
@@ -570,14 +574,14 @@ def _list_met_needs(protocol: Protocol) -> Iterator[str]:
     yield from (need for need, is_met in conditions.items() if is_met)
     yield from (f"a block 'curve.{key}'" for key, value in protocol.curve or () if value)
     yield from (f"the step {step!r}" for step in steps)
-    yield from (f"a result {result.result!r}" for result in protocol.results if result)
+    yield from (f"a result {result!r}" for result in results)
 
 
 def list_unmet_needs(protocol: Protocol) -> list[tuple[KeyPath, str, str]]:
     """List path, name and unmet need of each step, result, figure and block."""
     curve, align = protocol.curve, protocol.align
     users: list[tuple[KeyPath, str, Iterable[str]]] = []
-    for step in protocol.steps:
+    for step in (step for step in protocol.steps if step):
         needs = (_MARKER_SOURCE, _MARKERS) if step.uses_markers else ()
         users.append((("steps", step.number, "step"), step.step, needs))
     for path, result in _list_results(protocol):
@@ -588,10 +592,8 @@ def list_unmet_needs(protocol: Protocol) -> list[tuple[KeyPath, str, str]]:
         users.append((("align", "method"), "turning-points", (_MARKER_SOURCE, _CLAMP)))
     if protocol.branches:
         users.append((("branches",), "branches", [_CURVE]))
-    clocks = (
-        {protocol.clocks.get(name) for name in (curve.force, curve.displacement)} if curve else {}
-    )
-    if len({*clocks} - {None}) > 1:
+    channels = (curve.force, curve.displacement) if curve else ()
+    if len({*map(protocol.clocks.get, channels)} - {None}) > 1:
         is_stated = "align" in protocol.model_fields_set
         users.append((("align", "method") if is_stated else ("curve",), "curve", [_ALIGNMENT]))
     met_needs = {*_list_met_needs(protocol)}
@@ -601,8 +603,7 @@ def list_unmet_needs(protocol: Protocol) -> list[tuple[KeyPath, str, str]]:
 
 def _list_results(protocol: Protocol) -> list[tuple[KeyPath, Kind]]:
     """List path and settings of the results; in a draft, None stands for an unknown kind."""
-    results = enumerate(protocol.results)
-    return [(("results", index), result) for index, result in results if result]
+    return [(("results", index), x) for index, x in enumerate(protocol.results) if x]
 
 
 def _list_result_needs(needs: Needs, curve: CurveBlock | None) -> list[str]:
@@ -703,7 +704,8 @@ def _find_result_faults(protocol: Protocol) -> Faults:
             found = displacement
             yield Fault.of("protocol.clock_of_force", kind_path, result=kind.result, found=found)
         for key in list_references(kind, "stiffness"):
-            name = getattr(result, key)
+            # In a draft, an entry of an unknown kind may be the stiffness.
+            name = getattr(result, key) if all(protocol.results) else None
             if name is not None and not stiffnesses:
                 yield Fault.of("protocol.no_stiffness", (*path, key), name=name)
             elif name is not None and name not in stiffnesses:
@@ -723,10 +725,9 @@ def _find_result_faults(protocol: Protocol) -> Faults:
 
 def find_unknown_main_results(protocol: Protocol) -> Faults:
     """Find main results of groups that no entry of ``results`` computes."""
-    results = (result for _, result in _list_results(protocol))
-    names = [name for result in results for name in list_summary_names(result)]
+    names = [name for _, result in _list_results(protocol) for name in list_summary_names(result)]
     cycle_names = {_CYCLE_SUFFIX.sub("", name) for name in names if _CYCLE_SUFFIX.search(name)}
-    for index, name in enumerate(protocol.groups.main):
+    for index, name in enumerate(protocol.groups.main if all(protocol.results) else ()):
         path: KeyPath = ("groups", "main", index)
         base_name = _CYCLE_SUFFIX.sub("", name)
         if name in names or (base_name != name and base_name in cycle_names):

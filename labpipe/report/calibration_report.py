@@ -95,12 +95,11 @@ def format_percent(ratio: float) -> str:
 
     Examples
     --------
-    >>> format_percent(0.0193), format_percent(1.0), format_percent(math.nan)
-    ('1.9 %', '100 %', '')
+    >>> format_percent(0.0193), format_percent(12.34), format_percent(math.nan)
+    ('1.9 %', '1230 %', '')
     """
-    if not math.isfinite(ratio):
-        return ""
-    return f"{100.0 * ratio:.3g} %" if ratio >= 0.1 else f"{100.0 * ratio:.2g} %"
+    digits = 3 if ratio >= 0.1 else 2
+    return wording.format_percent(ratio, digits) if math.isfinite(ratio) else ""
 
 
 def format_length(length: float) -> str:

@@ -14,6 +14,7 @@ from labpipe.records.arrays import Flags, Floats
 from labpipe.records.curve import Interval
 from labpipe.records.harness_bundle import BundleModel, FrictionFit
 from labpipe.report import plot_records as plots
+from labpipe.report import wording
 from labpipe.report.figure_page import DASHED, sample_colour_map
 from labpipe.report.plot_records import Axis, Line, Page, Plot, make_line
 from labpipe.report.wire_report import MOMENT_SCALE, STIFFNESS_SCALE, make_curvature_axis
@@ -430,7 +431,8 @@ def make_loop_page(name: str, fit: FrictionFit) -> Page:
             make_line("modelled_cycles", deflection, model_force, color=colour, label=label),
             plots.make_horizontal_line("zero", 0.0),
         ]
-        panels.append(Plot(x, y, lines, f"{heading}, error {_format_percent(error)} of the peak"))
+        error_text = f"error {wording.format_percent(error)} of the peak"
+        panels.append(Plot(x, y, lines, f"{heading}, {error_text}"))
     title = f"{name}  ·  friction between the wires"
     return Page(LOOP_FIGURE, title, panels, describe_friction(fit), height=82.0, shared_axes="xy")
 
@@ -439,20 +441,14 @@ def describe_friction(fit: FrictionFit) -> str:
     """Describe the friction between the wires of a bundle, and the errors of its prediction."""
     # deflection of a cantilever at which the curvature of its clamped end makes the tape slide
     slide_mm = LENGTH_SCALE.factor * fit.slide_curvature * fit.loop.length**2 / 3.0
-    held_percentage = format_number(fit.held, Interval(fit.held_lower, fit.held_upper), 100.0)
     return format_sentence(
         "report.friction_of_bundle",
-        composite=_format_percent(fit.composite_share),
+        composite=wording.format_percent(fit.composite_share),
         kink=LENGTH_SCALE.factor * fit.loop.kink[0],
         tape=f"; the tape slides beyond {slide_mm:.3g} mm" if np.isfinite(slide_mm) else "",
-        held=held_percentage,
+        held=format_number(fit.held, Interval(fit.held_lower, fit.held_upper), 100.0),
         work=1e3 * fit.loss,
         predicted_work=1e3 * fit.predicted_loss,
-        error_fitted=_format_percent(fit.error_fitted),
-        error_left_out=_format_percent(fit.error_held_out),
+        error_fitted=wording.format_percent(fit.error_fitted),
+        error_left_out=wording.format_percent(fit.error_held_out),
     )
-
-
-def _format_percent(ratio: float) -> str:
-    """Format a ratio in per cent with two significant digits."""
-    return f"{100.0 * ratio:.2g} %"

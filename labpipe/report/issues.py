@@ -376,7 +376,7 @@ def _compute_shift(group: Group, number: GroupNumber, tests: set[str], label: st
     value, half_width = number.mean.chosen.mean, number.mean.chosen.half_width
     shift = float(np.mean([np.mean(values) for values in values_by_spool.values()])) - value
     size = abs(shift) / half_width if half_width > 0.0 else 0.0
-    percentage = f"{100.0 * abs(shift / value):.2g} % " if value else ""
+    percentage = f"{wording.format_percent(abs(shift / value))} " if value else ""
     text = f"{label} would be {percentage}{'higher' if shift > 0.0 else 'lower'}"
     text += " without this test" if len(tests) == 1 else " without these tests"
     if isnan(half_width) or isnan(size):

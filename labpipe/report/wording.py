@@ -77,6 +77,11 @@ def shorten(text: str, max_length: int) -> str:
     return f"{text[: max_length - 1 - tail_length]}…{text[len(text) - tail_length :]}"
 
 
+def format_percent(ratio: float, digits: int = 2) -> str:
+    """Format a ratio in per cent with significant digits, such as ``12 %`` or ``1200 %``."""
+    return f"{float(f'{100.0 * ratio:.{digits}g}'):g} %"  # 1.2e+03 becomes 1200
+
+
 def format_count(count: int, noun: str) -> str:
     """Format a count with its noun, such as ``1 sample`` or ``3 samples``."""
     return f"{count} {noun}{'s' * (count != 1)}"

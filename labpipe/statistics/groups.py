@@ -432,14 +432,14 @@ def average_result(
     -------
     The result over all samples. The mean includes doubtful results, which keep their status in
     `values`. It excludes, each with its reason, failed results, samples without the result
-    (``no_result``), values that are not finite (``not_finite``) or in another unit than the first
-    result (``other_unit``), and `exclusions`.
+    (``no_result``), values that are not finite (``not_finite``) or in another unit than most
+    results (``other_unit``), and `exclusions`.
     """
     results, spools = dict[str, Result | None](), dict[str, str]()
     for key, sample in zip(name_samples(samples), samples, strict=True):
         results[key], spools[key] = find_result(sample.results, name), sample.specimen.spool
     units = [result.unit for result in results.values() if result is not None]
-    unit = units[0] if units else ""
+    unit = max(units, key=units.count, default="")
     reasons = {key: _list_exclusion_reasons(result, name, unit) for key, result in results.items()}
     for key, reason in (exclusions or {}).items():
         reasons[key] = reasons[key] or (reason,)

@@ -116,7 +116,7 @@ HEADINGS = [
 CELLS = {
     "insulation_poisson": ["0.51"],
     "poisson": ["-1"],
-    "length_mm": ["nan", "1e999", "85e6", "1,6", "1,000", "1,000,000"],
+    "length_mm": ["nan", "1e999", "85e6", "1,6", "1,000", "1,000,000", "85 mm"],
     "wire": ["A/2", "..", "a.", "con", "NUL.csv", "a\tb", "a" * 101],
     "tension_n": ["-1"],
     "copper_n": ["1"],

@@ -26,6 +26,7 @@ from labpipe.report.wording import (
     format_label,
     format_mean,
     format_number,
+    format_percent,
     format_with_interval,
     is_main,
     replace_names,
@@ -36,9 +37,8 @@ from labpipe.results import KINDS
 
 
 def test_only_what_cannot_be_shown_is_replaced() -> None:
-    assert (
-        replace_unprintable("a\u202eb\u2066") == "a\ufffdb\ufffd"
-    )  # else all behind it reads backwards
+    # else all behind it reads backwards
+    assert replace_unprintable("a\u202eb\u2066") == "a\ufffdb\ufffd"
     assert replace_unprintable("a\tb\n\x00\x9f\ud800\ufffe $x_1$ \U0001f600") == (
         "a\tb\n\ufffd\ufffd\ufffd\ufffd $x_1$ \U0001f600"
     )
@@ -67,6 +67,7 @@ def test_digits_asked_for_and_an_estimate_that_stands_apart() -> None:
     assert format_number(1.23456, None, digits=3).text == "1.23"
     number = format_number(51.881, Interval(51.68, 51.86), estimate=51.77)
     assert number.text == "51.881 (estimate 51.770, 51.680 to 51.860)"
+    assert [*map(format_percent, (0.0012, 0.996, 12.34))] == ["0.12 %", "100 %", "1200 %"]
 
 
 @given(st.floats(-1e8, 1e8), st.floats(1e-6, 1e8))

@@ -218,6 +218,8 @@ def test_faults_of_boundaries_are_said() -> None:
         follow(line, [clamp(line), Load(11, np.zeros(3))], steps=2)
     with pytest.raises(ValueError, match=r"tip: force has 4 rows; expected 1 or steps \+ 1 = 3"):
         follow(line, [clamp(line), Load(-1, np.zeros((4, 3)), name="tip")], steps=2)
+    with pytest.raises(ValueError, match=r"point of shape \(1, 3, 3\): expected"):
+        Plane(ramp((0.0, 0.0, 0.1), 2))
     with pytest.raises(ValueError, match="step 0: node 0 is held twice"):
         follow(line, [clamp(line), Held(0, line.positions[0])], steps=2)
 
@@ -278,8 +280,7 @@ FREE: tuple[Grip, ...] = ((0, True),)
 )
 def test_critical_loads_of_columns(grips: tuple[Grip, ...], factor: float) -> None:
     critical = factor * np.pi**2 * STIFFNESS / LENGTH**2
-    below = column(grips, load=0.996 * critical)
-    above = column(grips, load=1.004 * critical)
+    below, above = (column(grips, load=factor * critical) for factor in (0.996, 1.004))
     assert below[0].is_stable(*below[1:])
     assert not above[0].is_stable(*above[1:])
 
@@ -287,8 +288,7 @@ def test_critical_loads_of_columns(grips: tuple[Grip, ...], factor: float) -> No
 def test_a_column_gives_way_to_the_side_it_is_pushed_to() -> None:
     critical = np.pi**2 * STIFFNESS / (4.0 * LENGTH**2)
     check, balance, shape = column(FREE, load=1.01 * critical)
-    push = np.zeros(10 * N + 3)
-    push[10 * N + 2] = 1.0
+    push = np.eye(10 * N + 3)[10 * N + 2]
     mode = check.find_softest_mode(balance, shape, push)
     assert mode is not None
     moves = mode[10 * np.arange(N + 1)[:, None] + np.arange(3)]

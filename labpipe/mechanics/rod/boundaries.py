@@ -201,7 +201,7 @@ class Plane:
     name: str = ""
 
     def __post_init__(self) -> None:
-        point = _read_path("point", self.point, 3)[0]
+        point = _read_path("point", [self.point], 3)[0]  # a path of points has another shape
         _set_fields(self, point=point, normal=_read_direction("normal", self.normal))
         require_not_negative("friction", self.friction)
 

@@ -48,7 +48,6 @@ from labpipe.records.quality import Reason
 from labpipe.records.result import TestResult, find_result
 from labpipe.records.wire import WireSpec, WireTable
 from labpipe.report.harness_figures import (
-    BUNDLE_FIGURE,
     LOOP_FIGURE,
     make_bundle_page,
     make_loop_page,
@@ -281,7 +280,7 @@ def model_bundle(
             modelled = replace(modelled, no_friction=str(error))
     earlier_files, pages = [], []
     if figures:
-        earlier_files = [f"{FIGURES_FOLDER}/{stem}.png" for stem in (BUNDLE_FIGURE, LOOP_FIGURE)]
+        earlier_files = [f"{FIGURES_FOLDER}/{LOOP_FIGURE}.{ending}" for ending in ("svg", "png")]
         pages = [make_bundle_page(model)]
     if figures and modelled.friction is not None:
         pages.append(make_loop_page(name, modelled.friction))

@@ -584,7 +584,8 @@ def make_share_doubts(
     checked_names = (LOST_ENERGY, RESIDUAL_CURVATURE, SPRINGBACK_PREFIX, RADIUS)
     affected_names = tuple(name for name in names if name in checked_names)
     for name, interval in intervals.items():
-        if name.startswith(affected_names) and interval.upper > max_ratio * interval.lower:
+        is_affected = name != PATH_RADIUS and name.startswith(affected_names)
+        if is_affected and interval.upper > max_ratio * interval.lower:
             values = {"min_share": min_share, "max_share": max_share}
             values |= {"lower": interval.lower, "upper": interval.upper}
             yield Doubt(Reason.of("mechanics.studies.share_unknown", **values), (name,))

@@ -267,14 +267,14 @@ def compute_runs_p(residuals: Floats) -> float:
 
     Notes
     -----
-    The distribution is approximated as normal (Ann. Math. Stat. 11 (1940) 147). The p-value is 0 if
-    all residuals have the same sign. Zeros count as negative.
+    The distribution is approximated as normal (Ann. Math. Stat. 11 (1940) 147). If all n residuals
+    have the same sign, the p-value is that of the sign test, 2^(1 - n). Zeros count as negative.
     """
     is_above = residuals > 0.0
     n_above, n_below = int(is_above.sum()), int((~is_above).sum())
     n = n_above + n_below
     if n_above == 0 or n_below == 0:
-        return 0.0
+        return float(2.0 ** (1 - n))
     n_runs = 1 + int(np.sum(is_above[1:] != is_above[:-1]))
     mean = 1.0 + 2.0 * n_above * n_below / n
     variance = (mean - 1.0) * (mean - 2.0) / (n - 1.0)
