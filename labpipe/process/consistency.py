@@ -344,9 +344,7 @@ def _check_force_level(record: CheckedRecord) -> Iterator[Finding]:
     """
     max_jumps = 2  # more jumps are attributed to the specimen, or are overflows
     min_overflow_fraction = 0.9  # jump divided by the range of the force
-    max_asymmetry = (
-        0.1  # difference between the force after the jump and half the jump, over the jump
-    )
+    max_asymmetry = 0.1  # difference of the final force and half the jump, divided by the jump
     force, branches = record.curve.force, record.curve.branches
     all_jumps = record.find_jumps("force")
     min_overflow = min_overflow_fraction * np.ptp(drop_missing(force))
@@ -665,7 +663,7 @@ def _check_held_turns(record: CheckedRecord) -> Iterator[Finding]:
     min_growth = 0.05  # fraction of the largest force
     curve = record.curve
     for first, second, _ in record.turns:
-        # A damper reverses its force at a turn, so that each branch has a sign of its own.
+        # The force of a damper reverses at a turn. The sign is therefore that of one branch alone.
         sign = record.compute_sign(first) * (1 if first.direction is Direction.LOADING else -1)
         turn_sample = first.stop - 1
         force = drop_missing(sign * curve.force[turn_sample : second.start + 1])

@@ -191,9 +191,9 @@ def check_lowest_force(prepared: PreparedTest, _: Motion, protocol: Protocol) ->
     if specimen.span is not None and force.has_time:
         limit = -protocol.limits.pulling_force * float(np.nanmax(means))
         limits.append((limit, "a load that presses on a specimen cannot pull it"))
-    lowest, noise = float(np.nanmin(means)), noise_factor * estimate_noise_level(means)
+    lowest, noise_margin = float(np.nanmin(means)), noise_factor * estimate_noise_level(means)
     for limit, cause in limits:
-        if lowest < limit - noise:
+        if lowest < limit - noise_margin:
             yield Finding.of("process.force_negative", "force", "force", lowest=lowest, cause=cause)
 
 
@@ -275,11 +275,11 @@ def check_signs(prepared: PreparedTest, motion: Motion, protocol: Protocol) -> l
     growths = [float(np.max(values - values[:1], initial=0.0)) for values in branch_means]
     if len(means) < 2 or not max(growths) > 0.0:
         return []
-    noise = error_factor * estimate_noise_level(force) * np.sqrt(len(means) / len(force))
+    noise_margin = error_factor * estimate_noise_level(force) * np.sqrt(len(means) / len(force))
     largest_force = float(means[int(np.argmax(np.abs(means)))])  # with its sign
     opposite_force = float((-np.sign(largest_force) * means).max())
-    max_opposite_force = max_opposite_fraction * abs(largest_force) + noise
-    if np.ptp(means) <= noise or opposite_force > max_opposite_force:
+    max_opposite_force = max_opposite_fraction * abs(largest_force) + noise_margin
+    if np.ptp(means) <= noise_margin or opposite_force > max_opposite_force:
         return []
     loading_masks = masks[np.argmax(growths)], masks[0]
     travels = [drop_missing(displacement.values[mask]) for mask in loading_masks]
@@ -477,12 +477,12 @@ def _has_arrived(motion: Motion, limits: Limits) -> bool:
         for branch in branches[:-1]
         if branch.direction is last_branch.direction
     ]
-    # Near the peak the force changes steeply with the displacement. At the end of unloading it is
-    # small.
+    # Near the peak the force depends strongly on the displacement. At the end of unloading the
+    # force is small.
     shortfall = limits.loading_shortfall if is_loading else limits.unloading_shortfall
     step = abs(travel) / max(1, last_branch.stop - last_branch.start)  # mean per sample
-    noise = noise_factor * estimate_noise_level(values)
-    tolerance = max(shortfall * _compute_range(values), step, noise)
+    noise_margin = noise_factor * estimate_noise_level(values)
+    tolerance = max(shortfall * _compute_range(values), step, noise_margin)
     end_position = float(drop_missing(rising_values)[-1])
     return bool(turn_positions) and end_position >= turn_positions[-1] - tolerance
 
