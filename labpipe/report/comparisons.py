@@ -378,7 +378,9 @@ def list_family_figures(campaign: Campaign) -> Iterator[Page]:
             field, labels = name_field(family.field), ", ".join(family.labels)
             equal_fields = describe_equal_fields(family.groups, family.field)
             caption = f"{field}: {labels}; {equal_fields}. Protocol: {family.groups[0].protocol}."
-            yield group_plots.make_page(name, f"{field}  \u00b7  {context}", panels, 3, caption)
+            yield group_plots.make_group_page(
+                name, f"{field}  \u00b7  {context}", panels, 3, caption
+            )
 
 
 def make_family_plots(

@@ -88,7 +88,7 @@ def _make_plot(
     ]
     if view.is_detailed and (view.stem or len(spools) == 1):
         entries = [
-            LegendEntry(f"curve {test.colour}", test.sample.test, "t", str(test.number))
+            LegendEntry(f"curve {test.colour}", test.sample.test, "t", str(test.row_index))
             for test in view.tests
         ]
     labels = {} if band is None else {"mean": f"mean of {band.n} {band.members}"}
@@ -115,7 +115,9 @@ def make_file_plots(group: Group) -> dict[str, list[Plot]]:
     return {kind: list(plots_of_kind) for kind, plots_of_kind in plots_by_kind}
 
 
-def make_page(name: str, title: str, panels: Sequence[Plot], columns: int, caption: str) -> Page:
+def make_group_page(
+    name: str, title: str, panels: Sequence[Plot], columns: int, caption: str
+) -> Page:
     """Make a page of plots of groups; their captions are the footnote.
 
     Parameters
@@ -155,7 +157,7 @@ def list_group_figures(group: Group) -> Iterator[Page]:
         panels, width = [Plot(reason=reason)], plots.SINGLE_COLUMN
         yield Page("curves", title, panels, height=40.0, width=width, caption=reason, alt=reason)
     for name, panels in figures.items():
-        yield make_page(name, title, panels, 2, panels[0].caption)
+        yield make_group_page(name, title, panels, 2, panels[0].caption)
 
 
 def _make_curve_plots(view: GroupView) -> Iterator[Plot]:
@@ -166,9 +168,7 @@ def _make_curve_plots(view: GroupView) -> Iterator[Plot]:
     n_points = _choose_point_count(view)
     for test in view.rejected:
         if (curve := test.first_loading) is not None:
-            lines.append(
-                _make_curve_line("rejected", curve, curve.force, test.number, n_points // 3)
-            )
+            lines.append(_make_curve_line("rejected", curve, curve.force, test, n_points // 3))
     lines += [line for test in view.tests for line in _make_sample_lines(test, n_points)]
     lines += [line for test in view.tests for line in _make_fit_lines(test)]
     lines += make_mean_lines(band)
@@ -210,22 +210,21 @@ def _make_sample_lines(test: PageTest, n_points: int) -> Iterator[Line]:
     other_branches = [branch for branch in branches if len(branch.displacement)]
     for branch in other_branches:
         max_points = max(n_points // 3 // len(other_branches), 8)
-        yield _make_curve_line(f"unloading {colour}", branch, branch.force, test.number, max_points)
+        yield _make_curve_line(f"unloading {colour}", branch, branch.force, test, max_points)
     if curve is None:
         return
     if any(slip.decision is SlipDecision.REPAIRED for slip in sample.slips):
-        force = curve.measured_force
-        yield _make_curve_line("measured", curve, force, test.number, n_points // 3)
-    yield _make_curve_line(f"curve {colour}", curve, curve.force, test.number, n_points)
+        yield _make_curve_line("measured", curve, curve.measured_force, test, n_points // 3)
+    yield _make_curve_line(f"curve {colour}", curve, curve.force, test, n_points)
 
 
 def _make_curve_line(
-    look: str, curve: SampleCurve, y: Floats, test: int | None, max_points: int
+    look: str, curve: SampleCurve, y: Floats, test: PageTest, max_points: int
 ) -> Line:
     """Make a line of `y` over the displacement of a curve, thinned to at most `max_points`."""
     x = curve.displacement
     rows = plots.find_shape_samples(x, y, max_points=max_points, tolerance=0.001)
-    return Line(look, x[rows], y[rows], test)
+    return Line(look, x[rows], y[rows], test.row_index)
 
 
 def _make_fit_lines(test: PageTest) -> Iterator[Line]:
@@ -238,7 +237,7 @@ def _make_fit_lines(test: PageTest) -> Iterator[Line]:
         parameters = np.array([(fit.start, fit.stop, fit.slope, fit.level) for fit in fits])
         start, stop, slope, level = parameters.T
         y = join_with_gaps(level, level + slope * (stop - start))
-        yield Line(look, join_with_gaps(start, stop), y, test.number)
+        yield Line(look, join_with_gaps(start, stop), y, test.row_index)
 
 
 def _make_event_lines(test: PageTest) -> Iterator[Line]:
@@ -250,10 +249,10 @@ def _make_event_lines(test: PageTest) -> Iterator[Line]:
     positions = np.array([slip.position for slip in sample.slips])
     if len(positions) and is_finite.any():
         forces = np.interp(positions, curve.displacement[is_finite], curve.force[is_finite])
-        yield Line("slip", join_with_gaps(positions), join_with_gaps(forces), test.number)
+        yield Line("slip", join_with_gaps(positions), join_with_gaps(forces), test.row_index)
     position, force = (test.find_value(f"failure_{name}") for name in ("displacement", "force"))
     if position is not None and force is not None:
-        yield Line("failure", np.array([position, nan]), np.array([force, nan]), test.number)
+        yield Line("failure", np.array([position, nan]), np.array([force, nan]), test.row_index)
 
 
 def make_band_lines(band: Band, colour: str = "", group: str = "") -> Iterator[Line]:
@@ -330,7 +329,7 @@ def _make_shape_plots(view: GroupView) -> Iterator[Plot]:
         if shapes is not None and np.isfinite(shapes.positions).any():
             positions = shapes.positions[-n_shapes:]
             x, y = (join_with_gaps(*positions[:, :, axis].T) for axis in (0, 1))
-            lines.append(Line(f"shape {test.colour}", x, y, test.number))
+            lines.append(Line(f"shape {test.colour}", x, y, test.row_index))
             point_arrays.append(np.column_stack([x, y]))
             steps = max(steps, shapes.deflection, key=len)
     if not lines:
@@ -358,10 +357,10 @@ def _make_moment_plots(view: GroupView) -> Iterator[Plot]:
         if law is None:
             continue
         x, colour = law.curvature, test.colour
-        lines.append(Line(f"curve {colour}", x, law.moment, test.number))
+        lines.append(Line(f"curve {colour}", x, law.moment, test.row_index))
         if n_laws <= max_detailed_laws:
             band = plots.make_area(f"band {colour}", x, law.moment_lower, law.moment_upper)
-            areas.append(replace(band, test=test.number))
+            areas.append(replace(band, test=test.row_index))
     if not lines:
         return
     all_lines = [*areas, *lines]
@@ -384,8 +383,8 @@ def _make_scaled_plots(view: GroupView) -> Iterator[Plot]:
         peak, curve = test.find_value("peak_force.1"), test.first_loading
         if curve is not None and peak:
             look, force_ratio = f"curve {test.colour}", curve.force / peak
-            n_points, number = _choose_point_count(view) // 4, test.number
-            curves.append(_make_curve_line(look, curve, force_ratio, number, n_points))
+            n_points = _choose_point_count(view) // 4
+            curves.append(_make_curve_line(look, curve, force_ratio, test, n_points))
     lines = [*list(make_band_lines(band))[:1], *curves, *make_mean_lines(band)]
     if not lines:
         return

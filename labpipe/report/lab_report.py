@@ -244,14 +244,15 @@ def _make_key_cell(group: Group, name: str) -> Cell:
     """Make the cell of the mean of a number with its interval."""
     number = _find_averaged_number(group, name)
     if number is None:
-        return Cell(DASH, tip="no sample has this number")
+        return Cell(DASH, tooltip="no sample has this number")
     mean, source = number.mean.chosen, _choose_interval_source(number)
     scale = wording.choose_number_scale(group, number)
-    tip = "" if source is mean else "one test: uncertainty of its measurement"
+    tooltip = "" if source is mean else "one test: uncertainty of its measurement"
     if (estimate := source.distinct_estimate) is not None:
         texts = wording.format_number(mean.mean, source.interval, scale.factor, estimate=estimate)
-        tip += f"{'; ' * bool(tip)}interval of the estimate {texts.estimate}"
-    return Cell(wording.format_with_interval(mean.mean, source.interval, scale.factor), tip=tip)
+        tooltip += f"{'; ' * bool(tooltip)}interval of the estimate {texts.estimate}"
+    text = wording.format_with_interval(mean.mean, source.interval, scale.factor)
+    return Cell(text, tooltip=tooltip)
 
 
 def _format_mean_curve(view: GroupView) -> str:
@@ -298,7 +299,7 @@ def find_open_decisions(causes: Iterable[Cause], tests: Iterable[PageTest]) -> l
 
 def describe_campaign(campaign: Campaign, open_decisions: Sequence[OpenDecision]) -> str:
     """Count the tests and open decisions, such as ``24 tests · 1 rejected · 2 to decide``."""
-    n_undecided = len({test.number for decision in open_decisions for test in decision.tests})
+    n_undecided = len({test.row_index for decision in open_decisions for test in decision.tests})
     counts = [
         wording.format_count(len(list_samples(campaign)), "test"),
         f"{len(campaign.rejected)} rejected",
@@ -517,9 +518,9 @@ def _make_number_table(result: TestResult) -> Table:
         value_text = wording.format_result(entry, scale.factor)
         reason = wording.join_sentences(entry.reasons)
         rows.append({
-            "Number": Cell(wording.format_heading(entry.name, scale), tip=entry.name),
+            "Number": Cell(wording.format_heading(entry.name, scale), tooltip=entry.name),
             "Value, 95 %": Cell(value_text, mark="?" if entry.status is Status.DOUBTFUL else ""),
-            "State": Cell(str(entry.status), tip=", ".join(entry.codes)),
+            "State": Cell(str(entry.status), tooltip=", ".join(entry.codes)),
             "Why": "As above." if reason and reason == reason_above else reason,
             "Largest causes of the interval": _describe_largest_causes(entry),
         })  # fmt: skip
@@ -539,7 +540,7 @@ def _make_note_table(result: TestResult) -> Table:
     """Make the table of the notes on a test, the most severe first."""
     rows: list[Record] = [
         {
-            "Where": Cell(wording.replace_names(note.where), tip=note.code),
+            "Where": Cell(wording.replace_names(note.where), tooltip=note.code),
             "Kind": str(note.severity),
             "Note": wording.make_sentence(note.message),
         }

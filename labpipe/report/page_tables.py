@@ -33,7 +33,7 @@ class PageTest(NamedTuple):
 
     Parameters
     ----------
-    number : row of the test in the table of tests, from 0; None in a figure
+    row_index : row of the test in the table of tests, from 0; None in a figure
     sample : specimen and results of the test
     state : ``ok``, ``doubtful``, ``failed`` or ``rejected``; empty in a figure
     group : group of the test; None in a figure, or for a rejected test that matches no group
@@ -42,7 +42,7 @@ class PageTest(NamedTuple):
     rejection : reason, person and day of a rejection; empty for other tests
     """
 
-    number: int | None
+    row_index: int | None
     sample: Sample
     state: str
     group: Group | None = None
@@ -107,7 +107,7 @@ def make_figure_view(group: Group) -> GroupView:
 
 
 def arrange_tests(campaign: Campaign) -> tuple[list[GroupView], list[PageTest]]:
-    """Arrange the tests of a report in groups and number them; rejected tests are last.
+    """Arrange the tests of a report in groups, and in the rows of the table of tests.
 
     Parameters
     ----------
@@ -115,7 +115,7 @@ def arrange_tests(campaign: Campaign) -> tuple[list[GroupView], list[PageTest]]:
 
     Returns
     -------
-    The groups, and all tests in the order of their numbers.
+    The groups, and all tests in the order of their rows; rejected tests are last.
     """
     stems = make_stems(group.name for group in campaign.groups)
     stems_by_group = dict(zip((group.name for group in campaign.groups), stems, strict=True))
@@ -123,7 +123,7 @@ def arrange_tests(campaign: Campaign) -> tuple[list[GroupView], list[PageTest]]:
     for group, stem in zip(campaign.groups, stems, strict=True):
         for test in make_figure_view(group).tests:
             state = combine_states(test.sample)
-            tests.append(test._replace(number=len(tests), state=state, group=group, stem=stem))
+            tests.append(test._replace(row_index=len(tests), state=state, group=group, stem=stem))
     for sample in campaign.rejected_samples:
         matching_group = find_group_of_rejected(sample, campaign)
         rejection = campaign.rejected.get(sample.source, sample.decision)
@@ -260,8 +260,7 @@ def list_instruments(samples: Sequence[Sample]) -> list[InstrumentLine]:
     lines = []
     for instrument, tests in tests_by_instrument.items():
         due = instrument.due
-        dates = [test.date for test in tests if test.date is not None]
-        n_overdue = sum(due is not None and date > due for date in dates)
+        n_overdue = sum(bool(due and test.date and test.date > due) for test in tests)
         text = "no due date stated" if due is None else f"calibration due {due}"
         if n_overdue:
             text = f"calibration OVERDUE since {due} in {wording.format_count(n_overdue, 'test')}"
@@ -310,7 +309,7 @@ def make_number_table(group: Group) -> Table:
     for index, number in enumerate(group.numbers):
         scale = wording.choose_number_scale(group, number)
         rows.append([
-            Cell(wording.format_heading(number.name, scale), tip=number.name),
+            Cell(wording.format_heading(number.name, scale), tooltip=number.name),
             Cell("", drawing=_make_strip(number) if index < max_plots and number.values else None),
             *_make_mean_cells(group, number, scale.factor),
             *(_make_sample_cell(number, sample, scale.factor) for sample in samples),
@@ -323,7 +322,7 @@ def _make_mean_cells(group: Group, number: GroupNumber, factor: float) -> tuple[
     """Make the cells of the mean, its count and the standard deviation of a number."""
     mean = number.mean
     if not number.values:
-        return Cell(DASH, tip="no sample has this number"), Cell("0"), Cell(DASH)
+        return Cell(DASH, tooltip="no sample has this number"), Cell("0"), Cell(DASH)
     count_text = f"{mean.chosen.n}"
     if not mean.is_pooled:
         count_text = wording.format_count(mean.chosen.n, "spool")
@@ -331,7 +330,7 @@ def _make_mean_cells(group: Group, number: GroupNumber, factor: float) -> tuple[
         count_text = f"{mean.chosen.n} of {len(group.samples)}"
     return (
         Cell(wording.format_mean(mean.chosen, factor)),
-        Cell(count_text, tip=str(mean.decision) if len(mean.spool_means) > 1 else ""),
+        Cell(count_text, tooltip=str(mean.decision) if len(mean.spool_means) > 1 else ""),
         Cell(wording.format_number(mean.chosen.deviation, None, factor, digits=2).value),
     )
 
@@ -365,7 +364,7 @@ def make_result_cell(result: Result | None, factor: float, *, is_outlier: bool =
     is_outlier : whether the result is an outlier among the samples of its group
     """
     if result is None or result.value is None:
-        return Cell(DASH, tip="" if result else "not requested")
+        return Cell(DASH, tooltip="" if result else "not requested")
     mark = ("?" if result.status is Status.DOUBTFUL else "") + ("!" if is_outlier else "")
     return Cell(wording.format_result(result, factor), mark=mark)
 
@@ -436,7 +435,7 @@ def make_sample_tables(view: GroupView) -> list[Table]:
             sample = test.sample
             row: Record = {"Test": sample.test}
             if not tables:
-                link = f"#t{test.number}"
+                link = f"#t{test.row_index}"
                 row = {"Test": Cell(sample.test, link=link), "Spool": sample.specimen.spool}
             for number in numbers:
                 scale = wording.choose_number_scale(group, number)
@@ -572,7 +571,7 @@ def make_lot_table(groups: Iterable[GroupView]) -> Table | None:
             else DASH
             for ratio in (1.0, lot.tolerance_bound, lot.minimum)
         )
-        no_common_limit = Cell(DASH, tip="the samples have several limits")
+        no_common_limit = Cell(DASH, tooltip="the samples have several limits")
         rows.append({
             "Lot": Cell(group.name, link=f"#group-{view.stem}"),
             "Answer": str(lot.answer).upper(),
@@ -672,7 +671,7 @@ def make_cause_table(cause: Cause) -> Table:
         {
             "Test": Cell(", ".join(issue.tests) or "the whole group", issue.group),
             "What": issue.topic or DASH,
-            "Why": Cell(issue.reason, tip=issue.code),
+            "Why": Cell(issue.reason, tooltip=issue.code),
         }
         for issue in cause.issues
     ]
@@ -683,7 +682,7 @@ def make_note_table(causes: Iterable[Cause]) -> Table | None:
     """Make the table of the notes without consequences, a row per cause; None without causes."""
     rows: list[Record] = [
         {
-            "Note (first of its kind)": Cell(cause.issues[0].reason, tip=cause.code),
+            "Note (first of its kind)": Cell(cause.issues[0].reason, tooltip=cause.code),
             "Number": str(len(cause.issues)),
             "Where": cause.subject,
         }
@@ -704,7 +703,7 @@ def make_method_tables(campaign: Campaign) -> list[Table]:
         rows = []
         for name, methods in methods_by_number.items():
             method = wording.replace_names("; ".join(filter(None, methods)))
-            row: Record = {"Number": Cell(wording.format_label(name), tip=name)}
+            row: Record = {"Number": Cell(wording.format_label(name), tooltip=name)}
             rows.append(row | {"Method": method or "No sample has this number."})
         title = f"Protocol {protocol}: method of each number"
         tables.append(tabulate(title, rows, ("Number", "Method")))

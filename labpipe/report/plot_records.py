@@ -104,7 +104,8 @@ class Line:
     look : name of the look in ``looks.toml`` and of the class on the page, such as ``curve``, or
         ``curve c2`` with the number of a colour
     x, y : shape (n,), SI; NaN interrupts the line, an infinite value is at an end of the axis
-    test : number of the test on the page; None if the line does not belong to a single test
+    test : row of the test in the table of tests of the page, from 0; None if the line does not
+        belong to a single test
     group : stem of the file names of the group; empty if the plot shows a single group
     is_closed : whether each part is the outline of an area
     settings : settings of matplotlib that override those of the look

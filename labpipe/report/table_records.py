@@ -34,9 +34,9 @@ class Cell(NamedTuple):
     Parameters
     ----------
     text : first line
-    subtext : second line, in smaller letters
+    subtext : second line, in smaller type
     mark : mark after the text: ``?`` for doubtful, ``!`` for an outlier
-    tip : sentence or code that the page shows on hover
+    tooltip : sentence or code that the page shows when the pointer is over the cell
     sort_value : value by which the column is sorted, SI; None to sort by the text
     drawing : drawing instead of the text; None to show the text
     link : address to which the text links, on the page or in the workbook
@@ -45,7 +45,7 @@ class Cell(NamedTuple):
     text: str
     subtext: str = ""
     mark: str = ""
-    tip: str = ""
+    tooltip: str = ""
     sort_value: float | None = None
     drawing: MeanStrip | None = None
     link: str = ""

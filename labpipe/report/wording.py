@@ -425,8 +425,8 @@ def _round_together(numbers: Sequence[float], last_place: int) -> list[str]:
 
 def _round_to_place(number: float, last_place: int) -> str:
     """Format a number down to a power of ten, such as ``52.3`` for the power -1."""
-    rounded = round(number, -last_place)
-    return f"{rounded + 0.0:.{max(-last_place, 0)}f}"  # + 0.0 removes the sign of a zero
+    # + 0.0 removes the sign of a zero
+    return f"{round(number, -last_place) + 0.0:.{max(-last_place, 0)}f}"
 
 
 def format_with_interval(

@@ -43,7 +43,7 @@ def test_tests_are_numbered_group_by_group_and_rejected_ones_last() -> None:
     third = samples[2]
     campaign = Campaign("S", groups, rejected={third.source: "bent"}, rejected_samples=(third,))
     page_groups, tests = arrange_tests(campaign)
-    assert [(test.number, test.stem, test.state) for test in tests] == [
+    assert [(test.row_index, test.stem, test.state) for test in tests] == [
         (0, "a", "ok"), (1, "a", "ok"), (2, "b", "ok"), (3, "b", "ok"), (4, "b", "ok"),
         (5, "a", "rejected"),
     ]  # fmt: skip
