@@ -25,7 +25,7 @@ from typing import NamedTuple
 from labpipe import __version__
 from labpipe.errors import Fault, LabpipeError, StoreError, UsageError, describe_system_error
 from labpipe.process.output_paths import FIGURES_FOLDER, RESULT_FILE
-from labpipe.process.reading import fingerprint_dialect_cards, list_named_exports
+from labpipe.process.reading import fingerprint_dialect_cards
 from labpipe.process.run import PROCESSING_VERSION, make_input_key
 from labpipe.protocol.load import find_protocol, format_protocol, load_test_sheet, resolve_protocol
 from labpipe.protocol.sheet_grammar import SHEET_NAME
@@ -434,8 +434,8 @@ class InputReader:
             file_hashes = [[name, stamp.sha256] for name, stamp in stamps.items()]
             key = hash_text(json.dumps(["unfit", file_hashes, *dependencies[1:]]))
             return HashedInputs(key, stamps=stamps, dependencies=dependencies, facts=facts)
-        exports = list_named_exports(sheet, protocol)
-        files = [(role, name, stamps[name].sha256) for role, name in exports]
+        roles: list[str] = [*protocol.sources]
+        files = [(role, name, stamps[name].sha256) for role in roles for name in sheet.files[role]]
         files += [(card.role, card.file, card.sha256) for card in cards]
         hashes = [(role, sha256) for role, _, sha256 in files]
         return HashedInputs(

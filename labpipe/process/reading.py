@@ -147,24 +147,12 @@ def fingerprint_inputs(folder: Path, sheet: TestSheet, protocol: Protocol) -> tu
     ReadError
         If an export or a card cannot be read.
     """
-    exports = list_named_exports(sheet, protocol)
-    fingerprints = [fingerprint(folder / name, role, name) for role, name in exports]
+    fingerprints = [
+        fingerprint(folder / name, role, name)
+        for role in protocol.sources
+        for name in sheet.files[role]
+    ]
     return (*fingerprints, *fingerprint_dialect_cards(protocol))
-
-
-def list_named_exports(sheet: TestSheet, protocol: Protocol) -> list[tuple[str, str]]:
-    """List the exports of a test in the order of its protocol.
-
-    Parameters
-    ----------
-    sheet : test sheet with the names of the exports
-    protocol : resolved protocol
-
-    Returns
-    -------
-    Role and file name of each export.
-    """
-    return [(role, name) for role in protocol.sources for name in sheet.files[role]]
 
 
 def fingerprint_dialect_cards(protocol: Protocol) -> tuple[InputFile, ...]:
