@@ -434,8 +434,8 @@ class InputReader:
             file_hashes = [[name, stamp.sha256] for name, stamp in stamps.items()]
             key = hash_text(json.dumps(["unfit", file_hashes, *dependencies[1:]]))
             return HashedInputs(key, stamps=stamps, dependencies=dependencies, facts=facts)
-        roles: list[str] = [*protocol.sources]
-        files = [(role, name, stamps[name].sha256) for role in roles for name in sheet.files[role]]
+        exports = [(str(role), name) for role in protocol.sources for name in sheet.files[role]]
+        files = [(role, name, stamps[name].sha256) for role, name in exports]
         files += [(card.role, card.file, card.sha256) for card in cards]
         hashes = [(role, sha256) for role, _, sha256 in files]
         return HashedInputs(
