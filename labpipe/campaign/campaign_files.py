@@ -25,8 +25,6 @@ from typing import NamedTuple
 from labpipe import __version__
 from labpipe.errors import Fault, LabpipeError, StoreError, UsageError, describe_system_error
 from labpipe.process.output_paths import FIGURES_FOLDER, RESULT_FILE
-from labpipe.process.reading import fingerprint_dialect_cards
-from labpipe.process.run import PROCESSING_VERSION, make_input_key
 from labpipe.protocol.load import find_protocol, format_protocol, load_test_sheet, resolve_protocol
 from labpipe.protocol.sheet_grammar import SHEET_NAME
 from labpipe.store.replace import TEMPORARY_FOLDERS, finish_moves, is_unfinished, lock, map_errors
@@ -411,6 +409,10 @@ class InputReader:
         self, sheet_path: Path, previous_stamps: Mapping[str, FileStamp]
     ) -> HashedInputs:
         """Read the sheet and the protocol of a test, and hash its new and changed files."""
+        # Reports need names of campaigns, but not the imports of all of processing.
+        from labpipe.process.reading import fingerprint_dialect_cards
+        from labpipe.process.run import make_input_key
+
         folder, facts, protocol_name = sheet_path.parent, dict[str, str](), ""
         stamps = {SHEET_NAME: take_stamp(sheet_path, previous_stamps.get(SHEET_NAME))}
         try:
@@ -437,9 +439,8 @@ class InputReader:
         exports = [(str(role), name) for role in protocol.sources for name in sheet.files[role]]
         files = [(role, name, stamps[name].sha256) for role, name in exports]
         files += [(card.role, card.file, card.sha256) for card in cards]
-        hashes = [(role, sha256) for role, _, sha256 in files]
         return HashedInputs(
-            make_input_key(hashes, sheet_text, protocol_text),
+            make_input_key([(role, sha) for role, _, sha in files], sheet_text, protocol_text),
             SourceHashes(tuple(files), hash_text(sheet_text), hash_text(protocol_text)),
             stamps,
             self._collect_dependencies(folder, protocol_name),
@@ -451,6 +452,8 @@ class InputReader:
 
         The hash of the file of the protocol is empty if the file does not exist.
         """
+        from labpipe.process.run import PROCESSING_VERSION
+
         is_path = any(character in protocol_name for character in "/\\.")
         search_folder = sheet_folder if is_path else Path()
         path = self._find_protocol(protocol_name, sheet_folder=search_folder)

@@ -17,7 +17,6 @@ from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, Final
 
-from labpipe.campaign.catalog import escape_surrogates
 from labpipe.errors import LabpipeError, StoreError, UsageError
 from labpipe.messages import format_sentence
 from labpipe.process.output_paths import RESULT_FILE, list_files_below
@@ -132,6 +131,8 @@ def parse_decisions(content: bytes, path: Path, campaign: str = "") -> DecisionF
         return _make_unreadable_file(path, "", "JSON without a list 'decisions'")
     if (schema := document.get("schema")) != _SCHEMA:
         return _make_unreadable_file(path, "schema", f"{schema!r}; this labpipe reads {_SCHEMA}")
+    from labpipe.campaign.catalog import escape_surrogates  # not needed without decisions
+
     faults, decisions = [], []
     if campaign and (stated_campaign := document.get("campaign", campaign)) != campaign:
         mismatch = UsageError.about(

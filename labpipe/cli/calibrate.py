@@ -7,7 +7,6 @@ import json
 import sys
 
 from labpipe.campaign.decisions import exclude_rejected_tests
-from labpipe.campaign.queries import escape_controls
 from labpipe.cli.terminal import shorten_path, show_completion
 from labpipe.mechanics.studies.calibration_file import CalibrationStudy, build_json
 from labpipe.mechanics.studies.calibration_study import calibrate_tests
@@ -22,6 +21,8 @@ def run(options: argparse.Namespace) -> int:
     files, rejected = exclude_rejected_tests(find_results(options.paths))
     for file, reason in rejected.items():
         message = f"labpipe calibrate: rejected: {file.parent}: {reason}"
+        from labpipe.campaign.queries import escape_controls  # imports the catalog
+
         print(escape_controls(message), file=sys.stderr)
     with show_completion("test", in_pipe=False) as (_, say):
         study = calibrate_tests(

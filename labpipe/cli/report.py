@@ -7,7 +7,6 @@ import sys
 from collections.abc import Mapping
 from pathlib import Path
 
-from labpipe.campaign.queries import escape_controls
 from labpipe.campaign.reporting import ReportOptions, WrittenReport, report_tests
 from labpipe.cli.terminal import compute_name_width, format_result, shorten_path, show_completion
 from labpipe.errors import UsageError, sort_by_likeness
@@ -108,6 +107,8 @@ def format_report(report: WrittenReport) -> str:
         lines += [_format_mean(number, display, width) for number in group.numbers]
         lines.append("")
     for file, reason in report.campaign.rejected.items():
+        from labpipe.campaign.queries import escape_controls  # imports the catalog
+
         folder = shorten_path(Path(file).absolute().parent)
         lines.append(f"rejected: {folder}: {escape_controls(reason)}")
     page = shorten_path(report.files[0]) if report.files else "nothing written"

@@ -8,7 +8,7 @@ from functools import cache, partial
 from typing import Any, ClassVar
 
 import numpy as np
-from scipy.special import stdtr, stdtrit
+import scipy
 
 from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats, Samples, average_between, convert_to_slice, median
@@ -171,7 +171,7 @@ class _Window:
             return None
         t = float(np.sqrt((no_drop_cost - min_cost) / variance)) if variance > 0.0 else np.inf
         false_alarm_rate = 1e-3 / (len(curve.f) * (longest + 1))
-        if not stdtr(freedom, -t) <= false_alarm_rate:
+        if not scipy.special.stdtr(freedom, -t) <= false_alarm_rate:
             return None
         is_whole, excess = np.all(drops % 1.0 == 0.0, axis=1), max_excess_variances * variance
         whole_drops = drops[is_whole & (costs <= costs[is_whole].min() + excess)]
@@ -398,7 +398,7 @@ def _compute_distinctness(f: Floats, min_drop: float) -> Floats:
         spread = max(MAD_FACTOR * median(np.abs(loss)), 1e-9 * float(np.ptp(f)))
         # Adjacent windows share samples, which reduces the degrees of freedom.
         freedom = int(MAD_FREEDOM_RATIO * len(f) / window)
-        ratio = loss / (spread * stdtrit(freedom, 1.0 - false_alarm_rate))
+        ratio = loss / (spread * scipy.special.stdtrit(freedom, 1.0 - false_alarm_rate))
         distinctness = np.maximum(distinctness, np.where(loss >= 0.5 * min_drop, ratio, 0.0))
     distinctness[:_MIN_SIDE_SAMPLES], distinctness[len(f) - _MIN_SIDE_SAMPLES :] = 0.0, 0.0
     return distinctness

@@ -6,7 +6,7 @@ from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import special
+import scipy
 
 from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats, average_blocks
@@ -328,14 +328,14 @@ def compute_simultaneous_quantile(curves: Floats) -> float:
     def compute_excess(c: float) -> float:
         decay: float = (1.0 + c**2 / degrees) ** (-0.5 * (degrees - 1))
         upcrossings = path_length / (2.0 * np.pi) * decay
-        return 2.0 * (float(special.stdtr(degrees, -c)) + upcrossings) - ALPHA
+        return 2.0 * (float(scipy.special.stdtr(degrees, -c)) + upcrossings) - ALPHA
 
-    union_bound = compute_t_quantile(degrees, ALPHA / n_points)
-    if compute_excess(union_bound) >= 0.0:
-        return union_bound
-    from scipy.optimize import brentq  # slow import, needed for bands only
-
-    return float(brentq(compute_excess, 0.0, union_bound, full_output=False))
+    low, high = 0.0, compute_t_quantile(degrees, ALPHA / n_points)  # the union bound
+    if compute_excess(high) >= 0.0:
+        return high
+    while low < (middle := 0.5 * (low + high)) < high:  # scipy.optimize would take longer to import
+        low, high = (middle, high) if compute_excess(middle) > 0.0 else (low, middle)
+    return middle
 
 
 def _compute_path_length(residuals: Floats) -> float:

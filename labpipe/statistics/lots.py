@@ -11,7 +11,7 @@ from dataclasses import replace
 from math import sqrt
 
 import numpy as np
-from scipy import special
+import scipy
 
 from labpipe.records.group import Answer, Lot, Sample, SampleVerdict
 from labpipe.records.quality import Reason
@@ -73,8 +73,8 @@ def compute_tolerance_factor(n: int, coverage: float, confidence: float) -> floa
     >>> round(compute_tolerance_factor(10, 0.90, 0.95), 3)
     2.355
     """
-    noncentrality = float(special.ndtri(coverage)) * sqrt(n)
-    return float(special.nctdtrit(n - 1, noncentrality, confidence)) / sqrt(n)
+    noncentrality = float(scipy.special.ndtri(coverage)) * sqrt(n)
+    return float(scipy.special.nctdtrit(n - 1, noncentrality, confidence)) / sqrt(n)
 
 
 def count_samples_to_pass(

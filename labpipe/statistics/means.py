@@ -14,7 +14,7 @@ from math import exp, factorial, hypot, prod
 from statistics import median
 
 import numpy as np
-from scipy import special
+import scipy
 
 from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats
@@ -184,7 +184,7 @@ def compute_t_quantile(degrees: float, tail_probability: float = ALPHA) -> float
     .. [1] *Modeling and characterization of wire harnesses for digital manufacturing applications*,
            dissertation.
     """
-    return float(special.stdtrit(degrees, 1.0 - 0.5 * tail_probability))
+    return float(scipy.special.stdtrit(degrees, 1.0 - 0.5 * tail_probability))
 
 
 def compute_mean(values: Iterable[float], value_name: str = "value") -> MeanInterval:
@@ -271,7 +271,7 @@ def estimate_spool_scatter(spools: Sequence[Floats], confidence: float) -> Spool
     spool_variance = max(mean_variance - within_variance / harmonic_mean, 0.0)
     variance = spool_variance + within_variance
     share = spool_variance / variance if variance > 0.0 else np.nan
-    f_quantile = float(special.fdtri(len(spools) - 1, degrees, 1.0 - confidence))
+    f_quantile = float(scipy.special.fdtri(len(spools) - 1, degrees, 1.0 - confidence))
     max_share = 1.0
     if within_variance * f_quantile != 0.0:
         # The limit is the fraction for which the observed ratio of variances is the quantile.

@@ -11,8 +11,8 @@ from itertools import chain
 from math import expm1, hypot, isnan, log, log1p, nan, sqrt
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import special
 
 from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats, divide
@@ -121,7 +121,7 @@ def compute_half_width(contrast: Contrast, tail_probability: float = ALPHA) -> f
     scale of the contrast. The interval of a mean is computed in the same way.
     """
     quantile = compute_t_quantile(contrast.freedom, tail_probability) if contrast.error else 0.0
-    common_half_width = float(special.ndtri(1.0 - 0.5 * tail_probability)) * contrast.common_error
+    common_half_width = scipy.special.ndtri(1.0 - 0.5 * tail_probability) * contrast.common_error
     return hypot(quantile * contrast.error, common_half_width)
 
 
@@ -171,17 +171,17 @@ def _compute_tail_probability(distance: float, contrast: Contrast) -> float:
     if common_error == 0.0 and error == 0.0:
         return 0.0 if distance else 0.5
     if common_error == 0.0:
-        return float(special.stdtr(degrees, -distance / error))
+        return float(scipy.special.stdtr(degrees, -distance / error))
 
     def compute_excess(n_deviations: float) -> float:
-        quantile = special.stdtrit(degrees, float(special.ndtr(-n_deviations)))
+        quantile = scipy.special.stdtrit(degrees, float(scipy.special.ndtr(-n_deviations)))
         return float(np.hypot(quantile * error, n_deviations * common_error)) - distance
 
     if compute_excess(max_deviations) <= 0.0:
         return 0.0
     from scipy.optimize import brentq  # slow import, needed for common causes only
 
-    return float(special.ndtr(-brentq(compute_excess, 0.0, max_deviations)))
+    return float(scipy.special.ndtr(-brentq(compute_excess, 0.0, max_deviations)))
 
 
 def compare_means(
@@ -581,5 +581,4 @@ def _compute_p_values(values: Floats, spool_ids: NDArray[np.intp]) -> Floats | N
     reduction = np.nan_to_num(divide(residual**2, variance_factor))
     remaining_fraction = np.maximum(1.0 - reduction / sum_of_squares, min_remaining_fraction)
     t = np.sqrt(reduction * degrees_of_freedom / (remaining_fraction * sum_of_squares))
-    p_values: Floats = np.minimum(1.0, 2.0 * len(values) * special.stdtr(degrees_of_freedom, -t))
-    return p_values
+    return np.minimum(1.0, 2.0 * len(values) * scipy.special.stdtr(degrees_of_freedom, -t))

@@ -224,7 +224,10 @@ def read_run(path: Path) -> str:
 
 @contextmanager
 def _open_result(path: Path) -> Iterator[Any]:
-    """Open a result file of the current schema, and convert all errors to StoreError."""
+    """Open a result file of the current schema, and yield the identifier of its root.
+
+    All errors are converted to StoreError.
+    """
     try:
         if is_unfinished(path.parent):
             raise StoreError.about("store.cut_off", path, target=path)
@@ -233,7 +236,7 @@ def _open_result(path: Path) -> Iterator[Any]:
         with h5py.File(path, "r") as root:
             _check_schema(path, root)
             _check_links(path, root)
-            yield root
+            yield root.id
     except LabpipeError:
         raise
     except MemoryError as error:
@@ -258,14 +261,10 @@ def _check_schema(path: Path, root: Any) -> None:
     if schema is None:
         raise StoreError.about("store.foreign", path, SCHEMA_ATTRIBUTE, known=current_schema)
     if schema != current_schema:
-        is_newer = schema > current_schema
         raise StoreError.about(
-            "store.newer_schema" if is_newer else "store.other_schema",
-            path,
-            SCHEMA_ATTRIBUTE,
-            known=current_schema,
-            schema=schema,
-        )
+            "store.newer_schema" if schema > current_schema else "store.other_schema",
+            path, SCHEMA_ATTRIBUTE, known=current_schema, schema=schema,
+        )  # fmt: skip
 
 
 def _check_links(path: Path, root: Any) -> None:

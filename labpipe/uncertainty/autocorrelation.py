@@ -9,8 +9,7 @@ from itertools import product
 from typing import Self
 
 import numpy as np
-from scipy.fft import dct, fft
-from scipy.special import beta, stdtr, stdtrit
+import scipy
 
 from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats, Ints
@@ -247,7 +246,7 @@ class SpectrumLikelihood:
         """
         n_coefficients, n_samples = basis.shape
         n_cosines = min(n_samples, n_cosines)
-        cosines = np.asarray(dct(np.vstack([basis, values]), norm="ortho"))[:, :n_cosines]
+        cosines = np.asarray(scipy.fft.dct(np.vstack([basis, values]), norm="ortho"))[:, :n_cosines]
         spectra = processes.compute_spectra(np.pi * np.arange(n_cosines) / n_samples)
         return cls.from_cosines(spectra, cosines[n_coefficients:], cosines[:n_coefficients].T)
 
@@ -368,7 +367,7 @@ def compute_covariance(basis: Floats, processes: Processes) -> Floats:
     """
     padding_times = 40.0  # correlation times
     length = basis.shape[1] + int(padding_times * processes.correlation_time.max())
-    transforms = fft(basis, length, axis=1).T / np.sqrt(length)
+    transforms = scipy.fft.fft(basis, length, axis=1).T / np.sqrt(length)
     spectra = processes.compute_spectra(2.0 * np.pi * np.arange(length) / length)
     return _weigh_products(spectra, transforms.real) + _weigh_products(spectra, transforms.imag)
 
@@ -528,17 +527,17 @@ def _compute_half_widths(mixture: SpectrumPosterior, variances: Floats, offsets:
     deviations = np.sqrt(np.maximum(variances, 0.0))
     positive_deviations = np.where(deviations > 0.0, deviations, 1.0)
     mean_logarithm = mixture.probabilities @ np.log(positive_deviations)
-    half_widths: Floats = stdtrit(mixture.dof, 0.975) * np.exp(mean_logarithm)
+    half_widths: Floats = scipy.special.stdtrit(mixture.dof, 0.975) * np.exp(mean_logarithm)
     min_half_widths = 0.1 * half_widths
     is_relevant = mixture.probabilities > min_probability
     weights, scales = mixture.probabilities[is_relevant], positive_deviations[is_relevant]
     centres, dof = offsets[is_relevant] / scales, mixture.dof
     for _ in range(12):
         upper, lower = half_widths / scales - centres, half_widths / scales + centres
-        coverage = weights @ (stdtr(dof, upper) - stdtr(dof, -lower))
+        coverage = weights @ (scipy.special.stdtr(dof, upper) - scipy.special.stdtr(dof, -lower))
         # Densities of Student's t-distribution.
         kernels = [(1.0 + t * t / dof) ** (-0.5 * (dof + 1)) for t in (upper, lower)]
-        density = sum(kernels) / (np.sqrt(dof) * beta(0.5, 0.5 * dof))
+        density = sum(kernels) / (np.sqrt(dof) * scipy.special.beta(0.5, 0.5 * dof))
         step = (0.95 - coverage) / (weights @ (density / scales))
         half_widths = np.maximum(half_widths + step, min_half_widths)
         if np.all(np.abs(step) <= 1e-6 * half_widths):

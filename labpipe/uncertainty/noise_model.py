@@ -15,8 +15,7 @@ from math import ceil
 from typing import NamedTuple
 
 import numpy as np
-from scipy import fft
-from scipy.special import chdtri
+import scipy
 
 from labpipe.records.arrays import Flags, Floats, Ints, Singles
 from labpipe.uncertainty.autocorrelation import (
@@ -149,7 +148,7 @@ class NoiseModel:
             # Power that ends at the edge of a band is correlated over its inverse width.
             margin_time = max(margin_time, 2.0 * self.longest_branch / _WAVES_PER_BAND)
         margin = min(n_samples, ceil(margin_time) + 1)
-        length = fft.next_fast_len(n_samples + margin, real=True)
+        length = scipy.fft.next_fast_len(n_samples + margin, real=True)
         frequency = np.linspace(0.0, np.pi, length // 2 + 1)
         distinct_indices, process_rows = np.unique(indices, return_inverse=True)
         # Cosine and sine have half of the power each. The first wave, and the wave at half the
@@ -170,7 +169,7 @@ class NoiseModel:
             amplitudes = scale[batch, None] * slow_amplitude[rows]
             waves[:, : 2 * first_fast] *= amplitudes.astype(np.float32)
             waves[:, 2 * first_fast :] *= fast_amplitude
-            records = fft.irfft(waves.view(np.complex64), length, axis=1)
+            records = scipy.fft.irfft(waves.view(np.complex64), length, axis=1)
             yield records[:, :n_samples].astype(np.float32, copy=False)
 
 
@@ -251,8 +250,8 @@ def estimate_noise(
     if np.median(squares) <= width * (_ROUNDING_FRACTION * value_range) ** 2:
         return _make_zero_noise(longest_branch)
     n_cosines = min(_N_HALF_WAVES, width)
-    cosines = fft.dct(residuals, norm="ortho", axis=1)[:, :n_cosines]
-    basis_cosines = fft.dct(basis, norm="ortho", axis=0)[:n_cosines]
+    cosines = scipy.fft.dct(residuals, norm="ortho", axis=1)[:, :n_cosines]
+    basis_cosines = scipy.fft.dct(basis, norm="ortho", axis=0)[:n_cosines]
     processes = _list_processes(longest_branch, n_samples)
     spectra = processes.compute_spectra(np.pi * np.arange(n_cosines) / width)
     has_no_corner = squares <= _CORNER_VARIANCE_RATIO * np.median(squares)
@@ -263,7 +262,7 @@ def estimate_noise(
         spectrum = spectra[np.argmax(posterior.probabilities)]
         whitened = _compute_whitened_squares(spectrum, cosines[is_similar], basis_cosines)
         dof = n_cosines - basis_cosines.shape[1]
-        limit_ratio = chdtri(dof, kink_probability) / chdtri(dof, 0.5)
+        limit_ratio = scipy.special.chdtri(dof, kink_probability) / scipy.special.chdtri(dof, 0.5)
         has_kink = whitened > np.median(whitened) * limit_ratio
         if not has_kink.any():
             break
@@ -419,11 +418,11 @@ def _measure_fast_wave_power(
     frequencies = np.pi * waves / longest
     power = np.zeros(len(frequencies))
     for residuals in branch_residuals:
-        sums = np.append(0.0, np.cumsum(fft.dct(residuals, norm="ortho") ** 2))
+        sums = np.append(0.0, np.cumsum(scipy.fft.dct(residuals, norm="ortho") ** 2))
         edges = np.append(frequencies, np.pi) * len(residuals) / np.pi
         band_sums = np.diff(np.interp(edges, np.arange(len(residuals) + 1), sums))
         power += band_sums / np.diff(edges) * len(residuals) / sum(map(len, branch_residuals))
-    piece_power = np.mean(fft.dct(residuals_without_corners, norm="ortho", axis=1) ** 2, axis=0)
+    piece_power = np.mean(scipy.fft.dct(residuals_without_corners, norm="ortho") ** 2, axis=0)
     piece_frequencies = np.pi * np.arange(len(piece_power)) / len(piece_power)
     is_fast = piece_frequencies >= frequencies[0]
     piece_power, piece_frequencies = piece_power[is_fast], piece_frequencies[is_fast]

@@ -20,7 +20,7 @@ from itertools import pairwise
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
-from scipy.special import ndtri
+import scipy
 
 from labpipe.records.arrays import Floats, Samples
 from labpipe.records.causes import RESOLUTION_OF_FORCE
@@ -298,7 +298,7 @@ class Replicates:
         n_draws = len(self.force)
         quantiles = (rng.permutation(n_draws) + rng.uniform(0.0, 1.0, n_draws)) / n_draws
         compute_errors: dict[Distribution, Callable[[Floats], Floats]] = {
-            "normal": ndtri,
+            "normal": scipy.special.ndtri,
             "uniform": lambda x: np.sqrt(3.0) * (2.0 * x - 1.0),
             "step": np.negative,
             "ends": lambda x: -np.rint(x),

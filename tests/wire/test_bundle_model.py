@@ -225,7 +225,7 @@ def test_numbers_that_the_notes_name() -> None:
     oblique = compute_bundle_model(NOTED["oblique_axes"], solid)
     assert np.degrees(oblique.principal_angle) == pytest.approx(45.0)
     lost = 1.0 - 1.0 / (np.linalg.inv(oblique.tensor)[1, 1] * oblique.high)
-    assert f"is {100.0 * lost:.2g} % less stiff" in oblique.notes[0].message
+    assert f"and {100.0 * lost:.2g} % less if" in oblique.notes[0].message
 
 
 def test_shares_of_the_bounds() -> None:

@@ -230,7 +230,7 @@ def test_numbers_that_the_notes_name() -> None:
     off = np.hypot(built.section.x.mean(), built.section.y.mean())
     turns = np.linspace(0.0, np.pi, 7)
     stiffness = [compute_stick_stiffness(built.section, orientation=turn) for turn in turns]
-    pattern = r"is (\S+) mm off the axis, (\S+) %.* is (\S+) to (\S+) N"
+    pattern = r"is (\S+) mm from the axis, (\S+) %.*: (\S+) to (\S+) N"
     numbers = re.findall(pattern, built.notes[1].message)[0]
     distance, share, least, most = map(float, numbers)
     assert (distance, share) == pytest.approx((1e3 * off, 100.0 * off / 0.5e-3), rel=0.02)

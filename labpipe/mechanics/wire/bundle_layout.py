@@ -44,8 +44,8 @@ from labpipe.records.harness_bundle import STATED_POSITIONS, Bundle, BundleLayou
 _MAX_SEARCHED_WIRES = 100
 """Largest number of wires for which all starting positions are tried.
 
-More equal wires form a section of a lattice. More unequal wires are drawn together from fewer
-starting positions.
+A larger number of equal wires forms a section of a lattice. A larger number of unequal wires is
+drawn together from fewer starting positions.
 """
 _SEED = 0
 """Seed of random starts and assignments; the same wires therefore have the same layout."""
@@ -384,7 +384,7 @@ def _search_densest_heap(n_wires: int) -> Floats:
 
     Sections of a lattice and, for up to 100 wires, a heap are compared.
     """
-    n_random_starts = 8  # starts of the heap in addition to sections of the lattice
+    n_starts = 8  # random starts of the heap in addition to sections of the lattice
     n_edge_steps = 8  # steps along an edge of the triangle of `_LATTICE_CENTRES`
     start_radius = 0.55  # radius of random starts, wire diameters per root of the number of wires
     rng = np.random.default_rng(_SEED)
@@ -397,9 +397,8 @@ def _search_densest_heap(n_wires: int) -> Floats:
     centres = coordinates[is_inside] @ edges
     candidates = [_cut_lattice(n_wires, centre) for centre in (*_LATTICE_CENTRES, *centres)]
     if n_wires <= _MAX_SEARCHED_WIRES:
-        radius = np.sqrt(rng.uniform(size=(n_random_starts, n_wires)))
-        radius = start_radius * math.sqrt(n_wires) * radius
-        angle = rng.uniform(0.0, 2.0 * np.pi, size=(n_random_starts, n_wires))
+        radius = start_radius * math.sqrt(n_wires) * np.sqrt(rng.uniform(size=(n_starts, n_wires)))
+        angle = rng.uniform(0.0, 2.0 * np.pi, size=(n_starts, n_wires))
         starts = [_cut_lattice(n_wires, centre) for centre in _LATTICE_CENTRES]
         starts += list(np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=-1))
         candidates.append(find_densest_heap(starts, diameters))

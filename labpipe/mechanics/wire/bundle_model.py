@@ -635,11 +635,11 @@ def fit_friction(model: BundleModel, tables: Sequence[WireTable], loop: BundleLo
     def compute_excess(held: float) -> float:
         return float(np.nan_to_num(sum_squares(held) - square_limit, nan=np.inf))
 
-    ends = [0.0, 1.0]
-    for index, bound in enumerate(ends):
+    limits = [0.0, 1.0]
+    for index, bound in enumerate(limits):
         if compute_excess(bound) > 0.0:
-            ends[index] = float(bisect(compute_excess, held, bound, xtol=tolerance))
-    return _make_friction_fit(replace(friction, held=held), ends, loop, forces, is_held_out)
+            limits[index] = float(bisect(compute_excess, held, bound, xtol=tolerance))
+    return _make_friction_fit(replace(friction, held=held), limits, loop, forces, is_held_out)
 
 
 def _compute_composite_share(model: BundleModel, loop: BundleLoop) -> float:
@@ -673,7 +673,7 @@ def _compute_square_limit(residuals: Floats) -> float:
 
 def _make_friction_fit(
     friction: Friction,
-    ends: Sequence[float],
+    limits: Sequence[float],
     loop: BundleLoop,
     predicted: Floats,
     is_held_out: Flags,
@@ -687,8 +687,8 @@ def _make_friction_fit(
     deflection, measured = loop.deflection[is_loss_point], loop.force[is_loss_point]
     return FrictionFit(
         **asdict(friction),
-        held_lower=ends[0],
-        held_upper=ends[1],
+        held_lower=limits[0],
+        held_upper=limits[1],
         loop=loop,
         predicted=predicted,
         is_held_out=is_held_out,

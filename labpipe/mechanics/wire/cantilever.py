@@ -729,16 +729,16 @@ def _follow_path(step: StepFunction, state: WireState, target: float, context: s
         If a step of at most 1/4096 of the distance fails.
     """
     min_step = 2.0**-12
-    start, distance = state.travel, target - state.travel
+    start_travel, distance = state.travel, target - state.travel
     step_size, fraction = 1.0, 0.0  # relative to the distance
     while fraction < 1.0:
         next_fraction = min(1.0, fraction + step_size)
-        travel = target if next_fraction == 1.0 else start + next_fraction * distance
+        travel = target if next_fraction == 1.0 else start_travel + next_fraction * distance
         next_state = step(state, travel)
         if next_state is not None:
             state, fraction, step_size = next_state, next_fraction, min(1.0, 2.0 * step_size)
         elif step_size <= min_step:
-            message = f"{context}: no equilibrium beyond {start + fraction * distance:.6g}"
+            message = f"{context}: no equilibrium beyond {start_travel + fraction * distance:.6g}"
             raise ValueError(message)
         else:
             step_size *= 0.5

@@ -357,9 +357,9 @@ def place_rings(layers: tuple[Layer, ...], insulation: Insulation | None = None)
     With equal strands of diameter d and a core, ring q has the radius q d. Without a core the n
     strands of the first ring touch each other, and the ring has the radius d / (2 sin(pi / n)).
     """
-    first = layers[0]
-    touching_radius = first.diameter / (2.0 * np.sin(np.pi / first.count))
-    radii = [0.0 if first.count == 1 else float(touching_radius)]
+    innermost = layers[0]
+    touching_radius = innermost.diameter / (2.0 * np.sin(np.pi / innermost.count))
+    radii = [0.0 if innermost.count == 1 else float(touching_radius)]
     for inner, outer in pairwise(layers):
         radii.append(radii[-1] + (inner.diameter + outer.diameter) / 2.0)
     return place_strands("concentric", layers, _spread_rings(layers, radii), insulation)

@@ -211,21 +211,21 @@ def _find_interval_at_99(
     min_ratio = 1.5
     lower, upper = parameter.intervals[0].lower, parameter.intervals[-1].upper
     line_range = local_minima.find_line_range(minima, index, _RISE_FACTOR_99)
-    ends = [lower, upper, *np.exp(line_range).tolist()]
+    interval_ends = [lower, upper, *np.exp(line_range).tolist()]
     if min_ratio < upper / lower < identification.MAX_IDENTIFIED_RATIO:
         for profile in local_minima.follow_profiles(minima, index, factor=_RISE_FACTOR_99):
-            ends += np.exp([profile.lower, profile.upper]).tolist()
-    return min(ends), max(ends)
+            interval_ends += np.exp([profile.lower, profile.upper]).tolist()
+    return min(interval_ends), max(interval_ends)
 
 
 def _find_active_bound(minima: Minima, index: int) -> str:
     """Return the bound at which the search ended; empty if none, or for a flat objective."""
     min_slope = 0.05  # of half the objective with respect to the logarithm of the parameter
-    value, problem = minima.fit.logs[index], minima.fit.problem
+    log_value, problem = minima.fit.logs[index], minima.fit.problem
     slope = -float(objective.make_normal_equations(minima.fit)[1][index])
-    if value <= problem.lower[index] and slope > min_slope:
+    if log_value <= problem.lower[index] and slope > min_slope:
         return "lower"
-    return "upper" if value >= problem.upper[index] and slope < -min_slope else ""
+    return "upper" if log_value >= problem.upper[index] and slope < -min_slope else ""
 
 
 def _fit_without_prior(minima: Minima, index: int, choice: ParameterChoice) -> PriorConflict:
@@ -411,7 +411,7 @@ def _find_prediction_notes(calibration: Calibration) -> Iterator[QualityNote]:
         yield QualityNote.of("mechanics.wire.predicted_sample", calibration.wire)
     count = sum(solution.is_allowed for solution in calibration.solutions)
     if count > 1:
-        yield QualityNote.of("mechanics.wire.predicted_solutions", calibration.wire, number=count)
+        yield QualityNote.of("mechanics.wire.predicted_solutions", calibration.wire, count=count)
     for name in PARAMETERS:
         parameter = calibration.get_parameter(name)
         if parameter.is_open_below or parameter.is_open_above:

@@ -154,8 +154,8 @@ def _unload_to_zero(
     """
     tolerance = 1e-5  # relative to the largest force
     n_steps = 8
-    start, largest_force = state.travel, state.load - rest_load
-    path, step = [(start, largest_force)], -start / n_steps
+    start_deflection, largest_force = state.travel, state.load - rest_load
+    path, step = [(start_deflection, largest_force)], -start_deflection / n_steps
     while abs(path[-1][1]) > tolerance * largest_force and len(path) < 4 * n_steps:
         next_state = deflect(law, state, length, path[-1][0] + step)
         force = next_state.load - rest_load
@@ -163,7 +163,7 @@ def _unload_to_zero(
             state = next_state
             path.append((next_state.travel, force))
             slope = (path[-2][1] - path[-1][1]) / (path[-2][0] - path[-1][0])
-            step = max(-start / n_steps, -path[-1][1] / slope)
+            step = max(-start_deflection / n_steps, -path[-1][1] / slope)
         else:  # the step was too long; the next ends at the zero of the line through both points
             step *= path[-1][1] / (path[-1][1] - force)
     return path, state
@@ -233,7 +233,7 @@ def calibrate_share(
     grid = np.linspace(0.0, 1.0, 401)
     cubics = [np.polyfit(COMPUTED_SHARES, values, 3) for values in by_share]
     residuals = measured[:, None] - np.stack([np.polyval(cubic, grid) for cubic in cubics])
-    value, error = _estimate_share(grid, residuals, covariance)
+    share, share_error = _estimate_share(grid, residuals, covariance)
     fits = {}
     for name in (RESIDUAL, RATIO):
         rows_of_name = np.flatnonzero(row_names == name)
@@ -242,11 +242,11 @@ def calibrate_share(
             fits[name] = _estimate_share(grid, residuals[rows_of_name], name_covariance)
     is_creep = False
     if len(fits) == 2:
-        shares, share_errors = np.array(list(fits.values())).T
-        is_creep = abs(shares[1] - shares[0]) > MAX_SHARE_DIFFERENCE * np.hypot(*share_errors)
-    interval = Interval.make_normal(value, error)
+        shares, fit_errors = np.array(list(fits.values())).T
+        is_creep = abs(shares[1] - shares[0]) > MAX_SHARE_DIFFERENCE * np.hypot(*fit_errors)
+    interval = Interval.make_normal(share, share_error)
     return IsotropicShare(
-        value=value,
+        value=share,
         interval=Interval(max(interval.lower, 0.0), min(interval.upper, 1.0)),
         intervals={name: Interval.make_normal(*fit) for name, fit in fits.items()},
         n_tests=len(tests),

@@ -124,11 +124,11 @@ class WireLaw:
         """
         known_curvature, cause = np.inf, ""
         for component in self.components:
-            last = component.last_curvature * component.compute_scale(values)
-            if last < known_curvature:
-                known_curvature, name = last, component.limit_name
+            last_curvature = component.last_curvature * component.compute_scale(values)
+            if last_curvature < known_curvature:
+                known_curvature, name = last_curvature, component.limit_name
                 at_scale = f" at a copper scale of {values[_COPPER]:.4g}" if component.power else ""
-                cause = f"the {name} is known up to {last:.6g} 1/m{at_scale}"
+                cause = f"the {name} is known up to {last_curvature:.6g} 1/m{at_scale}"
         return known_curvature, cause
 
     def compute_moment(self, values: Floats, curvature: Floats) -> tuple[Floats, Floats, Floats]:
@@ -160,14 +160,14 @@ def split_law(section: CrossSection, contacts: Contacts, *, orientation: float =
         nominal[_FRICTION] = contacts.radial_force * contacts.friction_sum
     tube = section.insulation
     if tube is not None:
-        last = tube.curve.largest_strain / tube.outer_radius if tube.curve else np.inf
+        limit = tube.curve.largest_strain / tube.outer_radius if tube.curve else np.inf
 
         def bend_tube(curvature: Floats) -> tuple[Floats, Floats]:
-            moment, slope = compute_tube_moment(tube, np.minimum(curvature, last))
+            moment, slope = compute_tube_moment(tube, np.minimum(curvature, limit))
             return moment / tube.modulus, slope / tube.modulus
 
-        insulation = LawComponent(_INSULATION, bend_tube, last, "insulation", is_proportional=True)
-        components.append(insulation)
+        component = LawComponent(_INSULATION, bend_tube, limit, "insulation", is_proportional=True)
+        components.append(component)
         nominal[_INSULATION] = tube.modulus
     for exponent in sorted({_get_exponent(layer.material) for layer in section.layers}):
         components.append(_split_strands(section, exponent))

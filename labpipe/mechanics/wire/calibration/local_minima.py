@@ -264,8 +264,8 @@ def _get_strength(fit: Fit) -> float:
 
 def _compute_barrier(line: list[Fit], first: Fit, second: Fit) -> float:
     """Compute the height of the line between two minima, above the higher minimum."""
-    start, stop = _get_strength(first), _get_strength(second)
-    heights = [fit.objective for fit in line if start < _get_strength(fit) < stop]
+    low, high = _get_strength(first), _get_strength(second)
+    heights = [fit.objective for fit in line if low < _get_strength(fit) < high]
     return max(heights, default=-np.inf) - max(first.objective, second.objective)
 
 
@@ -319,9 +319,9 @@ def compute_widening(line: list[Fit], base: Fit) -> float:
     -------
     Ratio of the quantiles, at least 1.
     """
-    start = next(index for index, fit in enumerate(line) if fit is base)
+    base_index = next(index for index, fit in enumerate(line) if fit is base)
     products = compute_differences(line, base)
-    sides = range(start - 1, -1, -1), range(start + 1, len(line))
+    sides = range(base_index - 1, -1, -1), range(base_index + 1, len(line))
     angle = sum(_sum_angles(products, side) for side in sides)
     return compute_tube_quantile(angle) / NORMAL_95
 
@@ -463,12 +463,12 @@ def find_line_range(minima: Minima, index: int, factor: float) -> tuple[float, f
     directions = minima.line_unknowns - minima.fit.unknowns[: P + 1]
     limits = np.maximum(_compute_limits(minima, directions), 1e-30)
     height = np.sqrt(minima.line_rise / limits / factor)
-    values, is_inside = minima.line_unknowns[:, index], height <= 1.0
+    logs, is_inside = minima.line_unknowns[:, index], height <= 1.0
     crosses = is_inside[:-1] != is_inside[1:]
     fraction = (1.0 - height[:-1][crosses]) / np.diff(height)[crosses]
-    ends = values[:-1][crosses] + fraction * np.diff(values)[crosses]
-    range_values = np.append(values[is_inside], ends)
-    return float(range_values.min()), float(range_values.max())
+    crossing_logs = logs[:-1][crosses] + fraction * np.diff(logs)[crosses]
+    range_logs = np.append(logs[is_inside], crossing_logs)
+    return float(range_logs.min()), float(range_logs.max())
 
 
 def _compute_limits(minima: Minima, directions: Floats) -> Floats:
@@ -496,7 +496,7 @@ def _follow_profile(
     minima: Minima, index: int, minimum: LocalMinimum, factor: float
 ) -> LocalProfile:
     """Compute the profile of a parameter on both sides of a minimum; other unknowns are fitted."""
-    fit, start = minimum.fit, float(minimum.fit.logs[index])
+    fit, minimum_log = minimum.fit, float(minimum.fit.logs[index])
     error = float(np.sqrt(minimum.uncertainty.covariance[index, index]))
     below, above = variances.compute_quantiles(minimum.mixture, np.eye(P + 1)[[index]])
     relative_rise = minimum.rise / compute_limit(minima, minimum) if minimum.rise > 0.0 else 0.0
@@ -505,10 +505,10 @@ def _follow_profile(
     path = _ProfilePath(fit, index, _compute_direction(fit, index))
     low = _find_end(path, -1.0, float(roots[0]), error)
     high = _find_end(path, 1.0, float(roots[1]), error)
-    points = {(start, 0.0)}
+    points = {(minimum_log, 0.0)}
     for side in (low, high):
         is_single = len(minima.local_minima) == 1
-        points |= set(side.points if is_single else _select_rising(start, side))
+        points |= set(side.points if is_single else _select_rising(minimum_log, side))
     logs, heights = np.array(sorted(points)).T
     return LocalProfile(
         *(logs, heights**2 + minimum.rise, low.end, high.end, low.is_open, high.is_open),
@@ -533,10 +533,10 @@ class _ProfileSide:
     points: list[tuple[float, float]]
 
 
-def _select_rising(start: float, side: _ProfileSide) -> list[tuple[float, float]]:
+def _select_rising(minimum_log: float, side: _ProfileSide) -> list[tuple[float, float]]:
     """Select the points before the deviance decreases; farther minima have their own profiles."""
     points: list[tuple[float, float]] = []
-    for point in sorted(side.points, key=lambda point: abs(point[0] - start)):
+    for point in sorted(side.points, key=lambda point: abs(point[0] - minimum_log)):
         if points and point[1] < points[-1][1]:
             break
         points.append(point)
@@ -570,20 +570,20 @@ class _ProfilePath:
     index: int
     direction: Floats
 
-    def evaluate(self, start: Fit, target: float, root: float) -> tuple[float, Fit]:
-        """Return the root of the deviance and the fit at a value of the parameter.
+    def evaluate(self, start: Fit, log: float, root: float) -> tuple[float, Fit]:
+        """Return the root of the deviance and the fit at a logarithm of the parameter.
 
         The search starts from a nearby fit. It is repeated without extrapolation if the deviance is
         far above the threshold, `root` squared.
         """
-        max_factor = 3.0  # largest rise of the first search relative to the threshold
+        max_factor = 3.0  # largest deviance after the first search, relative to the threshold
         problem = self.fit.problem.hold(self.index)
         search_profile = partial(search, problem, self.fit.levels, tolerance=1e-3)
-        shift = (target - float(start.logs[self.index])) * self.direction
+        shift = (log - float(start.logs[self.index])) * self.direction
         fits: list[Fit] = []
         for step in (shift, 0.0 * shift):
             unknowns = apply_step(start, step)
-            unknowns[self.index] = target
+            unknowns[self.index] = log
             fits.append(search_profile(unknowns, guess=start.model_forces))
             best = min(fits, key=lambda fit: fit.objective)
             rise = best.objective - self.fit.objective
@@ -596,9 +596,9 @@ def _find_end(path: _ProfilePath, sign: float, root: float, error: float) -> _Pr
     """Find the end of the interval, at which the root of the deviance is `root`."""
     root_tolerance = 0.01  # relative to the root
     max_evaluations = 24
-    problem, start = path.fit.problem, float(path.fit.logs[path.index])
+    problem, minimum_log = path.fit.problem, float(path.fit.logs[path.index])
     bound = float((problem.lower if sign < 0.0 else problem.upper)[path.index])
-    max_distance = sign * (bound - start)
+    max_distance = sign * (bound - minimum_log)
     if max_distance <= 0.0:
         return _ProfileSide(bound, is_open=True, points=[])
     inner, start_fit, n_same_side = (0.0, 0.0), path.fit, 0
@@ -606,8 +606,8 @@ def _find_end(path: _ProfilePath, sign: float, root: float, error: float) -> _Pr
     points: list[tuple[float, float]] = []
     distance = min(root * error, max_distance) if error > 0.0 else max_distance
     for _ in range(max_evaluations):
-        height, fit = path.evaluate(start_fit, start + sign * distance, root)
-        points.append((start + sign * distance, height))
+        height, fit = path.evaluate(start_fit, minimum_log + sign * distance, root)
+        points.append((minimum_log + sign * distance, height))
         if abs(height - root) <= root_tolerance * root:
             break
         if height >= root:
@@ -619,7 +619,8 @@ def _find_end(path: _ProfilePath, sign: float, root: float, error: float) -> _Pr
         distance = _choose_distance(inner, outer, n_same_side, root, max_distance)
     else:  # without convergence, the wider interval is taken
         distance = outer[0] if outer else max_distance
-    return _ProfileSide(start + sign * distance, outer is None and distance >= max_distance, points)
+    is_open = outer is None and distance >= max_distance
+    return _ProfileSide(minimum_log + sign * distance, is_open, points)
 
 
 def _choose_distance(

@@ -134,11 +134,11 @@ def select_usable_curves(
     factor = np.sqrt(len(usable))
     usable = tuple(replace(curve, scale_error=factor * curve.scale_error) for curve in usable)
     if not usable:
-        return CalibrationFailure.of("mechanics.wire.no_sample_usable", number=len(curves))
+        return CalibrationFailure.of("mechanics.wire.no_sample_usable", count=len(curves))
     wires = sorted({curve.wire for curve in usable})
     if len(wires) > 1:
-        names, number = ", ".join(wires), len(wires)
-        return CalibrationFailure.of("mechanics.wire.wires_mixed", number=number, names=names)
+        names, count = ", ".join(wires), len(wires)
+        return CalibrationFailure.of("mechanics.wire.wires_mixed", count=count, names=names)
     for curve in usable:
         if not np.all(np.asarray(curve.noise) > 0.0):
             test, noise = curve.test, 1e3 * np.min(curve.noise)

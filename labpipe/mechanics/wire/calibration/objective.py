@@ -196,8 +196,8 @@ def set_up_problem(
             return CalibrationFailure.of("mechanics.wire.parameter_without_effect", name=name)
         if not is_active:
             continue
-        nominal, (lowest, start, highest) = float(law.nominal[index]), SEARCH_RANGES[name]
-        value = choice.value or (nominal if nominal > 0.0 else start)
+        nominal, (lowest, first_value, highest) = float(law.nominal[index]), SEARCH_RANGES[name]
+        value = choice.value or (nominal if nominal > 0.0 else first_value)
         low, high = choice.lower or lowest, choice.upper or highest
         if choice.is_fixed:
             low = high = value
@@ -282,8 +282,8 @@ def compute_model_forces(
         )
         force, sensitivity = interpolate_force(loading, deflections)
         slope = np.interp(np.abs(deflections), loading.deflection, loading.stiffness)
-        ends = np.cumsum([len(curves[i].deflection) for i in indices])[:-1]
-        split_arrays = (np.split(array, ends, axis=-1) for array in (force, sensitivity, slope))
+        cuts = np.cumsum([len(curves[i].deflection) for i in indices])[:-1]
+        split_arrays = (np.split(array, cuts, axis=-1) for array in (force, sensitivity, slope))
         for index, *arrays in zip(indices, *split_arrays, strict=True):
             forces[index] = ModelForce(arrays[0], arrays[1], arrays[2], loading)
     return [forces[index] for index in range(len(curves))]
