@@ -169,11 +169,11 @@ def compute_ramberg_osgood(parameters: FormulaRow) -> Curve:
     proof_stress = parameters.proof_stress_mpa * _MPA
     n, max_strain = parameters.exponent, parameters.largest_strain
     law = RambergOsgood(modulus, proof_stress * PROOF_STRAIN ** (-1.0 / n), 1.0 / n)
-    max_stress = float(law.stress(np.array([max_strain]))[0])
+    max_stress = float(law.compute_stress(np.array([max_strain]))[0])
     ratio = plastic_fraction * proof_stress / (PROOF_STRAIN * modulus)
     first_stress = min(proof_stress * ratio ** (1.0 / (n - 1.0)), max_stress / 2.0)
     stress = np.concatenate([[0.0], np.geomspace(first_stress, max_stress, n_dense_points)])
-    strain = law.strain(stress)
+    strain = law.compute_strain(stress)
     strain[-1] = max_strain
     points = thin_law(strain, stress, max_points=max_points + 1)
     return tuple(points.curvature[1:].tolist()), tuple(points.moment[1:].tolist())

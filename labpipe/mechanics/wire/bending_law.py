@@ -94,7 +94,7 @@ class Contacts:
     def __post_init__(self) -> None:
         coefficients = self.inner_friction, self.outer_friction
         holds = len(self.inner_friction) == len(self.outer_friction)
-        require("inner and outer", coefficients, "of equal length, one for each ring", holds=holds)
+        require("friction", coefficients, "of equal length, one for each ring", holds=holds)
         for coefficient in (*self.inner_friction, *self.outer_friction):
             require_not_negative("friction coefficient", coefficient)
         require_not_negative("radial_force", self.radial_force)

@@ -408,7 +408,7 @@ def compute_axial_force(table: WireTable, strain: Floats) -> Floats:
     force = make_insulation(table.spec).axial_stiffness * strain
     for layer in make_layers(table.spec):
         cosine = np.cos(layer.lay_angle)
-        stress = layer.material.stress(strain * cosine**2)
+        stress = layer.material.compute_stress(strain * cosine**2)
         force = force + layer.count * layer.area * cosine * stress
     return np.asarray(force)
 

@@ -209,10 +209,10 @@ def find_equilibria(
     coarse = Cantilever(law, make_stations(_N_COARSE_STATIONS, length), self_weight, condition)
     one_grid_wire = replace(coarse, stations=stations)
     wire = replace(one_grid_wire, coarse_wire=coarse)
-    start = None if guess is None else (guess.moment, guess.tension)
-    if start is None:
-        start = _solve_from_linear(table, coarse, bend_from_rest, tolerance=_COARSE_TOLERANCE)
-    solution = None if start is None else _solve_from_guess(wire, *start)
+    first_guess = None if guess is None else (guess.moment, guess.tension)
+    if first_guess is None:
+        first_guess = _solve_from_linear(table, coarse, bend_from_rest, tolerance=_COARSE_TOLERANCE)
+    solution = None if first_guess is None else _solve_from_guess(wire, *first_guess)
     solve_one_grid = partial(_solve_from_linear, table, tolerance=_MOMENT_TOLERANCE)
     solution = solution or solve_one_grid(one_grid_wire, bend_from_rest)
     if solution is None:

@@ -71,12 +71,12 @@ class RambergOsgood:
         require_positive("strength", self.strength)
         require("exponent", self.exponent, "between 0 and 1", holds=0.0 < self.exponent < 1.0)
 
-    def strain(self, stress: Floats) -> Floats:
+    def compute_strain(self, stress: Floats) -> Floats:
         """Compute the strain at stresses of any shape, Pa; NaN remains NaN."""
         plastic_strain = (np.abs(stress) / self.strength) ** (1.0 / self.exponent)
         return stress / self.modulus + np.copysign(plastic_strain, stress)
 
-    def stress(self, strain: Floats) -> Floats:
+    def compute_stress(self, strain: Floats) -> Floats:
         """Compute the stress at strains of any shape, Pa; NaN remains NaN."""
         max_iterations = 60
         tolerance = 1e-14  # relative change of the stress
@@ -155,7 +155,7 @@ class StressTable:
         """Last strain of the curve."""
         return self.strains[-1]
 
-    def stress(self, strain: Floats) -> Floats:
+    def compute_stress(self, strain: Floats) -> Floats:
         """Interpolate the stress, Pa; NaN beyond the last strain and for a strain of NaN."""
         stress = np.interp(np.abs(strain), *self._prepend_origin(), right=np.nan)
         return np.copysign(stress, strain)
@@ -231,7 +231,7 @@ def compute_elastic_ratio(material: Material, rim_strain: Floats, *, n_points: i
     angle, weight = np.pi / 4.0 * (roots + 1.0), np.pi / 4.0 * weights
     sine = np.sin(angle)
     strain = rim_strain[:, None] * sine
-    integral = material.stress(strain) @ (weight * sine * np.cos(angle) ** 2)
+    integral = material.compute_stress(strain) @ (weight * sine * np.cos(angle) ** 2)
     return np.asarray(16.0 / np.pi * integral / (material.modulus * rim_strain))
 
 

@@ -370,7 +370,7 @@ def _find_section_notes(
         )
     material = section.layers[0].material
     elastic_stress = material.modulus * axial_strain
-    stress = float(material.stress(np.array([axial_strain]))[0])
+    stress = float(material.compute_stress(np.array([axial_strain]))[0])
     if elastic_stress > max_elastic_factor * stress:
         yield QualityNote.of(
             "mechanics.wire.tension_yields",
