@@ -1,4 +1,4 @@
-"""Define the errors of input that cannot be used, their codes, and the form of their messages."""
+"""Define the errors of unusable input, their codes, and the form of their messages."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ CODES = MappingProxyType(
         "missing_export": "an export that test.yaml names is missing",
         "missing_channel": "an export has no such channel, or several that match",
         "unreadable_export": "an export is damaged, or has another format than stated",
-        "cannot_process": "the recordings do not hold what the protocol asks for",
+        "cannot_process": "the recordings lack data that the protocol requires",
         "bad_result": "an earlier result.h5 that is to be processed again cannot be used",
         "disk_full": "the disk or the quota is full",
         "cannot_store": "the results cannot be written for another reason, such as permissions",
@@ -228,13 +228,13 @@ def describe_system_error(error: Exception) -> str:
     )
 
 
-def sort_by_likeness(word: str, choices: list[str], *, limit: int = 5) -> list[str]:
+def sort_by_likeness(word: str, valid_words: list[str], *, limit: int = 5) -> list[str]:
     """Sort valid words by their likeness to a misspelt word, and return the first ones.
 
     Parameters
     ----------
     word : misspelt word
-    choices : valid words
+    valid_words : words of which the misspelt word may be meant
     limit : maximum number of returned words
 
     Returns
@@ -248,10 +248,10 @@ def sort_by_likeness(word: str, choices: list[str], *, limit: int = 5) -> list[s
     """
     import difflib  # only needed for error messages
 
-    def compute_likeness(choice: str) -> float:
-        return difflib.SequenceMatcher(None, word.casefold(), choice.casefold()).ratio()
+    def compute_likeness(valid_word: str) -> float:
+        return difflib.SequenceMatcher(None, word.casefold(), valid_word.casefold()).ratio()
 
-    return sorted(choices, key=compute_likeness, reverse=True)[:limit]
+    return sorted(valid_words, key=compute_likeness, reverse=True)[:limit]
 
 
 def format_overrides(key: str, value: str, **other_values: str) -> str:

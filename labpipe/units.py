@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 GRAVITY = 9.80665
 """Standard acceleration of free fall, m/s^2 (CGPM 1901)."""
 
-# This list has only the units of a test lab. Pint loads it in a millisecond, and its own list in
-# several hundred. In this list, "ft" is a foot; in that of pint it could be a femtotonne.
+# This list has only the units of a test lab. Pint loads it in a millisecond, and its default list
+# in several hundred. In this list, "ft" is a foot; in the default list it could be a femtotonne.
 _DEFINITIONS = """
 milli- = 1e-3 = m-
 micro- = 1e-6 = µ- = u-
@@ -106,7 +106,7 @@ _COHERENT_UNITS = {
     *("1", "m", "s", "kg", "K", "rad", "V", "m^2", "1/m", "m/s", "1/s", "Hz", "kg/m"),
     *("N", "J", "Pa", "N/m", "m/N", "N*m", "N*m^2"),
 }
-"""Coherent SI units. Only those that are pairs in `_COMMON_FACTORS` convert to each other."""
+"""Coherent SI units. Two of them convert to each other only if `_COMMON_FACTORS` has the pair."""
 
 _COHERENT_EQUIVALENTS = {
     unit: (factor, coherent_unit)
@@ -245,12 +245,12 @@ def parse_quantity(text: object, si_unit: str) -> float:
     if match is None or isinstance(text, bool):
         message = f'expected a number with a unit such as "1 {si_unit}", found {text!r}'
         raise ValueError(message)
-    number, unit = match.groups()
+    number_text, unit = match.groups()
     if not unit and si_unit != "1":
         message = f"expected a unit of the dimension of {si_unit}, found none in {text!r}"
         raise ValueError(message)
     # 9 mm is 0.009 m, not 0.009000000000000001.
-    value = float(f"{float(number) * get_conversion_factor(unit or '1', si_unit):.12g}")
+    value = float(f"{float(number_text) * get_conversion_factor(unit or '1', si_unit):.12g}")
     if not isfinite(value):
         message = f"expected a number that is finite, found {text!r}"
         raise NotFiniteError(message)

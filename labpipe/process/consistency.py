@@ -138,6 +138,30 @@ class CheckedRecord:
         changes = [(_find_cycle_change(self, *pair), pair) for pair in pairwise(self.cycles)]
         return [(*change, *pair) for change, pair in changes if change is not None]
 
+    @cached_property
+    def jumps(self) -> dict[Quantity, list[tuple[int, float]]]:
+        """Return the jumps of each quantity.
+
+        Each entry has the index of the first sample after the jump, and its size (m or N). Jumps at
+        the end of a stretch in which the channel is frozen are left out.
+        """
+        max_distance = 2  # samples between such a jump and the end of the frozen stretch
+        time = self.curve.time
+        frozen_ends = [
+            (doubt.quantity, int(np.searchsorted(time, doubt.period[1])))
+            for finding in self.earlier_findings.entries
+            for doubt in finding.doubts
+            if finding.code == "frozen_channel" and doubt.period
+        ]
+        return {
+            quantity: [
+                (sample, size)
+                for sample, size in find_level_jumps(time, getattr(self.curve, quantity))
+                if all(abs(sample - end) > max_distance for x, end in frozen_ends if x == quantity)
+            ]
+            for quantity in QUANTITIES
+        }
+
     def compute_sign(self, branch: Branch) -> float:
         """Compute the sign of the force that loads the specimen in a branch."""
         return compute_loading_sign(self.curve.force[branch.start : branch.stop])
@@ -154,25 +178,6 @@ class CheckedRecord:
         min_error_ratio : smallest change divided by its standard error
         """
         return max(min_fraction * self.largest_force, min_error_ratio * error)
-
-    def find_jumps(self, quantity: Quantity) -> list[tuple[int, float]]:
-        """Find the index of the first sample after each jump, and the size of the jump (N or m).
-
-        Jumps at the end of a stretch in which the channel is frozen are left out.
-        """
-        max_distance = 2  # samples between such a jump and the end of the frozen stretch
-        time = self.curve.time
-        frozen_ends = [
-            int(np.searchsorted(time, doubt.period[1]))
-            for finding in self.earlier_findings.entries
-            for doubt in finding.doubts
-            if finding.code == "frozen_channel" and doubt.quantity == quantity and doubt.period
-        ]
-        return [
-            (sample, size)
-            for sample, size in find_level_jumps(time, getattr(self.curve, quantity))
-            if all(abs(sample - end) > max_distance for end in frozen_ends)
-        ]
 
     def report(
         self,
@@ -260,7 +265,7 @@ def _check_displacement_jumps(record: CheckedRecord) -> Iterator[Finding]:
     deviations = displacement - bridge_spikes(displacement, find_spikes(displacement))
     outliers = np.flatnonzero(np.abs(deviations) > min_outlier * record.displacement_range)
     jumps = [(sample, float(deviations[sample])) for sample in outliers.tolist()]
-    jumps += record.find_jumps("displacement")
+    jumps += record.jumps["displacement"]
     if not jumps:
         return
     sample, size = max(jumps, key=lambda jump: abs(jump[1]))
@@ -334,15 +339,16 @@ def _check_early_force(record: CheckedRecord) -> Iterator[Finding]:
 def _check_force_level(record: CheckedRecord) -> Iterator[Finding]:
     """Report a jump of the force that a specimen cannot cause or, without one, a drift of the zero.
 
-    Such a jump is a rise in loading, or any jump in unloading. If a converter overflows, the force
-    jumps over the whole range of the record. One or two jumps over the whole range are an overflow
-    only if they lead to the opposite force.
+    Such a jump is a rise in loading, a fall in loading to zero from where the force rises again, or
+    any jump in unloading. If a converter overflows, the force jumps over the whole range of the
+    record. One or two jumps over the whole range are an overflow only if they lead to the opposite
+    force.
     """
     max_jumps = 2  # more jumps are attributed to the specimen, or are overflows
     min_overflow = 0.9  # jump as a fraction of the range of the force
     max_asymmetry = 0.1  # difference between the final force and half the jump, over the jump
     force, branches = record.curve.force, record.curve.branches
-    all_jumps = record.find_jumps("force")
+    all_jumps = record.jumps["force"]
     min_size = min_overflow * np.ptp(drop_missing(force))
     overflows = [(sample, size) for sample, size in all_jumps if abs(size) > min_size]
     if len(overflows) <= max_jumps:
@@ -355,7 +361,11 @@ def _check_force_level(record: CheckedRecord) -> Iterator[Finding]:
         for sample, size in all_jumps
         if branch.start + TURN_REACH < sample < end - TURN_REACH
         and abs(sample - branch.stop) > TURN_REACH
-        and (branch.direction is Direction.UNLOADING or record.loading_sign * size > 0.0)
+        and (
+            branch.direction is Direction.UNLOADING
+            or record.loading_sign * size > 0.0
+            or _is_zeroed(force[sample:end], size, record.force_noise)
+        )
     ]
     if overflows:
         sample, size = overflows[0]
@@ -368,11 +378,22 @@ def _check_force_level(record: CheckedRecord) -> Iterator[Finding]:
         yield from _check_zero_drift(record)
 
 
+def _is_zeroed(forces: Floats, fall: float, noise: float) -> bool:
+    """Return whether the force after a fall is zero within its noise and a step, and rises again.
+
+    The force of a broken specimen stays at zero.
+    """
+    min_rise = 0.25  # fraction of the fall
+    max_level = MIN_REST_ERROR_RATIO * noise + abs(forces[1] - forces[0])
+    return bool(abs(forces[0]) <= max_level and np.nanmax(np.abs(forces)) > min_rise * abs(fall))
+
+
 def _check_zero_drift(record: CheckedRecord) -> Iterator[Finding]:
     """Report a change of the force at rest if the motion returns to its initial position.
 
     A specimen with friction or permanent set pushes back after unloading. A force against the
-    direction of loading is therefore a drift only if the level also changes between cycles.
+    direction of loading is therefore a drift only if the level also changes between cycles, or if
+    the force has jumped by as much.
     """
     # Distance from the initial position as a fraction of the range of the displacement.
     max_distance, min_rest_samples = 0.02, 3
@@ -388,10 +409,14 @@ def _check_zero_drift(record: CheckedRecord) -> Iterator[Finding]:
     level, end_level = median(initial_forces), median(final_forces[-len(initial_forces) :])
     branch_forces = curve.force[first.start : last.stop]
     change = compute_loading_sign(branch_forces) * (end_level - level)
-    if any(kind == "level" for kind, *_ in record.cycle_changes):
+    error = record.force_noise * sqrt(2.0 / count)
+    # The size of a jump has the error of two samples.
+    max_misfit = MIN_REST_ERROR_RATIO * record.force_noise * sqrt(2.0 / count + 2.0)
+    jump = sum(size for _, size in record.jumps["force"])
+    has_jumped = abs(end_level - level - jump) < max_misfit < abs(jump)
+    if has_jumped or any(kind == "level" for kind, *_ in record.cycle_changes):
         change = abs(change)
     largest_force = float(np.nanmax(np.abs(branch_forces - level)))
-    error = record.force_noise * sqrt(2.0 / count)
     if change >= max(record.limits.rest_force_drift * largest_force, MIN_REST_ERROR_RATIO * error):
         facts: dict[str, Any] = {"level": level, "end": end_level}
         facts |= {"ratio": abs(change) / largest_force}
@@ -596,7 +621,7 @@ def _check_turns(record: CheckedRecord) -> Iterator[Finding]:
 def _check_skipped_turns(record: CheckedRecord) -> Iterator[Finding]:
     """Report turns at which the force jumps, unlike at others, as the recording was interrupted."""
     min_step_ratio = 5.0  # largest step of the force at a turn divided by that at the other turns
-    curve, jumps = record.curve, dict(record.find_jumps("force"))
+    curve, jumps = record.curve, dict(record.jumps["force"])
     for direction in Direction:
         turns = [
             range(max(second.start - TURN_REACH, 0), second.start + TURN_REACH + 1)

@@ -45,7 +45,7 @@ from labpipe.results.slack_and_slips import (
     find_slips,
     subtract_slack,
 )
-from labpipe.results.tension import ElasticWindow, fit_pull
+from labpipe.results.tension import ElasticWindow, fit_tensile_curve
 from labpipe.signal.bad_samples import bridge_spikes, find_spikes
 from labpipe.signal.filters import filter_pieces
 from labpipe.uncertainty.intervals import MeasuredNumber
@@ -131,7 +131,8 @@ def correct_curve(test: ReducedTest, settings: CurveBlock) -> CorrectionOutcome:
         test, slack_findings = _subtract_slack(test, settings.slack)
         findings += slack_findings
     if settings.elastic_line is not None:
-        test = replace(test, pull=fit_pull(test, ElasticWindow(**dict(settings.elastic_line))))
+        window = ElasticWindow(**dict(settings.elastic_line))
+        test = replace(test, tensile_curve=fit_tensile_curve(test, window))
     # Slips are reported last, because the slack changes their positions.
     return test, [*findings, *(_report_slip(test.signals.force, slip) for slip in test.slips)]
 
@@ -278,7 +279,7 @@ def _filter_branches(test: ReducedTest, loss_start: int | Failure | None) -> Red
     cut_times = [branch.start_time for branch in curve.branches]
     cut_times += [branch.stop_time for branch in curve.branches]
     cut_times += [float(curve.time[loss_start])] if isinstance(loss_start, int) else []
-    unfiltered_signals = {**signals.raw, signals.force: test.unfiltered or test.raw_force}
+    unfiltered_signals = {**signals.raw, signals.force: test.unfiltered_force or test.raw_force}
     curve_values = {"force": curve.force, "displacement": curve.displacement}
     for name, quantity in signals.quantities.items():
         if name not in signals.filters:
@@ -286,8 +287,7 @@ def _filter_branches(test: ReducedTest, loss_start: int | Failure | None) -> Red
         cuts = find_piece_starts(test.clocks, cut_times, unfiltered_signals[name])
         filter_branches = partial(filter_pieces, cuts=cuts, filters=signals.filters[name])
         result = unfiltered_signals[name].map_values(filter_branches)
-        signal = signals.filtered[name]
-        signal = replace(signal, values=result.values, variants=result.variants)
+        signal = replace(signals.filtered[name], values=result.values, variants=result.variants)
         signals = signals.replace_filtered(name, signal)
         curve_time = signals.filtered[signals.displacement].time
         curve_values[quantity] = test.clocks.interpolate(signal, curve_time)
@@ -376,10 +376,9 @@ def measure_slack(test: ReducedTest, read_slack: Choice) -> MeasuredNumber | Fai
     # The line of a taut specimen may meet zero force before the curve begins, by this fraction of
     # the travel.
     taut_fraction = 1e-3
-    measured = return_failure(test.measure)(read_slack)
-    if isinstance(measured, Failure):
-        return measured
-    slack, trace = measured[0], make_trace(test)
+    slack, trace = return_failure(test.measure_number)(read_slack), make_trace(test)
+    if isinstance(slack, Failure):
+        return slack
     if np.isnan(slack.deviations).mean() > max_falling_fraction:
         return Failure.of("process.not_rising")
     start = select_first_loading(trace).start

@@ -151,12 +151,12 @@ def calibrate(
     gain_errors: dict[str, float] = {x: y.gain_uncertainty for x, y in protocol.sources.items()}
     reversed_channels = [getattr(curve, name) for name in (curve and curve.reverse) or ()]
     for role, recording in recordings.items():
-        force_path = next((x.path for x in recording.channels if x.name == signals.force), None)
+        quantities = {x.path: signals.quantities.get(x.name) for x in recording.channels}
         for note in recording.notes:
             located_note = replace(note, where=f"{role}: {note.where}" if note.where else role)
-            is_of_force = note.code == "columns_disagree" and note.where == force_path
-            force_finding = make_stretch_finding("force", located_note, "")
-            findings.append(force_finding if is_of_force else Finding(located_note))
+            quantity = quantities.get(note.where) if note.code == "columns_disagree" else None
+            finding = make_stretch_finding(quantity, located_note, "") if quantity else None
+            findings.append(finding or Finding(located_note))
         if recording.markers is not None:
             _check_clock(recording.markers.time, role, min_samples=min_frames)
             tracks = recording.markers

@@ -175,9 +175,9 @@ def add_curve(
     test = replace(test, cut_times=find_cut_ends(test.signals, motion, protocol, test.findings))
     if test.findings.blocking_reason:
         return test
-    unfiltered, new_findings = bridge_outliers(test.signals)
-    test = replace(test, aligned=align_signals(test), unfiltered=unfiltered)
-    curve, curve_findings = build_curve(test, unfiltered, motion)
+    unfiltered_force, new_findings = bridge_outliers(test.signals)
+    test = replace(test, aligned=align_signals(test), unfiltered_force=unfiltered_force)
+    curve, curve_findings = build_curve(test, unfiltered_force, motion)
     findings = test.findings + new_findings + curve_findings
     if curve is None:
         return replace(test, findings=findings)

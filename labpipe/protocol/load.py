@@ -328,7 +328,7 @@ def resolve_protocol(
         raise build_error([*document.faults, *placed_faults, *map(sheet_document.place, faults)])
     # Overrides may have removed steps; the other steps keep their numbers from the file.
     steps = tuple(
-        step.with_number(int(document.find_location(("steps", index))[0].name))
+        step.with_index(int(document.find_location(("steps", index))[0].name))
         for index, step in enumerate(protocol.steps)
     )
     protocol = protocol.model_copy(update={"steps": steps})

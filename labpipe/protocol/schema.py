@@ -387,7 +387,7 @@ Version: TypeAlias = Annotated[Literal[1], BeforeValidator(_parse_version)]
 
 def _number_steps(steps: tuple[Step, ...]) -> tuple[Step, ...]:
     # In a draft, None stands for a step of an unknown kind.
-    return tuple(step and step.with_number(index) for index, step in enumerate(steps))
+    return tuple(step and step.with_index(index) for index, step in enumerate(steps))
 
 
 class Protocol(Block):
@@ -583,7 +583,7 @@ def list_unmet_needs(protocol: Protocol) -> list[tuple[KeyPath, str, str]]:
     users: list[tuple[KeyPath, str, Iterable[str]]] = []
     for step in (step for step in protocol.steps if step):
         needs = (_MARKER_SOURCE, _MARKERS) if step.uses_markers else ()
-        users.append((("steps", step.number, "step"), step.step, needs))
+        users.append((("steps", step.index, "step"), step.step, needs))
     for path, result in _list_results(protocol):
         users.append(((*path, "result"), result.result, _list_result_needs(result.needs, curve)))
     for index, name in enumerate(protocol.report.figures):
@@ -623,7 +623,7 @@ def _find_step_faults(protocol: Protocol) -> Faults:
     channels, earlier_steps = [*protocol.channels], list[str]()
     later_channels = protocol.list_added_channels(*protocol.steps)
     for step in protocol.steps:
-        path: KeyPath = ("steps", step.number)
+        path: KeyPath = ("steps", step.index)
         kind_path = (*path, "step")
         if step.uses_markers and step.step in earlier_steps:
             yield Fault.of("protocol.step_again", kind_path, step=step.step)

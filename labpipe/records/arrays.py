@@ -87,12 +87,12 @@ def _list_fields_with_axes(
     arrays, tuples = [], []
     fixed_lengths: dict[Any, int] = {name: len(labels) for name, labels in AXIS_LABELS.items()}
     for name, hint in get_type_hints(record_type, include_extras=True).items():
-        values, *annotations = get_args(hint) if get_origin(hint) is Annotated else (hint,)
+        field_type, *annotations = get_args(hint) if get_origin(hint) is Annotated else (hint,)
         axes = tuple(axis for axis in annotations if isinstance(axis, str | int))
-        if axes and get_origin(values) is np.ndarray:
-            arrays.append((name, get_number_type(values), axes))
+        if axes and get_origin(field_type) is np.ndarray:
+            arrays.append((name, get_number_type(field_type), axes))
             fixed_lengths |= {axis: axis for axis in axes if isinstance(axis, int)}
-        elif get_origin(values) is tuple:
+        elif get_origin(field_type) is tuple:
             tuples.append((name, axes[0] if axes else name))
     return arrays, tuples, fixed_lengths
 
@@ -157,7 +157,8 @@ def compute_median_step(time: Floats) -> float:
 
     Notes
     -----
-    For steps with few different values, `median` can take ten times as long as `numpy.median`.
+    `numpy.median` is used, because for steps with few different values `median` can take ten times
+    as long.
     """
     stride = max(1, len(time) // 100_000)
     return float(np.median(time[1::stride] - time[:-1:stride]))
@@ -175,27 +176,28 @@ def average_between(values: Floats, starts: Ints) -> Floats:
     -------
     Shape (m,), in the unit of `values`; the last block ends with the last sample.
     """
-    sizes = np.diff(np.append(starts, len(values)))
-    return np.asarray(np.add.reduceat(values, starts) / sizes)
+    block_sizes = np.diff(np.append(starts, len(values)))
+    return np.asarray(np.add.reduceat(values, starts) / block_sizes)
 
 
-def average_blocks(values: Floats, points: int, *, has_remainder: bool = True) -> Floats:
-    """Average blocks of consecutive samples of equal size; decimation would alias.
+def average_blocks(values: Floats, min_blocks: int, *, has_remainder: bool = True) -> Floats:
+    """Average blocks of equal numbers of consecutive samples; decimation would alias.
 
     Parameters
     ----------
     values : shape (n,); a NaN makes the mean of its block NaN
-    points : minimum number of means, if there are as many samples
-    has_remainder : whether the last block includes the samples that fill no block; without them,
-        the noise of all means is equal
+    min_blocks : minimum number of blocks, if there are as many samples
+    has_remainder : whether the last block includes the remaining samples, which do not fill a
+        block; without them, the noise of all means is equal
 
     Returns
     -------
-    Shape (m,), means in the unit of `values`; `points` <= m < 2 `points` if n >= `points`.
+    Shape (m,), means in the unit of `values`; `min_blocks` <= m < 2 `min_blocks` if
+    n >= `min_blocks`.
     """
-    size = max(1, len(values) // points)
-    values = values if has_remainder else values[: len(values) // size * size]
-    starts = np.arange(0, max(len(values) - size + 1, 1), size)
+    block_size = max(1, len(values) // min_blocks)
+    values = values if has_remainder else values[: len(values) // block_size * block_size]
+    starts = np.arange(0, max(len(values) - block_size + 1, 1), block_size)
     return average_between(values, starts) if len(values) else values
 
 

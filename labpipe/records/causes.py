@@ -56,7 +56,7 @@ TANGENT: Final = "length of the tangents"
 
 _COMMON_CAUSES = frozenset({
     *(SCALE_OF_FORCE, SCALE_OF_DISPLACEMENT, COMPLIANCE, SPEED),
-    GRIP,  # the clamp stays where it was set
+    GRIP,  # the clamp is set once for a series
     SPAN,  # the supports are set once for a series
     TANGENT,  # the corners of all specimens are rounded alike
 })  # fmt: skip

@@ -25,7 +25,7 @@ NORMAL_95 = 1.959963984540054
 
 @dataclass(frozen=True, slots=True)
 class Interval:
-    """Range that contains the true value with a probability.
+    """Range that contains the true value with a stated probability.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ class ClockFit(ArrayRecord):
     Parameters
     ----------
     offset : force time at marker time zero, s
-    drift : relative excess of the rate of the force clock; 1e-6 is one part per million
+    drift : relative excess of the rate of the force clock over that of the marker clock
     offset_interval, drift_interval : 95 % intervals of offset, s, and drift
     residual : root mean square residual of the straight line at the events, s
     event_times_motion, event_times_force : shape (events,), s, times of the same events on the
@@ -180,15 +180,15 @@ class Curve(ArrayRecord):
 
         Returns
         -------
-        indices : shape (n,), index of the branch in `branches`; `AT_REST` outside every branch
-        cycles : shape (n,), number of the cycle, counted from 1; 0 outside every branch
+        branch_indices : shape (n,), index of the branch in `branches`; `AT_REST` outside branches
+        cycle_numbers : shape (n,), number of the cycle, counted from 1; 0 outside branches
         """
-        indices = np.full(len(self.time), AT_REST, dtype=np.int64)
-        cycles = np.zeros(len(self.time), dtype=np.int64)
+        branch_indices = np.full(len(self.time), AT_REST, dtype=np.int64)
+        cycle_numbers = np.zeros(len(self.time), dtype=np.int64)
         for index, branch in enumerate(self.branches):
-            indices[branch.start : branch.stop] = index
-            cycles[branch.start : branch.stop] = branch.cycle
-        return indices, cycles
+            branch_indices[branch.start : branch.stop] = index
+            cycle_numbers[branch.start : branch.stop] = branch.cycle
+        return branch_indices, cycle_numbers
 
 
 @dataclass(frozen=True, slots=True)

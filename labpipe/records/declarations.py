@@ -185,7 +185,7 @@ CURVE_QUANTITIES = ("force", "displacement", "clock")
 
 @dataclass(frozen=True, slots=True)
 class Output:
-    """Result in the summary that a kind of result computes.
+    """Result that a kind of result computes, as the summary contains it.
 
     Parameters
     ----------
@@ -212,15 +212,15 @@ class Output:
     is_slope: bool = False
     is_set_by_stroke: bool = False
 
-    def format_name(self, kind: Any, entry: Mapping[str, object]) -> str:
+    def format_name(self, kind: Any, settings: Mapping[str, object]) -> str:
         """Format the name of the result in the summary, or that of the first of several results.
 
         Parameters
         ----------
         kind : dataclass of the kind of result, which has the defaults of its settings
-        entry : settings as written, valid or not
+        settings : settings as written, valid or not
         """
-        stem = self.name.format_map({"of": None, **get_defaults(kind), **entry})
+        stem = self.name.format_map({"of": None, **get_defaults(kind), **settings})
         return stem if self.first is None else f"{stem}.{self.first}"
 
 
@@ -277,22 +277,22 @@ class _Step:
 
     Parameters
     ----------
-    number : index of the step in the list of the protocol; it is not a setting
+    index : index of the step in the list of the protocol; it is not a setting
     """
 
     uses_markers: ClassVar = False
     required_step: ClassVar = ""
     added_channels: ClassVar[tuple[str, ...]] = ()
-    number: int = field(default=0, compare=False)
+    index: int = field(default=0, compare=False)
 
     @property
     def key(self) -> str:
         """Dotted key of the step, such as ``steps.2``."""
-        return f"steps.{self.number}"
+        return f"steps.{self.index}"
 
-    def with_number(self, number: int) -> Self:
-        """Return a copy of the step with an index in the list."""
-        return replace(self, number=number)
+    def with_index(self, index: int) -> Self:
+        """Return a copy of the step with another index."""
+        return replace(self, index=index)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -302,7 +302,7 @@ class RepairMarkers(_Step):
     step: ClassVar = "repair-markers"
     uses_markers: ClassVar = True
     max_gap: Annotated[Duration, "Longer gaps are not filled"]
-    max_jump: Annotated[Length, "A longer step between two frames is no motion of a marker"]
+    max_jump: Annotated[Length, "A larger change between two frames is no motion of a marker"]
     frozen: Annotated[Duration, "A longer run of equal positions is a lost track"]
 
 
@@ -357,8 +357,8 @@ class TravelFromSpeed(_Step):
 
     step: ClassVar = "travel-from-speed"
     added_channels: ClassVar = ("{channel}",)
-    channel: Annotated[SnakeName, "Displacement that it makes if no source has it"]
-    force: Annotated[ChannelName, "Channel in which the turn is searched"]
+    channel: Annotated[SnakeName, "Displacement that the step makes if no source has it"]
+    force: Annotated[ChannelName, "Channel in which the turn is detected"]
     window: Annotated[Duration, "Window on each side of the corner of the force at the turn"] = 1.0
     rate: Annotated[Frequency, "Sampling rate of the displacement"] = 50.0
     speed_uncertainty: Annotated[
@@ -479,11 +479,11 @@ class Limits:
     ] = 1e-7
     machine_share: Annotated[
         Fraction,
-        "Fraction of displacement by this compliance above which a modulus is doubtful",
+        "Fraction of a displacement from this compliance above which a modulus is doubtful",
     ] = 0.02
     unstated_mass: Annotated[LinearMass, "Mass per length that is assumed if none is stated"] = 1e-3
     weight_share: Annotated[
-        Fraction, "Fraction of a moment by this mass above which a bending stiffness is doubtful"
+        Fraction, "Fraction of a moment from this mass above which a bending stiffness is doubtful"
     ] = 0.01
 
 

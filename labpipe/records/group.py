@@ -137,7 +137,7 @@ class MeanInterval:
 
 
 @dataclass(frozen=True, slots=True)
-class Decision:
+class AveragingDecision:
     """Decision to average samples or spool means; its text is a sentence with reasons.
 
     Parameters
@@ -160,7 +160,7 @@ class NestedMean:
     Parameters
     ----------
     chosen : mean and interval of the samples or of the spool means, as independent values
-    is_pooled : whether `chosen` is the mean of samples, as is always the case for one spool
+    is_pooled : whether `chosen` is the mean of the samples; always True for one spool
     decision : reason for the choice of the mean
     spool_means : mean and interval of the samples of each spool, keyed by spool
     within_spools : standard deviation of samples within spools; NaN if no spool has two samples
@@ -173,7 +173,7 @@ class NestedMean:
 
     chosen: MeanInterval
     is_pooled: bool
-    decision: Decision
+    decision: AveragingDecision
     spool_means: Mapping[str, MeanInterval]
     within_spools: float
     between_spools: float = float("nan")

@@ -180,8 +180,8 @@ def make_stretch_finding(
     quantity : doubtful quantity, see `Doubt`
     note : note with stretches on the clock `clock`; without stretches, the whole record is doubtful
     clock : role of the recording that has this clock
-    max_stretches : largest number of stretches; more are merged into one, from the first to the
-        last
+    max_stretches : largest number of doubts; more stretches than this are merged into one, from the
+        start of the first to the end of the last
     """
     stretches = note.stretches
     if len(stretches) > max_stretches:
@@ -206,7 +206,7 @@ class Findings:
         return Findings((*self.entries, *findings))
 
     def remove_code(self, code: str) -> Findings:
-        """Return the findings whose code differs from a code."""
+        """Return the findings without those of a code."""
         return Findings(tuple(finding for finding in self.entries if finding.code != code))
 
     @property

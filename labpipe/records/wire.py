@@ -281,8 +281,8 @@ class IsotropicShare:
     intervals : 95 % interval from residual deflections only, and from peaks only, keyed
         by the name of the result
     n_tests : number of tests with cycles
-    is_creep : whether these two intervals disagree, as after creep; the fraction is then not
-        calibrated
+    is_creep : whether these two intervals disagree, probably because of creep; the fraction is then
+        not calibrated
     """
 
     value: float
@@ -392,7 +392,8 @@ class ExternalCurveComparison:
     Parameters
     ----------
     curve : external curve
-    tests : comparison with the mean of the tests of that wire and length; None without tests
+    tests : comparison with the mean of the tests of the wire and length of the curve; None without
+        tests
     model : comparison with the model
     prediction : curve of the model over the range of curve and tests; None if the model has none
     notes : quality notes on points that were not compared

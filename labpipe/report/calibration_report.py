@@ -332,7 +332,7 @@ def make_bent_shapes_page(name: str, test: str, shapes: Sequence[BentShape]) -> 
     test : name of the test
     shapes : shape at each deflection; if there are none, the page states this
     """
-    frame_mm = 14.0  # width and height of the tick labels and the axis labels beside the panel
+    margins_mm = 14.0  # width and height of the tick labels and the axis labels beside the panel
     title = f"{test}  \u00b7  shapes at {len(shapes)} deflections of the tip"
     if not shapes:
         panels = [Plot(reason="There is no shape to draw.")]
@@ -355,7 +355,7 @@ def make_bent_shapes_page(name: str, test: str, shapes: Sequence[BentShape]) -> 
     all_points = np.concatenate(point_arrays)
     x_axis, y_axis = plots.make_axes_to_scale(axis_names, LENGTH_SCALE, all_points, min_aspect=0.35)
     aspect = (y_axis.high - y_axis.low) / (x_axis.high - x_axis.low)
-    height = frame_mm + (plots.SINGLE_COLUMN - frame_mm) * aspect
+    height = margins_mm + (plots.SINGLE_COLUMN - margins_mm) * aspect
     note = "Markers are on the surface of the wire; the curves are its axis."
     panels = [Plot(x_axis, y_axis, lines, labels=labels, is_to_scale=True)]
     return Page(name, title, panels, note=note, height=height, width=plots.SINGLE_COLUMN)

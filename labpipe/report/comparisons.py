@@ -77,8 +77,8 @@ def list_single_field_pairs(campaign: Campaign) -> list[Pair]:
     """List the pairs of groups that differ in one field alone, in the order of the differences."""
     groups = {group.name: group for group in campaign.groups}
     differences = (difference for difference in campaign.differences if difference.family)
-    runs = groupby(differences, key=lambda difference: (difference.first, difference.second))
-    return [Pair(groups[first], groups[second], tuple(run)) for (first, second), run in runs]
+    by_pair = groupby(differences, key=lambda difference: (difference.first, difference.second))
+    return [Pair(groups[first], groups[second], tuple(items)) for (first, second), items in by_pair]
 
 
 class FieldComparison(NamedTuple):
@@ -148,8 +148,8 @@ def list_field_comparisons(campaign: Campaign) -> list[FieldComparison]:
     split; its first group, the reference, is in each of the smaller families.
     """
     field_comparisons = []
-    for field, run in groupby(list_single_field_pairs(campaign), key=lambda pair: pair.field):
-        pairs, families = list(run), list[Family]()
+    for field, items in groupby(list_single_field_pairs(campaign), key=lambda pair: pair.field):
+        pairs, families = list(items), list[Family]()
         groups = {group.name: group for pair in pairs for group in (pair.first, pair.second)}
         values = {name: group.fields.get(field, "") for name, group in groups.items()}
         sorted_names = sorted(groups, key=lambda name: make_field_sort_key(field, values[name]))

@@ -31,7 +31,7 @@ from labpipe.records.estimates import Estimate, Failure, UnavailableError, retur
 from labpipe.records.quality import Finding, Reason
 from labpipe.results import kinds
 from labpipe.results.curves import compute_slope, require_samples, require_travel
-from labpipe.results.kinds import Kind, Part, ReducedTest, Stiffness
+from labpipe.results.kinds import Kind, MeasuredItem, ReducedTest, Stiffness
 from labpipe.results.stiffness import DerivedKind, RangeKind
 from labpipe.signal.turning_points import estimate_noise_level
 from labpipe.uncertainty.autocorrelation import estimate_long_run_variance
@@ -46,12 +46,12 @@ from labpipe.uncertainty.replicates import (
 from labpipe.units import GRAVITY
 
 SUPPORTS: Final = MappingProxyType({"cantilever": ("length", 3.0), "three-point": ("span", 48.0)})
-"""Key of the length L and divisor of L^3 by support, for an end load on a cantilever and a central
-load on a span."""
+"""Key of the length L in the protocol, and divisor of L^3, by support. The load is at the end of a
+cantilever, or at the centre of a span."""
 
 
 def compute_beam_factor(length: float, support: str) -> float:
-    """Compute the bending stiffness EI of a straight uniform beam over its stiffness, m^3.
+    """Compute the ratio of bending stiffness EI to stiffness of a straight uniform beam, m^3.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ class Rollers:
     Parameters
     ----------
     span : m, distance between the centres of the rollers
-    radius : m, from the centre of a roller to the axis of the specimen; 0 for knife edges
+    radius : m, distance from the centre of a roller to the axis of the specimen; 0 for knife edges
     friction : coefficient of friction of fixed rollers; 0 for turning ones
     """
 
@@ -118,15 +118,15 @@ def compute_roller_load(rollers: Rollers) -> tuple[Floats, Floats]:
 
     Returns
     -------
-    deflection : shape (n,), m, movement of the load towards the supports, from 0
-    load : shape (n,), N, for EI = 1 N m^2
+    deflection : shape (n,), m, travel of the load towards the supports, from 0
+    load : shape (n,), N, for EI = 1 N m^2, from 0
 
     Notes
     -----
     Half of the beam reaches from mid-span (slope 0) to the roller (slope a). It touches the roller
-    where a radius of the roller is normal to the beam. The roller pushes with N along that normal
-    and, because the beam slides inwards over the roller, with mu N outwards along the beam. The
-    roller exerts no moment. The first integral of the elastica (Love, A Treatise on the
+    where a radius of the roller is normal to the beam. The roller pushes with a force N along that
+    normal and, because the beam slides inwards over the roller, with mu N outwards along the beam.
+    The roller exerts no moment. The first integral of the elastica (Love, A Treatise on the
     Mathematical Theory of Elasticity, 4th ed. 1927, secs. 260-263) with p = a - slope is then
 
     EI (d slope / ds)^2 / 2 = N (sin p + mu (1 - cos p)).
@@ -158,7 +158,7 @@ def compute_roller_load(rollers: Rollers) -> tuple[Floats, Floats]:
 
 
 def compute_stiffness_ratio(rollers: Rollers, *, start: float, stop: float) -> float:
-    """Compute the slope of the load over a range of deflection, as a multiple of 48 EI / span^3.
+    """Compute the slope of load against deflection over a range, as a multiple of 48 EI / span^3.
 
     Parameters
     ----------
@@ -177,13 +177,13 @@ def compute_stiffness_ratio(rollers: Rollers, *, start: float, stop: float) -> f
     0.9991
     """
     n_samples = 200
-    min_ratio = 0.5  # below it, geometry has more effect than the specimen
+    min_ratio = 0.5  # below this ratio, the geometry has more effect than the specimen
     deflection, load = compute_roller_load(rollers)
     falling_samples = np.flatnonzero(np.diff(deflection) <= 0.0)
     last = int(falling_samples[0]) if len(falling_samples) else len(deflection) - 1
     if stop > deflection[last]:
-        at, high = 1e3 * deflection[last], 1e3 * stop
-        raise UnavailableError.of("results.slips_through", at=at, high=high)
+        limit, high = 1e3 * deflection[last], 1e3 * stop
+        raise UnavailableError.of("results.slips_through", limit=limit, high=high)
     deflections = np.linspace(start, stop, n_samples)
     loads = np.interp(deflections, deflection[: last + 1], load[: last + 1])
     ratio = float(compute_slope(deflections, loads)) * rollers.span**3 / 48.0
@@ -231,7 +231,7 @@ class BendingStiffness(DerivedKind):
         return SUPPORTS[self.support][0]
 
     def find_value_faults(self) -> Iterator[Fault]:
-        """Find corrections for a cantilever, without their input, or without 'large-deflection'."""
+        """Yield faults of corrections: for a cantilever, without input or 'large-deflection'."""
         names = self.corrections
         if names and self.support == "cantilever":
             yield Fault.of("results.corrected_cantilever", ("corrections",))
@@ -243,7 +243,7 @@ class BendingStiffness(DerivedKind):
                 yield Fault.of("results.no_roller", ("corrections",), name=name, key=key)
 
     def list_methods(self, test: ReducedTest) -> tuple[str]:
-        """Return the formula, with the key of its length."""
+        """List the method: the formula, with the key of its length."""
         del test
         key, divisor = SUPPORTS[self.support]
         return (f"{self.of} x L^3 / {divisor:g}, L = specimen.{key}",)
@@ -262,10 +262,10 @@ class BendingStiffness(DerivedKind):
             rigidity = slope * compute_beam_factor(trace.sizes[self.length_key], self.support)
             return np.asarray(rigidity / (np.nan if isinstance(ratio, Failure) else ratio[0]))
 
-        return test.measure_one(combine_numbers(compute_rigidity, stiffness.choose_samples))
+        return test.measure_number(combine_numbers(compute_rigidity, stiffness.choose_samples))
 
     def collect_context(self, test: ReducedTest, stiffness: Stiffness) -> dict[str, Any]:
-        """Return a remark on the corrections and their sizes."""
+        """Return a remark on the effects of the corrections."""
         ratio = return_failure(self._compute_ratio)(test.setup.sizes, stiffness.window)
         return {"remark": "" if isinstance(ratio, Failure) else ratio[1]}
 
@@ -313,30 +313,28 @@ def fit_secant_stiffness(
     -----
     The slope is k = sum (t - mean t) F / sum (t - mean t) d, with time as the instrument, as in
     `labpipe.results.stiffness.choose_window`. The standard error is from the long-run variance of
-    F - k d less a cubic in time, which follows the shape of the curve.
+    F - k d less a cubic in time, which removes the shape of the curve.
     """
     is_used = is_chosen & ~np.isnan(displacement) & ~np.isnan(force)
-    count = int(is_used.sum())
-    require_samples(count, 8)
+    n_samples = int(is_used.sum())
+    require_samples(n_samples, 8)
     t, d, f = time[is_used], displacement[is_used], force[is_used]
     require_travel(d)
     centred_time = t - t.mean()
-    travel = float(centred_time @ (d - d.mean()))
-    slope = float(centred_time @ (f - f.mean())) / travel
+    path_sum = float(centred_time @ (d - d.mean()))
+    slope = float(centred_time @ (f - f.mean())) / path_sum
     scaled_time = centred_time / np.abs(centred_time).max()
     residuals = f - slope * d
     noise = residuals - np.polynomial.Polynomial.fit(scaled_time, residuals, 3)(scaled_time)
     variance = estimate_long_run_variance(noise, n_parameters=4)
-    error = float(np.sqrt(variance * (centred_time @ centred_time)) / abs(travel))
-    return Estimate(slope, error, count)
+    error = float(np.sqrt(variance * (centred_time @ centred_time)) / abs(path_sum))
+    return Estimate(slope, error, n_samples)
 
 
-_SPAN = "mid_span"
-"""Name of the signal of mid-span from cameras, and of the quantity of results from it alone."""
-_TURN_WINDOW, _MIN_SIDE_FRAMES = 2.0, 5
-"""Longest duration, s, and smallest number of frames on each side of a turn for a value there."""
-_MIN_REST_FRAMES, _MIN_TIP_FRAMES, _N_FIRST_FRAMES = 8, 16, 5
-"""Smallest numbers of frames at rest and with a tip; number of frames of the first position."""
+_MID_SPAN = "mid_span"
+"""Name of the signal of mid-span from cameras, and of the quantity on which its results depend."""
+_MID_SPAN_QUANTITIES = ("displacement", "clock", _MID_SPAN)
+"""Quantities on which a result of the signal of mid-span alone depends."""
 
 
 class TipTravel(Kind):
@@ -345,22 +343,22 @@ class TipTravel(Kind):
     result: ClassVar = "tip-travel"
     outputs: ClassVar = (Output("tip_travel", "m", "Travel of the tip", ("displacement",)),)
     needs: ClassVar = Needs(shape="fit-shape")
-
     method: ClassVar = (
         "largest distance of the last point of the shape from its mean over five frames"
     )
 
-    def measure(self, test: ReducedTest) -> Iterator[Part]:
+    def measure(self, test: ReducedTest) -> Iterator[MeasuredItem]:
         """Measure the largest distance of the last point of the shape from its first position."""
         if test.shape is None:
             raise UnavailableError.of("results.no_shape")
-        tip = test.shape.positions[:, -1]
-        tip = tip[np.isfinite(tip).all(axis=1)]
-        if len(tip) < _MIN_TIP_FRAMES:
-            raise UnavailableError.of("results.few_tips", count=len(tip))
-        distances = np.linalg.norm(tip - tip[:_N_FIRST_FRAMES].mean(axis=0), axis=1)
+        min_frames, n_first_frames = 16, 5
+        tips = test.shape.positions[:, -1]
+        tips = tips[np.isfinite(tips).all(axis=1)]
+        if len(tips) < min_frames:
+            raise UnavailableError.of("results.few_tips", count=len(tips))
+        distances = np.linalg.norm(tips - tips[:n_first_frames].mean(axis=0), axis=1)
         error = float(np.sqrt(2.0) * estimate_noise_level(distances))
-        yield self.make_result(test, Estimate(float(distances.max()), error, len(tip)))
+        yield self.make_result(test, Estimate(float(distances.max()), error, len(tips)))
 
 
 class MomentCurvature(Kind):
@@ -370,7 +368,7 @@ class MomentCurvature(Kind):
     outputs: ClassVar = (Output("{name}", "N*m^2"),)
     needs: ClassVar = Needs(branches=True, shape="fit-shape", clamp=True)
     method: ClassVar = (
-        "{kind} at {at:g} 1/m of the monotone law that all shapes of the first loading obey"
+        "{kind} at {at:g} 1/m of the monotone law fitted to all shapes of the first loading"
     )
     at: Annotated[Curvature, "Curvature of the first loading"]
     kind: Annotated[
@@ -378,18 +376,18 @@ class MomentCurvature(Kind):
     ] = "secant"
     name: Annotated[SnakeName, "Such as bending_stiffness_at_20"] = "bending_stiffness"
 
-    def measure(self, test: ReducedTest) -> Iterator[Part]:
+    def measure(self, test: ReducedTest) -> Iterator[MeasuredItem]:
         """Measure the secant or tangent stiffness of the law at a curvature."""
         bending = test.require(test.bending, Failure.of("results.no_bent_loading"))
         law = test.require(bending.law or bending.reason, Failure.of("results.no_law"))
-        outcome = return_failure(self._read_stiffness)(law)
+        outcome = return_failure(self._compute_stiffness)(law)
         scale = 0.0 if isinstance(outcome, Failure) else law.scale_error * abs(outcome.value)
-        error, period = {SCALE_OF_FORCE: scale}, test.find_loading_interval()
+        errors, period = {SCALE_OF_FORCE: scale}, test.find_loading_period()
         doubts = tuple(self.list_doubts(test, bending, law))
-        yield self.make_result(test, outcome, error, period=period, doubts=doubts)
+        yield self.make_result(test, outcome, errors, period=period, doubts=doubts)
 
-    def _read_stiffness(self, law: MeasuredLaw) -> Estimate:
-        """Read the stiffness at the curvature `at` from a law."""
+    def _compute_stiffness(self, law: MeasuredLaw) -> Estimate:
+        """Compute the stiffness of a law at the curvature `at`."""
         if self.at > (largest := float(law.curvature[-1])):
             facts = {"largest": largest, "needed": self.at}
             raise UnavailableError.of("results.curvature_not_reached", **facts)
@@ -398,14 +396,14 @@ class MomentCurvature(Kind):
         from labpipe.results.measured_law import evaluate_law  # only these tests load it
 
         covariance, curvature = law.compliance_covariance, np.array([self.at])
-        points = evaluate_law(law.knots, law.compliance, covariance, curvature, scale_error=0.0)
-        value, error = points[self.kind]
+        quantities = evaluate_law(law.knots, law.compliance, covariance, curvature, scale_error=0.0)
+        value, error = quantities[self.kind]
         return Estimate(float(value[0]), float(error[0]), law.n_frames)
 
     def list_doubts(
         self, test: ReducedTest, bending: Bending, law: MeasuredLaw
     ) -> Iterator[Reason]:
-        """Yield doubts about the law: a misfit to the shapes, bending at rest, or own weight.
+        """Yield doubts about the law: misfit to the shapes, bending at rest, unstated weight.
 
         Parameters
         ----------
@@ -414,10 +412,10 @@ class MomentCurvature(Kind):
         law : law that is fitted to them
         """
         # The residual of the law may be three times the noise of the markers, plus 20 um.
-        shape, limits, limit = test.shape, test.setup.limits, 3.0 * law.noise + 2e-5
-        if shape is not None and law.residual > limit:
-            residual = 1e6 * law.residual
-            yield Reason.of("results.law_misfit", residual=residual, limit=1e6 * limit)
+        shape, limits, max_residual = test.shape, test.setup.limits, 3.0 * law.noise + 2e-5
+        if shape is not None and law.residual > max_residual:
+            facts = {"residual": 1e6 * law.residual, "limit": 1e6 * max_residual}
+            yield Reason.of("results.law_misfit", **facts)
             return
         moment = float(np.interp(self.at, law.curvature, law.moment))
         rest_moment = float(np.nanmax(np.abs(bending.cloud.moment_at_rest)))
@@ -442,9 +440,9 @@ class MidSpan(RangeKind):
             "mid_span_bending_stiffness",
             "N*m^2",
             "Mid-span bending stiffness",
-            (*CURVE_QUANTITIES, _SPAN),
+            (*CURVE_QUANTITIES, _MID_SPAN),
         ),
-        Output("mid_span_curvature", "1/m", "Mid-span curvature", ("displacement", "clock", _SPAN)),
+        Output("mid_span_curvature", "1/m", "Mid-span curvature", _MID_SPAN_QUANTITIES),
     )
     needs: ClassVar = Needs(branches=True, shape="three-point-shape")
     corrections: Annotated[
@@ -453,17 +451,17 @@ class MidSpan(RangeKind):
     ] = ()
 
     def list_methods(self, test: ReducedTest) -> tuple[str, str]:
-        """Return the methods, with the formula of the moment."""
+        """List the methods, with the formula of the moment."""
         del test
         is_corrected, moment = "large-deflection" in self.corrections, "P L / 4"
         moment += " + P tan(slope at the supports) x deflection / 2" * is_corrected
         return (
             f"slope of the moment {moment} against the curvature at mid-span "
             "from {start_mm:g} mm to {stop_mm:g} mm of the first loading, time as instrument",
-            "curvature at mid-span where the motion turns, against rest",
+            "curvature at mid-span at the turn of the motion, less that at rest",
         )
 
-    def measure(self, test: ReducedTest) -> Iterator[Part]:
+    def measure(self, test: ReducedTest) -> Iterator[MeasuredItem]:
         """Measure the slope of moment against mid-span curvature, and the curvature at the turn."""
         frames = _SpanFrames.of(test)
         shape = frames.span.shape
@@ -477,18 +475,19 @@ class MidSpan(RangeKind):
                 errors[SHAPE] = abs(alternative.value - outcome.value) / sqrt(3.0)
                 errors[MARKER_SIDE] = shape.side_change * abs(outcome.value) / sqrt(3.0)
                 errors |= kinds.compute_scale_error(test, outcome) if output == 0 else {}
-            period = test.find_loading_interval()
+            period = test.find_loading_period()
             yield self.make_result(test, outcome, errors, output=output, period=period)
 
     def _fit_stiffness(self, frames: _SpanFrames, curvature: Floats) -> Estimate:
         """Fit the slope of the moment against a curvature (frames,), 1/m, over the range."""
         curve, branch, time = frames.curve, frames.loading, frames.time
         is_in_branch = (time >= branch.start_time) & (time < branch.stop_time)
-        travel = np.interp(time, curve.time, curve.displacement)
-        if not (travel[is_in_branch] > self.stop).any():
-            reached, needed = 1e3 * np.max(travel[is_in_branch], initial=0.0), 1e3 * self.stop
-            raise UnavailableError.of("results.loading_not_reached", reached=reached, needed=needed)
-        is_in_range = is_in_branch & (travel >= self.start) & (travel <= self.stop)
+        displacement = np.interp(time, curve.time, curve.displacement)
+        largest = float(np.fmax.reduce(displacement[is_in_branch], initial=0.0))
+        if not largest > self.stop:
+            facts = {"reached": 1e3 * largest, "needed": 1e3 * self.stop}
+            raise UnavailableError.of("results.loading_not_reached", **facts)
+        is_in_range = is_in_branch & (displacement >= self.start) & (displacement <= self.stop)
         axis = frames.span.shape.axis
         force = np.interp(time, curve.time, curve.force, left=np.nan, right=np.nan)
         moment = 0.25 * axis.span * force
@@ -518,23 +517,23 @@ class _SpanFrames:
 
     @classmethod
     def of(cls, test: ReducedTest) -> _SpanFrames:
-        """Collect the frames of a test, with times on the clock of its curve."""
+        """Select the frames of a test, with times on the clock of its curve."""
         span, loading = test.require(test.span), test.require(test.first_loading)
-        fit = test.clocks.other_fits.get(test.signals.raw[_SPAN].clock)
+        fit = test.clocks.other_fits.get(test.signals.raw[_MID_SPAN].clock)
         time = span.time if fit is None else fit.to_marker_time(span.time)
         return cls(span, test.required_curve, loading, time, test.seed)
 
     def draw_errors(self, signals: Sequence[Floats], weights: Floats, name: str) -> Floats:
-        """Draw errors of a weighted sum over the first of several signals, shape (replicates,).
+        """Draw errors of a weighted sum of the values of the first signal, shape (replicates,).
 
-        The noise of all signals (frames,) is of one process, with a standard deviation for each
+        The noise of all signals (frames,) has one process, and a standard deviation for each
         signal. `name` is the name of the random stream.
         """
-        branch_intervals, batch_records = 40, 50  # of a spline; drawn at once
+        max_intervals, batch_records = 40, 50  # of a spline in a branch; drawn at once
         branches = self.curve.branches
         ends = [*(branch.start_time for branch in branches), branches[-1].stop_time]
         cuts: list[int] = np.searchsorted(self.time, ends).tolist()
-        smooth = [fit_smooth_curve(self.time, signal, cuts, branch_intervals) for signal in signals]
+        smooth = [fit_smooth_curve(self.time, signal, cuts, max_intervals) for signal in signals]
         deviations = [np.nanstd(x - curve) for x, curve in zip(signals, smooth, strict=True)]
         scales = np.array([deviations[0] / x if x > 0.0 else 0.0 for x in deviations])[:, None]
         scaled, smooth_scaled = scales * np.array(signals), scales * np.array(smooth)
@@ -556,20 +555,21 @@ def _measure_at_turn(
 ) -> Estimate:
     """Estimate the change of a quantity (frames,) from rest to the end of loading.
 
-    The value at the end is that of two parabolas that meet at the turn. Its noise is estimated
-    together with that of `similar_signals`.
+    Two parabolas that meet at the turn give the value there. The noise is estimated from this
+    quantity and from `similar_signals`. `name` is the name of the random stream.
     """
+    min_rest_frames, min_side_frames, max_window = 8, 5, 2.0  # window on each side, s
     is_finite = np.isfinite(values)
     is_at_rest = frames.span.is_at_rest & is_finite
-    if is_at_rest.sum() < _MIN_REST_FRAMES:
+    if is_at_rest.sum() < min_rest_frames:
         raise UnavailableError.of("results.no_rest", count=int(is_at_rest.sum()))
     branch = frames.loading
-    # The window before the turn is part of the loading, even of a fast one.
-    window = min(_TURN_WINDOW, 0.4 * (branch.stop_time - branch.start_time))
+    # The window before the turn lies within the loading, even for a fast loading.
+    window = min(max_window, 0.4 * (branch.stop_time - branch.start_time))
     time = frames.time - branch.stop_time
     is_in_window = is_finite & (np.abs(time) <= window)
     time_from_turn = time[is_in_window]
-    if min((time_from_turn <= 0.0).sum(), (time_from_turn > 0.0).sum()) < _MIN_SIDE_FRAMES:
+    if min((time_from_turn <= 0.0).sum(), (time_from_turn > 0.0).sum()) < min_side_frames:
         raise UnavailableError.of("results.few_near_turn", count=len(time_from_turn), window=window)
     time_after, time_before = np.maximum(time_from_turn, 0.0), np.minimum(time_from_turn, 0.0)
     ones = np.ones_like(time_after)
@@ -589,14 +589,13 @@ class Twist(Kind):
     result: ClassVar = "twist"
     outputs: ClassVar = (Output("twist", "rad", "Twist", ("displacement", "clock")),)
     needs: ClassVar = Needs(branches=True, shape="three-point-shape")
-
     method: ClassVar = (
-        "size of the turn of the markers of the section nearest to mid-span about the axis, where "
-        "the motion turns"
+        "rotation about the axis of the markers of the section nearest to mid-span, at the turn of "
+        "the motion"
     )
 
-    def measure(self, test: ReducedTest) -> Iterator[Part]:
-        """Measure how far a section rotates from rest to the turn of the motion, without sign."""
+    def measure(self, test: ReducedTest) -> Iterator[MeasuredItem]:
+        """Measure the rotation of a section from rest to the turn of the motion, without sign."""
         frames = _SpanFrames.of(test)
         shape = frames.span.shape
         sections = np.flatnonzero(shape.lever_arm > 0.0)  # sections whose markers show a twist
@@ -611,4 +610,4 @@ class Twist(Kind):
         twist = measure(shape.twist[:, section], frames, "twist", similar_twists)
         if isinstance(twist, Estimate) and twist.value < 0.0:
             twist = measure(-shape.twist[:, section], frames, "twist", similar_twists)
-        yield self.make_result(test, twist, period=test.find_loading_interval())
+        yield self.make_result(test, twist, period=test.find_loading_period())

@@ -41,10 +41,10 @@ if TYPE_CHECKING:
     from labpipe.results.slack_and_slips import LoadDrop
 
 
-def require_samples(count: int, needed: int, location: str = " in the stretch") -> None:
-    """Raise ``too_few_samples`` if there are fewer samples than needed."""
-    if count < needed:
-        facts = {"count": count, "where": location, "needed": needed}
+def require_samples(n_samples: int, n_needed: int, location: str = " in the stretch") -> None:
+    """Raise ``too_few_samples`` for fewer samples than needed; `location` begins with a space."""
+    if n_samples < n_needed:
+        facts = {"count": n_samples, "where": location, "needed": n_needed}
         raise UnavailableError.of("results.too_few_samples", **facts)
 
 
@@ -75,7 +75,7 @@ def compute_slope(x: Floats, y: Floats) -> Floats:
 
 
 def compute_zero_crossing(x: Floats, y: Floats) -> Floats:
-    """Compute the positions at which the rising least-squares line of each row is zero.
+    """Compute the position at which the rising least-squares line of each row is zero.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ def compute_zero_crossing(x: Floats, y: Floats) -> Floats:
 
     Returns
     -------
-    Shape (...), in the unit of `x`; NaN if the line does not rise.
+    Shape (...), positions in the unit of `x`; NaN if the line does not rise.
 
     Examples
     --------
@@ -109,11 +109,11 @@ def fit_chosen_lines(is_chosen: Flags, x: Floats, y: Floats) -> tuple[Floats, Fl
     mean_x, mean_y : shape (rows,), a point of each line; NaN without chosen samples
     slope : shape (rows,); NaN without chosen samples, or if their `x` are equal
     """
-    count = is_chosen.sum(axis=1)
+    n_chosen = is_chosen.sum(axis=1)
     x, y = (np.where(is_chosen, values, 0.0) for values in (x, y))
-    mean_x, mean_y = (divide(values.sum(axis=1), count) for values in (x, y))
+    mean_x, mean_y = (divide(values.sum(axis=1), n_chosen) for values in (x, y))
     centred_x = np.where(is_chosen, x - mean_x[:, np.newaxis], 0.0)
-    spread, rounding = np.vecdot(centred_x, x), 4.0 * np.finfo(float).eps * count * mean_x**2
+    spread, rounding = np.vecdot(centred_x, x), 4.0 * np.finfo(float).eps * n_chosen * mean_x**2
     spread = np.where(spread > rounding, spread, 0.0)
     return mean_x, mean_y, divide(np.vecdot(centred_x, y), spread)
 
@@ -128,8 +128,7 @@ def compute_polynomial_weights(x: Floats, *, degree: int) -> Floats:
 
     Returns
     -------
-    shape (degree + 1, n). The products of the weights and the values are the coefficients, with the
-    constant first.
+    Shape (degree + 1, n). The weighted sums of the values are the coefficients, constant first.
 
     Examples
     --------
@@ -144,11 +143,11 @@ def compute_polynomial_weights(x: Floats, *, degree: int) -> Floats:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CommonPath:
-    """Displacements of a reference curve, at which the forces of other curves are compared.
+    """Displacements of a reference curve, to which the forces of other curves are moved.
 
     Parameters
     ----------
-    samples : shape (k,), indices of the samples; a slice for all samples in order
+    samples : shape (k,), indices of the samples; a slice if they are all samples in order
     displacement : shape (k,), m, displacements of the reference curve
     slope : shape (k,), N/m, slopes of the reference curve
     """
@@ -159,7 +158,7 @@ class CommonPath:
 
     @classmethod
     def of(cls, displacement: Floats, force: Floats, samples: Ints) -> CommonPath:
-        """Make the path of a reference curve, with slopes over a fiftieth of it on each side.
+        """Make the path of a reference curve; slopes are over a fiftieth of it on each side.
 
         Parameters
         ----------
@@ -193,16 +192,16 @@ class CommonPath:
 
         Returns
         -------
-        shape (..., k), N: f - (df/dd) (d - d_0), to first order the force at the displacements of
-        the reference curve.
+        Shape (..., k), N: f - (df/dd) (d - d_0), to first order the force at the displacements d_0
+        of the reference curve.
 
         Notes
         -----
         With a displacement from cameras, each replicate has its own noise of the displacement. The
-        moved forces of all replicates belong to the same displacements, so that one function that
-        is linear in the forces applies to all of them. The second order is neglected: noise of the
-        displacement makes a least-squares slope smaller, by the variance of the noise over that of
-        the displacements.
+        moved forces of all replicates belong to the same displacements, so that one linear function
+        of the forces applies to all of them. The second order is neglected: noise of the
+        displacement reduces a least-squares slope by the ratio of its variance to that of the
+        displacements.
         """
         path_force: Floats = force[..., self.samples]
         if displacement is None:
@@ -212,7 +211,7 @@ class CommonPath:
 
 
 def find_finite_samples(displacement: Floats, force: Floats) -> Ints:
-    """Find the indices of samples with both quantities, in order of time.
+    """Find the indices of the samples that have both quantities, in order of time.
 
     Parameters
     ----------
@@ -235,10 +234,10 @@ class SampleNoise:
     unfiltered_deviations : shape (n,), m or N, the same deviations before `filters`
     filters : filters of the quantity, applied to each piece; empty if its unfiltered record has
         another number of samples
-    cuts : samples at which a new piece begins
-    blocks : shape (n,), index of the sample of the replicates that contains each single sample;
-        None if the replicates have the noise of single samples. Deviations are then those from the
-        smooth curve, less their mean
+    cuts : indices of the single samples at which a new piece begins
+    blocks : shape (n,), index of the block of each single sample, which is a sample of the
+        replicates. None if the noise of the replicates is that of single samples; deviations are
+        then those from the smooth curve, less their mean
     rng : random generator with a fixed seed
     """
 
@@ -252,67 +251,68 @@ class SampleNoise:
 
     @classmethod
     def select(
-        cls, test: ReducedTest, trace: Trace, quantity: Quantity, stretch: slice, centre: int
+        cls, test: ReducedTest, trace: Trace, quantity: Quantity, allowed: slice, centre: int
     ) -> SampleNoise | None:
-        """Select the samples of a quantity around a sample of the curve.
+        """Select the single samples of a quantity around a sample of the curve.
 
         Parameters
         ----------
         test : reduced test with a curve
-        trace : the curve without noise, as the replicates have it
+        trace : the curve without noise, with the samples of the replicates
         quantity : quantity whose samples are needed
-        stretch : samples of `trace` that may be used
+        allowed : samples of `trace` that may be used
         centre : index of the central sample, such as the peak
 
         Returns
         -------
-        The noise; None if the replicates have all samples, or if too few samples have a value.
+        The noise; None if the replicates have all samples, or if fewer than 20 samples have a
+        value.
         """
-        # Numbers of samples on each side, in all, and in a block; ratio to the usual deviation.
+        # The scatter ratio is that of the deviation of a sample to the usual deviation.
         max_samples, min_samples, min_block_samples, max_scatter_ratio = 20_000, 20, 1.5, 30.0
         name, signal = getattr(test.signals, quantity), test.force
-        has_own_clock = quantity == "force" and test.force.clock != test.clocks.curve_clock
-        if not has_own_clock:
+        has_other_clock = quantity == "force" and test.force.clock != test.clocks.curve_clock
+        if not has_other_clock:
             time, values = test.required_curve.time, getattr(test.required_curve, quantity)
             signal = replace(test.displacement, time=time, values=values)
-        unfiltered = test.unfiltered if quantity == "force" else test.signals.raw[name]
+        unfiltered = test.unfiltered_force if quantity == "force" else test.signals.raw[name]
         filters = test.signals.filters.get(name, ())
-        has_single_samples = has_own_clock and have_no_effect(filters)
+        has_single_samples = has_other_clock and have_no_effect(filters)
         if unfiltered is None or len(unfiltered.time) != len(signal.time):
             unfiltered, filters = signal, ()
         rng = make_generator(test.seed, f"single {quantity}")
         block_samples = compute_mean_step(trace.time) / compute_mean_step(signal.time)
         if block_samples < min_block_samples:
             return None
-        n_blocks = max(1, int(max_samples / block_samples))
-        first = max(stretch.start, centre - n_blocks)
-        block_range = slice(first, min(stretch.stop, centre + n_blocks + 1))
+        max_blocks = max(1, int(max_samples / block_samples))  # on each side of the centre
+        first_block = max(allowed.start, centre - max_blocks)
+        block_range = slice(first_block, min(allowed.stop, centre + max_blocks + 1))
         block_time = trace.time[block_range]
         ends = [test.clocks.from_curve(float(end), signal.clock) for end in block_time[[0, -1]]]
         samples = slice(*np.searchsorted(signal.time, ends).tolist())
         time = test.clocks.to_curve(signal.time[samples], signal.clock)
         smooth = _interpolate_branches(trace, getattr(trace, quantity), time, block_range)
-        rows = np.stack([x.values[samples] - smooth for x in (signal, unfiltered)])
-        is_valid = ~np.isnan(rows).any(axis=0)
+        deviations = np.stack([x.values[samples] - smooth for x in (signal, unfiltered)])
+        is_valid = ~np.isnan(deviations).any(axis=0)
         if quantity == "force" and trace.failed_at is not None and is_valid.any():
             # In a block that contains a break, samples are far from the mean of the block.
-            scatter = np.quantile(np.abs(rows[0, is_valid]), 0.9)
-            is_valid &= np.abs(rows[0]) <= (max_scatter_ratio * scatter or np.inf)
+            usual_deviation = np.quantile(np.abs(deviations[0, is_valid]), 0.9)
+            is_valid &= np.abs(deviations[0]) <= (max_scatter_ratio * usual_deviation or np.inf)
         if is_valid.sum() < min_samples:
             return None
-        time, smooth, rows = time[is_valid], smooth[is_valid], rows[:, is_valid]
-        turns = [turn for _, turn in _list_turns(trace) if time[0] < turn < time[-1]]
-        cuts = tuple(np.searchsorted(time, turns, side="right").tolist())
+        time, smooth, deviations = time[is_valid], smooth[is_valid], deviations[:, is_valid]
+        cut_times = [cut for _, cut in _list_cuts(trace) if time[0] < cut < time[-1]]
+        cuts = tuple(np.searchsorted(time, cut_times, side="right").tolist())
         if has_single_samples:
-            rows -= rows.mean(axis=1, keepdims=True)
-            return cls(smooth, rows[0], rows[1], filters, cuts, None, rng)
+            deviations -= deviations.mean(axis=1, keepdims=True)
+            return cls(smooth, deviations[0], deviations[1], filters, cuts, None, rng)
         blocks = np.searchsorted(0.5 * (block_time[1:] + block_time[:-1]), time)
         counts = np.maximum(np.bincount(blocks), 1)
-        rows -= np.stack([(np.bincount(blocks, row) / counts)[blocks] for row in rows])
-        return cls(smooth, rows[0], rows[1], filters, cuts, blocks + first, rng)
+        deviations -= np.stack([(np.bincount(blocks, row) / counts)[blocks] for row in deviations])
+        return cls(smooth, deviations[0], deviations[1], filters, cuts, blocks + first_block, rng)
 
     def draw_peak_effect(self, noise: Floats, sense: float) -> Floats:
-        """Draw the effect of noise on the peak in the direction of loading.
+        """Draw the effect of noise on the peak of the quantity in the direction of loading.
 
         Parameters
         ----------
@@ -321,7 +321,7 @@ class SampleNoise:
 
         Returns
         -------
-        shape (replicates,), m or N.
+        Shape (replicates,), m or N, peak with noise less the peak of the smooth curve.
         """
         # With noise, a sample this many standard deviations below the peak may become the largest.
         max_deviations = 8.0
@@ -329,24 +329,24 @@ class SampleNoise:
         variance = self.deviations.var()
         if self.blocks is not None:
             variance += np.nanvar(noise[:, self.blocks[0] : self.blocks[-1] + 1])
-        near_peak = np.flatnonzero(smooth >= smooth.max() - max_deviations * np.sqrt(variance))
+        high_samples = np.flatnonzero(smooth >= smooth.max() - max_deviations * np.sqrt(variance))
         # Any two windows longer than half of the samples would share some deviations.
-        near_peak = near_peak[near_peak < near_peak[0] + (len(smooth) + 1) // 2]
+        high_samples = high_samples[high_samples < high_samples[0] + (len(smooth) + 1) // 2]
         filter_reach = min(_measure_filter_reach(self.filters), (len(smooth) - 1) // 4)
-        start = max(int(near_peak[0]) - filter_reach, 0)
-        stop = min(int(near_peak[-1]) + filter_reach + 1, len(smooth))
+        start = max(int(high_samples[0]) - filter_reach, 0)
+        stop = min(int(high_samples[-1]) + filter_reach + 1, len(smooth))
         deviations = self.unfiltered_deviations
         windows = np.lib.stride_tricks.sliding_window_view(deviations, stop - start)
         rows = self.rng.integers(0, len(windows), len(noise))
         cuts = [cut - start for cut in self.cuts]
-        samples = filter_pieces(windows[rows], cuts, self.filters)[:, near_peak - start]
+        drawn_noise = filter_pieces(windows[rows], cuts, self.filters)[:, high_samples - start]
         if self.blocks is not None:
-            samples += noise[:, self.blocks[near_peak]]
-        peaks = (smooth[near_peak] + sense * samples).max(axis=1)
+            drawn_noise += noise[:, self.blocks[high_samples]]
+        peaks = (smooth[high_samples] + sense * drawn_noise).max(axis=1)
         return np.asarray(sense * (peaks - smooth.max()))
 
     def draw_deviations(self, shape: tuple[int, ...]) -> Floats:
-        """Draw deviations of single samples from their block, which are zero without blocks."""
+        """Draw deviations of single samples from the mean of their block; zero without blocks."""
         if self.blocks is None:
             return np.zeros(shape)
         return self.rng.choice(self.deviations, size=shape)
@@ -367,19 +367,19 @@ def have_no_effect(filters: Sequence[Filter]) -> bool:
     return all(np.array_equal(filter_function(pulse), pulse) for filter_function, _ in filters)
 
 
-def _interpolate_branches(trace: Trace, values: Floats, time: Floats, stretch: slice) -> Floats:
-    """Interpolate a stretch of a curve branch by branch, with linear extrapolation to the turns.
+def _interpolate_branches(trace: Trace, values: Floats, time: Floats, samples: slice) -> Floats:
+    """Interpolate a part of a curve branch by branch, with linear extrapolation to the turns.
 
     Parameters
     ----------
     trace : the curve
     values : shape (samples of the curve,), force or displacement of the curve
     time : shape (n,), s on the clock of the curve, times of the interpolated values
-    stretch : samples of the curve around these times
+    samples : samples of the curve around these times
     """
     interpolated = np.empty(len(time))
-    turns = [turn for turn in _list_turns(trace) if stretch.start < turn[0] < stretch.stop]
-    ends = [(stretch.start, -np.inf), *turns, (stretch.stop, np.inf)]
+    cuts = [cut for cut in _list_cuts(trace) if samples.start < cut[0] < samples.stop]
+    ends = [(samples.start, -np.inf), *cuts, (samples.stop, np.inf)]
     for (first, start_time), (last, stop_time) in pairwise(ends):
         piece = slice(*np.searchsorted(time, [start_time, stop_time], side="right"))
         line = trace.time[first:last], values[first:last]
@@ -387,13 +387,13 @@ def _interpolate_branches(trace: Trace, values: Floats, time: Floats, stretch: s
     return interpolated
 
 
-def _list_turns(trace: Trace) -> list[tuple[int, float]]:
-    """List the samples at which a piece of a curve begins, and the times of these turns."""
-    turns = {branch.start: branch.start_time for branch in trace.branches}
-    turns |= {branch.stop: branch.stop_time for branch in trace.branches}
+def _list_cuts(trace: Trace) -> list[tuple[int, float]]:
+    """List the samples at which a piece of a curve begins, with the times of turn or failure."""
+    cuts = {branch.start: branch.start_time for branch in trace.branches}
+    cuts |= {branch.stop: branch.stop_time for branch in trace.branches}
     if trace.failed_at is not None:
-        turns[trace.failed_at + 1] = float(trace.time[trace.failed_at : trace.failed_at + 2].mean())
-    return sorted(turns.items())
+        cuts[trace.failed_at + 1] = float(trace.time[trace.failed_at : trace.failed_at + 2].mean())
+    return sorted(cuts.items())
 
 
 def compute_mean_step(time: Floats) -> float:
@@ -402,7 +402,7 @@ def compute_mean_step(time: Floats) -> float:
 
 
 def _interpolate_linearly(x: Floats, time: Floats, values: Floats) -> Floats:
-    """Interpolate values at the times `x`, with linear extrapolation at both ends."""
+    """Interpolate values at other times `x`, with linear extrapolation at both ends."""
     interpolated = np.interp(x, time, values)
     if len(time) < 2:
         return interpolated
@@ -428,7 +428,7 @@ def replicate_curves(test: ReducedTest) -> Replicates | None:
     -------
     The replicates; None without a curve, without branches, or without an unfiltered force.
     """
-    curve, unfiltered = test.curve, test.unfiltered
+    curve, unfiltered = test.curve, test.unfiltered_force
     if curve is None or unfiltered is None or not curve.branches:
         return None
     measured_trace = make_trace(test)
@@ -437,7 +437,7 @@ def replicate_curves(test: ReducedTest) -> Replicates | None:
     corners += [] if measured_trace.failed_at is None else [measured_trace.failed_at + 1]
     corners = sorted({corner for corner in corners if 0 < corner < len(curve.time)})
     starts = _find_block_starts(corners, curve)
-    averaged_trace = _move_to_grid(measured_trace, starts)
+    averaged_trace = _average_on_grid(measured_trace, starts)
     cuts: list[int] = np.searchsorted(starts, corners).tolist()
     records, filters = [], []
     for name, (filtered, raw) in (
@@ -497,19 +497,19 @@ def select_first_loading(trace: Trace) -> slice:
 
 
 def _find_block_starts(corners: Sequence[int], curve: Curve) -> Ints:
-    """Find the first samples of the blocks of a grid, none of which crosses a corner.
+    """Find the first sample of each block of a grid; no block crosses a corner.
 
     The last block before a corner includes the remainder.
     """
     # The shortest branch has fewer than `min_branch_blocks` blocks if `max_blocks` requires longer
     # blocks. A record of fewer than `min_blocks` samples is not averaged.
     min_blocks, max_blocks, min_branch_blocks = 6_000, 20_000, 500
-    count = len(curve.time)
+    n_samples = len(curve.time)
     shortest = min(branch.stop - branch.start for branch in curve.branches)
-    size = min(count // min_blocks, shortest // min_branch_blocks)
-    size = max(size, -(-count // max_blocks))  # rounded up
-    pieces = pairwise([0, *corners, count])
-    starts = [np.arange(start, max(stop - size, start) + 1, size) for start, stop in pieces]
+    width = min(n_samples // min_blocks, shortest // min_branch_blocks)
+    width = max(width, -(-n_samples // max_blocks))  # rounded up
+    pieces = pairwise([0, *corners, n_samples])
+    starts = [np.arange(start, max(stop - width, start) + 1, width) for start, stop in pieces]
     return np.concatenate(starts)
 
 
@@ -519,15 +519,15 @@ def find_piece_starts(clocks: Clocks, ends: Sequence[float], signal: Signal) -> 
     Parameters
     ----------
     clocks : clocks of the test
-    ends : times of the ends of branches and of the failure, s on the clock of the curve
-    signal : signal with its own times and clock
+    ends : s on the clock of the curve, times of the ends of branches and of the failure
+    signal : the signal, with its clock
     """
     signal_ends = [clocks.from_curve(end, signal.clock) for end in ends]
-    cuts: list[int] = np.searchsorted(signal.time, signal_ends, side="right").tolist()
-    return cuts
+    starts: list[int] = np.searchsorted(signal.time, signal_ends, side="right").tolist()
+    return starts
 
 
-def _move_to_grid(trace: Trace, starts: Ints) -> Trace:
+def _average_on_grid(trace: Trace, starts: Ints) -> Trace:
     """Average a trace over the blocks of a grid."""
     failed_at, branches = trace.failed_at, []
     for branch in trace.branches:
@@ -546,7 +546,7 @@ def _move_to_grid(trace: Trace, starts: Ints) -> Trace:
 def _read_displacements(test: ReducedTest, curve: Curve) -> tuple[Floats, Floats]:
     """Return the displacement including that of the load frame, filtered and unfiltered.
 
-    If the displacement was thinned, both are the filtered one.
+    For a thinned displacement, both are the filtered one.
     """
     filtered = curve.displacement + test.compliance * np.nan_to_num(curve.force)
     raw = test.signals.raw[test.signals.displacement].values
@@ -565,7 +565,7 @@ def _read_forces(test: ReducedTest, unfiltered: Signal, curve: Curve) -> tuple[F
 
 
 def _sample_on_curve(test: ReducedTest, signal: Signal, time: Floats) -> Floats:
-    """Sample a signal at the times of the curve, a faster signal by means around these times."""
+    """Interpolate a signal at the times of the curve, or average a faster one around them."""
     if len(signal.time) < 2 * len(time):
         return test.clocks.interpolate(signal, time)
     step, half_step = compute_median_step(signal.time), 0.5 * compute_median_step(time)
@@ -592,7 +592,7 @@ def _sample_on_curve(test: ReducedTest, signal: Signal, time: Floats) -> Floats:
 
 
 def _make_grid_filters(test: ReducedTest, name: str, time: Floats) -> list[Filter]:
-    """Scale the filters of a signal to the grid; a thinned displacement has none."""
+    """Scale the filters of a signal to the step of the grid; none for a thinned displacement."""
     signals = test.signals
     raw, step = signals.raw[name].time, compute_median_step(time)
     if name == signals.displacement and len(raw) != len(test.required_curve.time):
@@ -605,7 +605,7 @@ def _make_grid_filters(test: ReducedTest, name: str, time: Floats) -> list[Filte
 
 
 def _filter_records(values: Floats, *, filters: Sequence[Filter], cuts: Sequence[int]) -> Floats:
-    """Filter records (..., n) piece by piece, without the missing values at their ends."""
+    """Filter records (..., n) piece by piece, except for the missing values at both ends."""
     finite = np.flatnonzero(~np.isnan(values.reshape(-1, values.shape[-1])[0]))
     if not filters or not len(finite):
         return values
@@ -618,7 +618,7 @@ def _filter_records(values: Floats, *, filters: Sequence[Filter], cuts: Sequence
 def _list_inputs(
     test: ReducedTest, starts: Ints, smooth: Callable[[Floats], Floats]
 ) -> Iterator[Input]:
-    """Yield the uncertain inputs of the whole record; `smooth` smooths values on the grid."""
+    """Yield the uncertain inputs of a record; the function `smooth` smooths values on the grid."""
     yield from _list_scales(test)
     displacement, curve, time = test.displacement, test.required_curve, test.required_curve.time
     drift = test.raw_force.zero_drift * float(np.nanmax(np.abs(curve.force)))
@@ -641,14 +641,14 @@ def _list_inputs(
         yield Input(cause, change_size, moves_curve=False, stream=name)
     curve_step = len(starts) / len(time)  # in steps of the grid
 
-    def delay_end(trace: Trace, x: float) -> Trace:
-        return replace(trace, steps_to_event=x * curve_step)
+    def delay_event(trace: Trace, n_units: float) -> Trace:
+        return replace(trace, steps_to_event=n_units * curve_step)
 
-    yield Input(causes.STEP, delay_end, distribution="step", moves_curve=False)
+    yield Input(causes.STEP, delay_event, distribution="step", moves_curve=False)
     for index, slip in enumerate(_list_repaired_slips(test), start=1):
         is_after_slip = np.arange(len(starts)) >= np.searchsorted(starts, slip.stop)
         error = np.where(is_after_slip, slip.drop_interval.standard_error, 0.0)
-        add_drop = partial(_add_force, change=error)
+        add_drop = partial(_add_force, change=error, compliance=0.0)
         yield Input(causes.REPAIRED_SLIPS, add_drop, stream=f"{causes.REPAIRED_SLIPS} {index}")
 
 
@@ -657,12 +657,12 @@ def _list_scales(test: ReducedTest) -> Iterator[Input]:
     force, displacement, compliance = test.raw_force, test.displacement, test.compliance
     add_force = partial(_add_force, compliance=compliance)
 
-    def scale_force(trace: Trace, x: float, change: float) -> Trace:
-        return add_force(trace, x, change=change * trace.force)
+    def scale_force(trace: Trace, n_units: float, change: float) -> Trace:
+        return add_force(trace, n_units, change=change * trace.force)
 
-    def scale_displacement(trace: Trace, x: float, change: float) -> Trace:
+    def scale_displacement(trace: Trace, n_units: float, change: float) -> Trace:
         machine_displacement = trace.displacement + compliance * np.nan_to_num(trace.force)
-        return shift_displacement_by(trace, x, change * machine_displacement)
+        return shift_displacement_by(trace, n_units, change * machine_displacement)
 
     for cause, error, perturb in (
         (causes.SCALE_OF_FORCE, force.relative_error, scale_force),
@@ -674,7 +674,7 @@ def _list_scales(test: ReducedTest) -> Iterator[Input]:
             yield Input(cause, partial(perturb, change=error))
     raw_displacement = test.signals.raw.get(test.signals.displacement)
     for cause, signal, add in (
-        (causes.RESOLUTION_OF_FORCE, test.unfiltered, add_force),
+        (causes.RESOLUTION_OF_FORCE, test.unfiltered_force, add_force),
         (causes.RESOLUTION_OF_DISPLACEMENT, raw_displacement, shift_displacement_by),
     ):
         if signal is not None and (step := _estimate_converter_step(signal.values)):
@@ -696,7 +696,7 @@ def add_slips_back(force: Floats, slips: Sequence[Slip | LoadDrop]) -> Floats:
 
     Returns
     -------
-    shape (n,), N. The loss of each slip is added from its sample `stop` on. Samples between `start`
+    Shape (n,), N. The loss of each slip is added from its sample `stop` on. Samples between `start`
     and `stop` are interpolated. NaN stay NaN.
     """
     repaired = np.array(force, dtype=np.float64)
@@ -713,9 +713,9 @@ def add_slips_back(force: Floats, slips: Sequence[Slip | LoadDrop]) -> Floats:
 def _estimate_converter_step(values: Floats) -> float:
     """Estimate the step of a converter, or return 0 if the step is not coarser than the noise.
 
-    A record with coarse steps is constant over more than half of its samples, and becomes constant
-    at least ten times. Noise would show the values between two levels. The step is the median
-    change.
+    A record with coarse steps is constant in more than half of its sampling steps, and becomes
+    constant at least ten times. With noise, it would have values between two levels. The step is
+    the median change.
     """
     min_constant_fraction, min_levels = 0.5, 10
     finite_values = drop_missing(values)
@@ -743,31 +743,32 @@ def _find_zero_time(test: ReducedTest) -> float:
     return first if first - time[0] < time[-1] - last else last
 
 
-def _add_force(trace: Trace, x: float, *, change: float | Floats, compliance: float = 0.0) -> Trace:
+def _add_force(trace: Trace, n_units: float, *, change: float | Floats, compliance: float) -> Trace:
     """Add a multiple of a force to a trace, and subtract the displacement of the load frame."""
-    shift = x * compliance * np.nan_to_num(change)
-    return replace(trace, force=trace.force + x * change, displacement=trace.displacement - shift)
+    shift = n_units * compliance * np.nan_to_num(change)
+    force, displacement = trace.force + n_units * change, trace.displacement - shift
+    return replace(trace, force=force, displacement=displacement)
 
 
-def shift_displacement_by(trace: Trace, x: float, change: float | Floats) -> Trace:
+def shift_displacement_by(trace: Trace, n_units: float, change: float | Floats) -> Trace:
     """Shift the displacement of a trace by a multiple of a length.
 
     Parameters
     ----------
     trace : one or many curves
-    x : factor of the length
+    n_units : factor of the length
     change : m, one length, or one for each sample
     """
-    return replace(trace, displacement=trace.displacement + x * change)
+    return replace(trace, displacement=trace.displacement + n_units * change)
 
 
-def _change_size(trace: Trace, x: float, *, name: str, change: float) -> Trace:
+def _change_size(trace: Trace, n_units: float, *, name: str, change: float) -> Trace:
     """Add a multiple of a length to a size of a trace, if it has this size."""
     if name not in trace.sizes:
         return trace
-    return replace(trace, sizes={**trace.sizes, name: trace.sizes[name] + x * change})
+    return replace(trace, sizes={**trace.sizes, name: trace.sizes[name] + n_units * change})
 
 
-def _delay_force(trace: Trace, x: float, *, delay: Floats) -> Trace:
+def _delay_force(trace: Trace, n_units: float, *, delay: Floats) -> Trace:
     """Delay the force of a trace by a multiple of a time for each sample."""
-    return replace(trace, force=np.interp(trace.time + x * delay, trace.time, trace.force))
+    return replace(trace, force=np.interp(trace.time + n_units * delay, trace.time, trace.force))

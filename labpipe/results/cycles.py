@@ -18,7 +18,7 @@ from labpipe.records.estimates import UnavailableError, return_failure
 from labpipe.records.quality import Reason
 from labpipe.records.signals import Stretch
 from labpipe.results import curves, kinds
-from labpipe.results.kinds import Kind, Part, ReducedTest
+from labpipe.results.kinds import Kind, MeasuredItem, ReducedTest
 from labpipe.uncertainty.autocorrelation import estimate_fast_noise, scale_limit_by_noise
 from labpipe.uncertainty.replicates import Extractor, Trace, restrict
 
@@ -44,7 +44,7 @@ def integrate_energy(displacement: Floats, force: Floats) -> Floats:
 
 FOOT_LIMIT_FACTOR = 5.0
 """Multiple of the limit of zero force up to which the foot of the force is assumed straight."""
-_TIME_BEFORE_ZERO = 1.0
+_FIT_TIME_BEFORE_ZERO = 1.0
 """Time before zero force over which a line is fitted to the displacement, s."""
 _MIN_CROSSING_SAMPLES = 8
 """Smallest number of samples of a fit to the force or the displacement at zero force."""
@@ -54,17 +54,17 @@ _MIN_FORCE_FOOT_SAMPLES = 4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UnloadingEnd:
-    """The end of an unloading, and the samples that give its residual displacement.
+    """The end of an unloading, with the samples for its residual displacement.
 
     Parameters
     ----------
     kind : ``through zero``: the force continues below zero; ``at rest``: the string is slack and
         the displacement constant; ``extrapolated``: the foot of the force is extrapolated to zero
-    limit : N, force up to which a force counts as zero
-    n : number of samples used for the displacement
-    compute : function that returns the displacement at zero force, m, shape (...), from
-        displacements and forces of the branch, shape (..., n); NaN for a curve whose force does not
-        return to zero
+    limit : N, limit of zero force: a force up to it counts as zero
+    n : number of samples from which the displacement is computed
+    compute : function of displacements and forces of the branch, shape (..., n), that returns the
+        displacement at zero force, m, shape (...); NaN for a curve whose force does not return to
+        zero
     """
 
     kind: Literal["through zero", "at rest", "extrapolated"]
@@ -86,8 +86,8 @@ def find_unloading_end(
     Parameters
     ----------
     time, displacement, force : one unloading branch, shape (n,), s, m, N; NaN are ignored
-    force_below : N, force up to which a force counts as zero. It is reduced to a fiftieth of the
-        largest force, then raised to four standard deviations of the noise, if necessary
+    force_below : N, limit of zero force. It is reduced to a fiftieth of the largest force, then
+        raised to four standard deviations of the noise, if necessary
     measured_end : end of the measured branch, for a smooth branch without noise; else None
 
     Returns
@@ -107,20 +107,20 @@ def find_unloading_end(
     1. The force continues below zero. Parabolas through force and displacement, over a tenth of the
        branch on each side, give the time of zero force and the displacement at that time.
     2. The string becomes slack and the displacement is constant. The mean of the displacement is
-       used. Two conditions define this case: the line through the foot of the force falls by the
-       end of the branch to three times the limit below zero; from 0.2 s after zero force, the force
-       stays within twice the limit and the displacement within its noise.
-    3. Otherwise the line through the foot of the force is extrapolated to zero. The displacement is
-       extrapolated along a line through the last second before zero force, because it may have a
-       kink there. The foot is chosen for each curve.
+       used. This case has two conditions. By the end of the branch, the line through the foot of
+       the force falls below zero by more than three times the limit. From 0.2 s after zero force
+       on, the force stays within twice the limit and the displacement within its noise.
+    3. In all other cases, the line through the foot of the force is extrapolated to zero. The
+       displacement is extrapolated along a line through the last second before zero force, because
+       it may have a kink there. The foot is chosen for each curve.
     """
-    max_zero_fraction = 0.02  # of the largest force: largest force that may count as zero
-    noise_factor = 4.0  # a force above this many standard deviations of the noise is not zero
+    max_limit_fraction = 0.02  # of the largest force
+    noise_deviations = 4.0  # standard deviations of noise above which a force is not zero
     finite_samples = curves.find_finite_samples(displacement, force)
     t, d, f = (values[finite_samples] for values in (time, displacement, force))
     curves.require_samples(len(f), 2 * _MIN_CROSSING_SAMPLES, "")
-    lowest_limit = min(force_below, max_zero_fraction * float(f.max()))
-    limit = max(noise_factor * float(estimate_fast_noise(f)), lowest_limit)
+    lowest_limit = min(force_below, max_limit_fraction * float(f.max()))
+    limit = max(noise_deviations * float(estimate_fast_noise(f)), lowest_limit)
     limit = limit if measured_end is None else measured_end.limit
     samples_above = np.flatnonzero(f > limit)
     if len(samples_above) == 0:
@@ -136,17 +136,17 @@ def find_unloading_end(
     zero_times, slopes, _ = _extrapolate_foot(t - last_time, f[np.newaxis], np.array([[limit]]))
     zero_time = last_time + float(zero_times[0])
     is_after_zero = t > zero_time + 0.2
-    has_reached_zero = slopes[0] * (t[-1] - zero_time) < -3.0 * limit
-    if kind is None and has_reached_zero and _is_resting(t, d, f, is_after_zero, limit):
+    has_fallen_through = slopes[0] * (t[-1] - zero_time) < -3.0 * limit
+    if kind is None and has_fallen_through and _is_resting(t, d, f, is_after_zero, limit):
         kind = "at rest"
     if kind == "at rest" and is_after_zero.any():
-        rest, count = convert_to_slice(finite_samples[is_after_zero]), int(is_after_zero.sum())
-        return UnloadingEnd(kind, limit, count, lambda d, _: np.mean(d[..., rest], axis=-1))
-    count = int(((t >= zero_time - _TIME_BEFORE_ZERO) & (t <= zero_time)).sum())
-    if count < _MIN_CROSSING_SAMPLES:
-        raise UnavailableError.of("results.few_before_zero", count=count, zero=zero_time)
+        rest, n_samples = convert_to_slice(finite_samples[is_after_zero]), int(is_after_zero.sum())
+        return UnloadingEnd(kind, limit, n_samples, lambda d, _: np.mean(d[..., rest], axis=-1))
+    n_samples = int(((t >= zero_time - _FIT_TIME_BEFORE_ZERO) & (t <= zero_time)).sum())
+    if n_samples < _MIN_CROSSING_SAMPLES:
+        raise UnavailableError.of("results.few_before_zero", count=n_samples, zero=zero_time)
     compute = partial(_extrapolate_to_zero, finite_samples, t - last_time, (limit, lowest_limit))
-    return UnloadingEnd("extrapolated", limit, count, compute)
+    return UnloadingEnd("extrapolated", limit, n_samples, compute)
 
 
 def _extrapolate_foot(time: Floats, force: Floats, limits: Floats) -> tuple[Floats, Floats, Ints]:
@@ -156,48 +156,52 @@ def _extrapolate_foot(time: Floats, force: Floats, limits: Floats) -> tuple[Floa
     ----------
     time : shape (n,), s
     force : shape (rows, n), N
-    limits : limit of zero force, shape (rows, 1), N
+    limits : shape (rows, 1), N, limit of zero force of each row
 
     Returns
     -------
     zero_times : shape (rows,), s, time of zero force
-    slopes : shape (rows,), N/s, slope of the foot. If the force does not fall there, the slope is 0
-        and the time is that of the last sample above the limit
+    slopes : shape (rows,), N/s, slope of the foot. For a foot that does not fall, or has fewer than
+        four samples, the slope is 0 and the time is that of the last sample above the limit
     last : shape (rows,), index of the last sample above the limit, or -1
     """
     first, last = (find_last_flagged(force > x) for x in (FOOT_LIMIT_FACTOR * limits, limits))
-    rows = slice(max(int(first.min()), 0), max(int(last.max()), 0) + 1)
-    indices = np.arange(rows.start, rows.stop)
+    columns = slice(max(int(first.min()), 0), max(int(last.max()), 0) + 1)
+    indices = np.arange(columns.start, columns.stop)
     is_foot = (indices >= first[:, np.newaxis]) & (indices <= last[:, np.newaxis])
-    mean_time, mean_force, slope = curves.fit_chosen_lines(is_foot, time[rows], force[:, rows])
+    mean_t, mean_f, slope = curves.fit_chosen_lines(is_foot, time[columns], force[:, columns])
     is_falling = (slope < 0.0) & (is_foot.sum(axis=1) >= _MIN_FORCE_FOOT_SAMPLES)
-    zero_times = np.where(is_falling, mean_time - divide(mean_force, slope), time[last])
+    zero_times = np.where(is_falling, mean_t - divide(mean_f, slope), time[last])
     return zero_times, np.where(is_falling, slope, 0.0), last
 
 
-def _choose_zero_crossing(finite: Ints, time: Floats, force: Floats, limit: float) -> UnloadingEnd:
-    """Choose the samples around the zero crossing of a force that continues below zero."""
+def _choose_zero_crossing(indices: Ints, time: Floats, force: Floats, limit: float) -> UnloadingEnd:
+    """Choose the samples around the zero crossing of a force that continues below zero.
+
+    `time` and `force` are those of the samples of the branch with these indices.
+    """
     crossing_time = time[min(int((force > 0.0).sum()), len(time) - 1)]
     is_near_crossing = np.abs(time - crossing_time) <= 0.1 * (time[-1] - time[0])
     curves.require_samples(int(is_near_crossing.sum()), _MIN_CROSSING_SAMPLES, " near zero force")
-    samples, centred = convert_to_slice(finite[is_near_crossing]), time[is_near_crossing]
-    centred -= crossing_time
-    weights = curves.compute_polynomial_weights(centred, degree=2).T
+    samples = convert_to_slice(indices[is_near_crossing])
+    near_time = time[is_near_crossing] - crossing_time
+    weights = curves.compute_polynomial_weights(near_time, degree=2).T
 
     def compute(displacement: Floats, force: Floats) -> Floats:
         level, slope, curvature = np.moveaxis(force[..., samples] @ weights, -1, 0)
-        zero = np.zeros_like(level)
+        zero_time = np.zeros_like(level)
         for _ in range(4):  # Newton steps, from near the root
-            step = divide(level + zero * (slope + zero * curvature), slope + 2.0 * zero * curvature)
-            zero = np.clip(zero - step, centred[0], centred[-1])
-        position, speed, second = np.moveaxis(displacement[..., samples] @ weights, -1, 0)
-        return np.asarray(position + zero * (speed + zero * second))
+            rate = slope + 2.0 * zero_time * curvature
+            step = divide(level + zero_time * (slope + zero_time * curvature), rate)
+            zero_time = np.clip(zero_time - step, near_time[0], near_time[-1])
+        position, speed, acceleration = np.moveaxis(displacement[..., samples] @ weights, -1, 0)
+        return np.asarray(position + zero_time * (speed + zero_time * acceleration))
 
-    return UnloadingEnd("through zero", limit, len(centred), compute)
+    return UnloadingEnd("through zero", limit, len(near_time), compute)
 
 
 def _is_resting(t: Floats, d: Floats, f: Floats, is_after_zero: Flags, limit: float) -> bool:
-    """Return whether the force stays within twice the limit and the displacement has no slope."""
+    """Return whether the force stays within twice the limit and the displacement within noise."""
     if is_after_zero.sum() < _MIN_CROSSING_SAMPLES or np.abs(f[is_after_zero]).max() > 2.0 * limit:
         return False
     centred_time, values = t[is_after_zero] - t[is_after_zero].mean(), d[is_after_zero]
@@ -208,7 +212,7 @@ def _is_resting(t: Floats, d: Floats, f: Floats, is_after_zero: Flags, limit: fl
 
 
 def _extrapolate_to_zero(
-    finite: Ints,
+    finite_samples: Ints,
     time: Floats,
     limits_of_zero: tuple[float, float],
     displacement: Floats,
@@ -217,27 +221,28 @@ def _extrapolate_to_zero(
     """Compute the displacement at which the extrapolated foot of each curve is zero.
 
     The displacement is NaN if the force does not return to zero, or if too few samples precede zero
-    force. `limits_of_zero` are the limits of zero force (N) with and without noise.
+    force. `time` has the values at the finite samples, and `limits_of_zero` are the limits of zero
+    force (N) with and without noise.
     """
-    samples, (limit, lowest_limit) = convert_to_slice(finite), limits_of_zero
+    samples, (limit, lowest_limit) = convert_to_slice(finite_samples), limits_of_zero
     d, f = np.broadcast_arrays(displacement[..., samples], force[..., samples])
     shape, (d, f) = f.shape[:-1], (values.reshape(-1, len(time)) for values in (d, f))
     limits = np.full((len(f), 1), limit)
     if limit > lowest_limit:
         limits = np.maximum(scale_limit_by_noise(limit, f), lowest_limit)[:, np.newaxis]
     zero_times, _, last = _extrapolate_foot(time, f, limits)
-    ends = [zero_times.min() - _TIME_BEFORE_ZERO, zero_times.max() + _TIME_BEFORE_ZERO]
-    rows = slice(*np.searchsorted(time, ends))
-    t, start = time[rows], zero_times[:, np.newaxis] - _TIME_BEFORE_ZERO
+    ends = [zero_times.min() - _FIT_TIME_BEFORE_ZERO, zero_times.max() + _FIT_TIME_BEFORE_ZERO]
+    columns = slice(*np.searchsorted(time, ends))
+    t, start = time[columns], zero_times[:, np.newaxis] - _FIT_TIME_BEFORE_ZERO
     is_before_zero = (t >= start) & (t <= zero_times[:, np.newaxis])
-    mean_t, mean_d, slope = curves.fit_chosen_lines(is_before_zero, t, d[:, rows])
+    mean_t, mean_d, slope = curves.fit_chosen_lines(is_before_zero, t, d[:, columns])
     has_reached_zero = (last >= 0) & (last < len(time) - 3)
     has_reached_zero &= is_before_zero.sum(axis=1) >= _MIN_CROSSING_SAMPLES
     return np.where(has_reached_zero, mean_d + slope * (zero_times - mean_t), np.nan).reshape(shape)
 
 
 def find_last_flagged(flags: Flags) -> Ints:
-    """Find the last flagged sample of each row, or -1.
+    """Find the index of the last flagged sample of each row; -1 for a row without a flag.
 
     Parameters
     ----------
@@ -252,11 +257,11 @@ class CycleKind(Kind):
 
     n_complete_branches: ClassVar[int] = 0
     """Number of branches of a cycle, from the first, that must be complete."""
-    read_range: ClassVar[tuple[float, float]] = (0.0, 2.0)
-    """Part of a cycle that the number depends on, counted in branches: 0.9 is nine tenths of the
-    loading, 1 its end, 2 the end of unloading."""
+    branch_range: ClassVar[tuple[float, float]] = (0.0, 2.0)
+    """Part of a cycle on which the number depends, counted in branches: 0.9 is nine tenths of the
+    loading, 1 the end of loading, 2 the end of unloading."""
     peak_quantity: ClassVar[curves.Quantity | None] = None
-    """Quantity whose largest sample the number depends on."""
+    """Quantity on whose largest sample the number depends."""
 
     @abstractmethod
     def choose_samples(self, test: ReducedTest, trace: Trace, cycle: int) -> Extractor:
@@ -282,41 +287,42 @@ class CycleKind(Kind):
             return ()
         return (Reason.of("results.gap_at_peak", quantity=self.peak_quantity),)
 
-    def measure(self, test: ReducedTest) -> Iterator[Part]:
+    def measure(self, test: ReducedTest) -> Iterator[MeasuredItem]:
         """Measure the number of each cycle."""
         for branches in test.require(test.cycles or None):
             cycle, complete_branches = branches[0].cycle, branches[: self.n_complete_branches]
             choose_samples = partial(self.choose_samples, test, cycle=cycle)
-            outcome = return_failure(test.measure_one)(choose_samples)
+            outcome = return_failure(test.measure_number)(choose_samples)
             doubts = find_truncation_doubts(test, complete_branches, self.outputs[0].depends_on)
             doubts += self.list_doubts(test, branches)
-            period, suffix = _find_period(branches, *self.read_range), f".{cycle}"
+            period, suffix = _find_period(branches, *self.branch_range), f".{cycle}"
             yield self.make_result(test, outcome, period=period, doubts=doubts, suffix=suffix)
 
 
 def _find_period(branches: list[Branch], start: float, stop: float) -> Stretch | None:
-    """Find the times at which a part of a cycle starts and stops, counted in branches.
+    """Find the times at which a part of a cycle starts and stops.
 
-    The part is counted as in `CycleKind.read_range`. None if the cycle has no branch at its start.
+    `start` and `stop` are counted in branches, as in `CycleKind.branch_range`. The period is None
+    for a part that starts after the last branch of the cycle.
     """
     if start >= len(branches):
         return None
-    ends = []
+    times = []
     for position, index in ((start, int(start)), (stop, math.ceil(stop) - 1)):
         branch = branches[min(index, len(branches) - 1)]
         fraction = position - index if index < len(branches) else 1.0
-        ends.append(branch.start_time + fraction * (branch.stop_time - branch.start_time))
-    return ends[0], ends[1]
+        times.append(branch.start_time + fraction * (branch.stop_time - branch.start_time))
+    return times[0], times[1]
 
 
 def find_truncation_doubts(
     test: ReducedTest, branches: list[Branch], quantities: tuple[str, ...] = ("force",)
 ) -> tuple[Reason, ...]:
-    """Find a doubt that the record ends before the branches of a result are complete.
+    """Find a doubt if the record ends before the branches of a result are complete.
 
-    There is no doubt if the record does not end early, or if the specimen fails in the last branch.
-    Nor is there one if the number depends only on the force, and the force has already fallen below
-    90 % of its peak in that branch.
+    There is no doubt if the specimen fails in the last of these branches. There is also none for a
+    number that depends only on the force, if the force has already fallen below 90 % of its peak in
+    that branch.
 
     Parameters
     ----------
@@ -324,11 +330,11 @@ def find_truncation_doubts(
     branches : branches that must be complete
     quantities : quantities on which the number depends
     """
-    end = min((test.cut_times.get(quantity, np.inf) for quantity in quantities), default=np.inf)
-    if not branches or end == np.inf:
+    cut_time = min((test.cut_times.get(name, np.inf) for name in quantities), default=np.inf)
+    if not branches or cut_time == np.inf:
         return ()
     last, failure, curve = branches[-1], test.failure, test.required_curve
-    if end >= last.stop_time and last is not curve.branches[-1]:
+    if cut_time >= last.stop_time and last is not curve.branches[-1]:
         return ()
     if isinstance(failure, kinds.FailurePoint) and last.start <= failure.sample < last.stop:
         return ()  # the specimen broke, so the record is complete
@@ -337,16 +343,20 @@ def find_truncation_doubts(
         force = drop_missing(force)
         if len(force) and force[-3:].max() < 0.9 * force.max():
             return ()
-    end_text = f"{end:.3f} s" if curve.time_unit == "s" else f"sample {round(end) + 1}"
+    end_text = f"{cut_time:.3f} s" if curve.time_unit == "s" else f"sample {round(cut_time) + 1}"
     return (Reason.of("results.partial_cycle", end=end_text, direction=last.direction),)
 
 
 def find_cycle_samples(curve: Curve | Trace, cycle: int) -> slice:
-    """Find the samples of a cycle from its first turn to its last one, both included.
+    """Find the samples of a cycle from its first turn to its last turn, both included.
 
-    A rest between two cycles is divided at the extreme displacement of the rest. If the last
-    loading has no unloading, the cycle includes the hold after the loading, up to the last sample
-    with a force.
+    A rest between two cycles is divided at its extreme displacement. If the last loading has no
+    unloading, the cycle includes the hold after the loading, up to the last sample with a force.
+
+    Parameters
+    ----------
+    curve : one curve
+    cycle : number of the cycle, from 1
     """
     indices = [index for index, branch in enumerate(curve.branches) if branch.cycle == cycle]
     first, last_branch = indices[0], curve.branches[indices[-1]]
@@ -360,30 +370,30 @@ def find_cycle_samples(curve: Curve | Trace, cycle: int) -> slice:
 
 
 def _find_turn_before(curve: Curve | Trace, branch_index: int) -> int:
-    """Return the sample of the turn before a branch that is not the first one."""
+    """Find the sample of the turn before a branch that is not the first one."""
     previous, branch = curve.branches[branch_index - 1 : branch_index + 1]
-    d = curve.displacement[previous.stop : branch.start + 1]
-    d = find_loading_sign(curve, curve.displacement) * d
-    if np.isnan(d).all():
+    rest = curve.displacement[previous.stop : branch.start + 1]
+    rest = find_loading_sign(curve, curve.displacement) * rest
+    if np.isnan(rest).all():
         return branch.start
-    is_top = previous.direction is Direction.LOADING
-    return previous.stop + int(np.nanargmax(d) if is_top else np.nanargmin(d))
+    is_after_loading = previous.direction is Direction.LOADING
+    return previous.stop + int(np.nanargmax(rest) if is_after_loading else np.nanargmin(rest))
 
 
 def find_loading_sign(curve: Curve | Trace, values: Floats) -> float:
-    """Determine the sign of the change of a quantity in the first branch of a curve.
+    """Find the sign of the change of a quantity in the first branch of a curve.
 
     Parameters
     ----------
     curve : one curve
-    values : values of the quantity, shape (n,)
+    values : shape (n,), values of the quantity
     """
     branch = curve.branches[0]
     return kinds.compute_loading_sign(values[branch.start : branch.stop])
 
 
 def select_branches(trace: Trace, cycle: int) -> list[Branch]:
-    """Return the branches of a cycle of a curve, in order.
+    """Select the branches of a cycle of a curve, in order of time.
 
     Parameters
     ----------
@@ -417,10 +427,14 @@ class Energy(CycleKind):
 def require_unloading(branches: list[Branch]) -> Branch:
     """Return the unloading branch of a cycle.
 
+    Parameters
+    ----------
+    branches : branches of the cycle
+
     Raises
     ------
     UnavailableError
-        ``partial_cycle`` if the cycle has none.
+        ``partial_cycle`` if the cycle has no unloading branch.
     """
     if len(branches) < 2:
         raise UnavailableError.of("results.no_unloading")
@@ -428,7 +442,7 @@ def require_unloading(branches: list[Branch]) -> Branch:
 
 
 def choose_work_samples(trace: Trace, samples: slice) -> Extractor:
-    """Choose the samples for the work (J) over a part of a curve by trapezoids.
+    """Choose the samples for the work over a part of a curve, J, by trapezoids.
 
     Parameters
     ----------
@@ -445,7 +459,7 @@ def choose_work_samples(trace: Trace, samples: slice) -> Extractor:
     if missing := int((np.isnan(displacement) | np.isnan(force)).sum()):
         raise UnavailableError.of("results.gap_in_cycle", count=missing)
     curves.require_samples(len(force), min_loop_samples, " in the cycle")
-    # The error of trapezoids grows with the square of their width (Richardson).
+    # The error of trapezoids is in proportion to the square of their width (Richardson).
     coarse_samples = np.append(np.arange(0, len(force) - 1, 2), len(force) - 1)
     coarse_work = integrate_energy(displacement[coarse_samples], force[coarse_samples])
     correction = (float(integrate_energy(displacement, force) - coarse_work) / 3.0,)
@@ -463,14 +477,14 @@ class ResidualDisplacement(CycleKind):
         ),
     )
     force_below: Force
-    read_range: ClassVar = (1.0, 2.0)
+    branch_range: ClassVar = (1.0, 2.0)
 
     method: ClassVar = (
-        "displacement once the force is back at zero, within {force_below:g} N or less"
+        "displacement at zero force after unloading, within {force_below:g} N or less"
     )
 
     def choose_samples(self, test: ReducedTest, trace: Trace, cycle: int) -> Extractor:
-        """Choose the samples at the end of unloading; a smooth curve ends as the measured one."""
+        """Choose the samples at the end of unloading; the measured curve sets the kind of end."""
         measured_end = self._find_end(curves.make_trace(test), cycle) if trace.is_smooth else None
         end, branch = self._find_end(trace, cycle, measured_end), select_branches(trace, cycle)[1]
         return Extractor(restrict(end.compute, slice(branch.start, branch.stop)), end.n)
@@ -484,15 +498,15 @@ class ResidualDisplacement(CycleKind):
 
 
 def cut_branch(trace: Trace, branch: Branch) -> tuple[Floats, Floats, Floats]:
-    """Return time (s), displacement (m) and force (N) of a branch.
+    """Cut time (s), displacement (m) and force (N) of a branch from a curve.
 
     Parameters
     ----------
     trace : one curve
     branch : branch of the curve
     """
-    rows = slice(branch.start, branch.stop)
-    return trace.time[rows], trace.displacement[rows], trace.force[rows]
+    samples = slice(branch.start, branch.stop)
+    return trace.time[samples], trace.displacement[samples], trace.force[samples]
 
 
 def estimate_rise_beyond_peak(values: Floats, travel: Floats) -> float:
@@ -511,24 +525,24 @@ def estimate_rise_beyond_peak(values: Floats, travel: Floats) -> float:
     Notes
     -----
     At a turn of the motion, the curve rises to the intersection of the lines through two samples on
-    each side. It rises by at most half the smaller step beside the largest sample, because the
+    each side. It rises by at most half the smaller change beside the largest sample, because the
     corner is closer to this sample than to the next. If the motion continues and the fall after the
     largest sample exceeds three times the rise before it, the specimen breaks. The curve may then
-    rise by one more step.
+    rise by as much as in the step before.
     """
-    break_ratio = 3.0  # fall after the largest sample over the rise before it
+    min_break_ratio = 3.0  # fall after the largest sample over the rise before it
     peak = int(np.nanargmax(values))
     if not 0 < peak < len(values) - 1:
         return 0.0
-    step_before, step_after = values[peak] - values[peak - 1], values[peak] - values[peak + 1]
-    is_break = travel[peak + 1] > travel[peak] and step_after > break_ratio * step_before
-    max_rise = step_before if is_break else 0.5 * min(step_before, step_after)
+    rise_before, fall_after = values[peak] - values[peak - 1], values[peak] - values[peak + 1]
+    is_break = travel[peak + 1] > travel[peak] and fall_after > min_break_ratio * rise_before
+    max_rise = rise_before if is_break else 0.5 * min(rise_before, fall_after)
     if travel[peak + 1] < travel[peak] and 1 < peak < len(values) - 2:
         rise, fall = values[peak - 1] - values[peak - 2], values[peak + 1] - values[peak + 2]
         if rise + fall > 0.0:
-            steps = (values[peak + 1] - values[peak - 1] + fall - rise) / (rise + fall)
-            crossing = values[peak - 1] + rise * (1.0 + steps) - values[peak]
-            max_rise = min(max_rise, max(crossing, 0.0))
+            n_steps = (values[peak + 1] - values[peak - 1] + fall - rise) / (rise + fall)
+            corner_rise = values[peak - 1] + rise * (1.0 + n_steps) - values[peak]
+            max_rise = min(max_rise, max(corner_rise, 0.0))
     return float(max_rise) if np.isfinite(max_rise) else 0.0
 
 
@@ -555,11 +569,11 @@ def choose_peak_sample(
     if np.isnan(signed_values).all():
         raise UnavailableError.of("results.no_sample")
     travel = find_loading_sign(trace, trace.displacement) * trace.displacement[samples]
-    steps = 1.0  # sampling steps of the signal per sample of the curve
+    steps_per_sample = 1.0  # sampling steps of the signal per sample of the curve
     if quantity == "force":
         curve_step, force_step = map(curves.compute_mean_step, (trace.time, test.force.time))
-        steps = max(steps, curve_step / force_step)
-    rise_beyond = estimate_rise_beyond_peak(signed_values, travel) / steps
+        steps_per_sample = max(steps_per_sample, curve_step / force_step)
+    rise_beyond = estimate_rise_beyond_peak(signed_values, travel) / steps_per_sample
 
     def compute_peak(trace: Trace) -> tuple[Floats]:
         signed_curves = sign * getattr(trace, quantity)[..., samples]
@@ -589,7 +603,7 @@ class PeakForce(CycleKind):
         Output("peak_force", "N", "Peak force", ("force",), first=1, is_raised_by_slips=True),
     )
     n_complete_branches: ClassVar = 1
-    read_range: ClassVar = (0.0, 1.25)
+    branch_range: ClassVar = (0.0, 1.25)
     peak_quantity: ClassVar = "force"
     method: ClassVar = "largest force of the cycle after the filter, in the sense of loading"
 
@@ -617,7 +631,7 @@ class PeakDisplacement(CycleKind):
         ),
     )
     n_complete_branches: ClassVar = 1
-    read_range: ClassVar = (0.9, 1.1)
+    branch_range: ClassVar = (0.9, 1.1)
     peak_quantity: ClassVar = "displacement"
     method: ClassVar = "largest displacement of the cycle, in the sense of loading"
 

@@ -1,7 +1,7 @@
 """Measure the failure of a specimen, its final loss of force, and the peak force over its limit.
 
-Displacement and energy at the failure are measured in the loading branch in which the specimen
-fails. The limit is the smallest force that a standard or the lab allows for a conductor.
+Displacement and energy are measured in the loading branch in which the specimen fails. The limit is
+the smallest force that a standard or the lab allows for a conductor.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from math import inf, isclose
-from typing import Annotated, ClassVar
+from typing import Annotated, ClassVar, TypeAlias
 
 import numpy as np
 
@@ -27,7 +27,7 @@ from labpipe.records.signals import Stretch
 from labpipe.results import cycles
 from labpipe.results.curves import Quantity, SampleNoise, find_finite_samples
 from labpipe.results.cycles import WORK_QUANTITIES, CycleKind, PeakForce
-from labpipe.results.kinds import FailurePoint, Kind, Part, ReducedTest
+from labpipe.results.kinds import FailurePoint, Kind, MeasuredItem, ReducedTest
 from labpipe.statistics.lots import FORCE_LIMIT, PEAK_OVER_LIMIT, judge_sample
 from labpipe.uncertainty.autocorrelation import estimate_fast_noise
 from labpipe.uncertainty.replicates import Extractor, Trace
@@ -42,9 +42,9 @@ class LossOfForce:
     ----------
     force_below : fraction of the largest force below which the specimen has failed
     loss : smallest sudden loss, as a fraction of the largest force
-    within : longest duration of a sudden loss, s; one sampling step if that is longer
+    within : s, longest duration of a sudden loss; one sampling step if that is longer
     at_end_below : fraction of the largest force; a record that ends below it ends with the break.
-        None if the end of a record is never the break
+        None if the end of a record does not count as a break
     """
 
     force_below: float
@@ -67,15 +67,15 @@ def find_loss_start(
 
     Returns
     -------
-    Index of the sample, or a failure: ``no_break`` if the force is not lost, or if it is lost
+    Index of the sample; or a failure: ``no_break`` if the force is not lost, or if it is lost
     slowly or in unloading; ``no_tension`` if the force is never above zero.
 
     Notes
     -----
-    The search begins at the last sample with at least `force_below` of the largest force. It goes
-    back in time as long as the force falls by at least `loss` of the largest force in a time of
-    `within`. A smooth decrease before the loss, such as the necking of a wire, is not part of the
-    loss. In a slow recording, a loss may lie within one sampling step.
+    The search begins at the last sample with at least `force_below` of the largest force. It
+    continues backwards in time while the force falls by at least `loss` of the largest force within
+    the time `within`. A smooth decrease before the loss, such as the necking of a wire, is not part
+    of the loss. In a slow recording, the whole loss may lie within one sampling step.
     """
     finite_samples = np.flatnonzero(~np.isnan(force))
     t, f = time[finite_samples], force[finite_samples]
@@ -90,7 +90,7 @@ def find_loss_start(
         return Failure.of("results.goes_back")
     loss_stop = int(np.searchsorted(t, t[last_above] + criteria.within, side="right"))
     drop = f[last_above] - float(f[last_above + 1 : max(loss_stop, last_above + 2)].min())
-    first = _find_first_of_loss(t, f, last_above, criteria, peak)
+    first = _extend_loss_back(t, f, last_above, criteria, peak)
     if first == last_above and drop < criteria.loss * peak:
         facts = {"force_below": criteria.force_below, "peak": peak, "loss": criteria.loss}
         return Failure.of("results.lost_slowly", **facts, within=1e3 * criteria.within)
@@ -98,7 +98,7 @@ def find_loss_start(
 
 
 def find_slow_loss(displacement: Floats, force: Floats, criteria: LossOfForce) -> int | None:
-    """Find the last sample with at least `force_below` of the peak, if the motion continues.
+    """Find the last sample with at least `force_below` of the peak before a slow loss of force.
 
     Parameters
     ----------
@@ -107,7 +107,7 @@ def find_slow_loss(displacement: Floats, force: Floats, criteria: LossOfForce) -
 
     Returns
     -------
-    Index of the sample. None if the force is not below this fraction at the end, or if the motion
+    Index of the sample. None if the force at the end is not below this fraction, or if the motion
     stops or reverses during the loss, as for a specimen that relaxes.
     """
     finite_samples = find_finite_samples(displacement, force)
@@ -115,31 +115,31 @@ def find_slow_loss(displacement: Floats, force: Floats, criteria: LossOfForce) -
     last_above = int(find_last_above(f, criteria.force_below))
     if last_above >= len(f) - 1:
         return None
-    # The travel increases by at least 1 %, and fewer than half of its steps are backwards.
+    # The travel increases by at least 1 %, and more than half of its steps are forwards.
     is_longer = d[-1] - d[last_above] >= 0.01 * (d[last_above] - d[0])
     is_forward = (np.diff(d[last_above:]) >= 0.0).mean() > 0.5
     return int(finite_samples[last_above]) if is_longer and is_forward else None
 
 
 def find_last_above(force: Floats, fraction: float) -> Ints:
-    """Find the last sample with at least a fraction of the largest force, per row of (..., n)."""
+    """Find the last sample with at least a fraction of the largest force in each row (..., n)."""
     return cycles.find_last_flagged(force >= fraction * np.max(force, axis=-1, keepdims=True))
 
 
-def _find_first_of_loss(t: Floats, f: Floats, last: int, criteria: LossOfForce, peak: float) -> int:
-    """Find the first sample of a loss by its size or rate, backwards from one of its samples."""
+def _extend_loss_back(t: Floats, f: Floats, sample: int, criteria: LossOfForce, peak: float) -> int:
+    """Find the first sample of a loss, backwards from one of its samples, by its amount or rate."""
     required_loss = criteria.loss * peak
-    while last > 0:
-        begin = int(np.searchsorted(t, t[last] - criteria.within))
-        samples_before = np.flatnonzero(f[begin:last] - f[last] >= required_loss)
-        step = float(t[last] - t[last - 1])
-        if len(samples_before):
-            last = begin + int(samples_before[-1])
-        elif f[last - 1] - f[last] >= required_loss * min(1.0, step / criteria.within):
-            last -= 1
+    while sample > 0:
+        begin = int(np.searchsorted(t, t[sample] - criteria.within))
+        higher_samples = np.flatnonzero(f[begin:sample] - f[sample] >= required_loss)
+        step = float(t[sample] - t[sample - 1])
+        if len(higher_samples):
+            sample = begin + int(higher_samples[-1])
+        elif f[sample - 1] - f[sample] >= required_loss * min(1.0, step / criteria.within):
+            sample -= 1
         else:
             break
-    return last
+    return sample
 
 
 def measure_earlier_loss(time: Floats, force: Floats, criteria: LossOfForce) -> float:
@@ -160,9 +160,10 @@ def measure_earlier_loss(time: Floats, force: Floats, criteria: LossOfForce) -> 
     end_samples = np.searchsorted(time, time[:-1] + criteria.within, side="right") - 1
     end_samples = np.maximum(end_samples, np.arange(1, len(force)))
     largest_after = np.maximum.accumulate(force[::-1])[::-1][end_samples]
-    losses = (force[:-1] - largest_after)[force[:-1] - force[end_samples] >= criteria.loss * peak]
-    largest_fraction = float(losses.max(initial=0.0)) / (peak or inf)
-    return largest_fraction if largest_fraction >= criteria.loss else 0.0
+    is_sudden = force[:-1] - force[end_samples] >= criteria.loss * peak
+    permanent_losses = (force[:-1] - largest_after)[is_sudden]
+    loss_fraction = float(permanent_losses.max(initial=0.0)) / (peak or inf)
+    return loss_fraction if loss_fraction >= criteria.loss else 0.0
 
 
 class FailureResult(Kind):
@@ -176,7 +177,7 @@ class FailureResult(Kind):
     needs: ClassVar = Needs(branches=True, correction="failure")
 
     def list_methods(self, test: ReducedTest) -> tuple[str, str]:
-        """Return the methods of both numbers, which are different for a slow loss."""
+        """List the methods of both numbers, which are different for a slow loss."""
         failure = test.failure
         if isinstance(failure, FailurePoint) and failure.slow_loss_limit is not None:
             fraction = f"{failure.slow_loss_limit:.0%} of the peak, which is lost slowly"
@@ -186,35 +187,35 @@ class FailureResult(Kind):
             "force at the first sample of the final loss",
         )
 
-    def measure(self, test: ReducedTest) -> Iterator[Part]:
+    def measure(self, test: ReducedTest) -> Iterator[MeasuredItem]:
         """Measure displacement and force at the failure."""
         period, doubts = _describe_failure(test)
-        displacement, force = test.measure(partial(_choose_failure_samples, test))
-        at_end = period[1], period[1]
-        yield self.make_result(test, displacement, period=at_end, doubts=doubts)
+        displacement, force = test.measure_numbers(partial(_choose_failure_samples, test))
+        failure_period = period[1], period[1]
+        yield self.make_result(test, displacement, period=failure_period, doubts=doubts)
         yield self.make_result(test, force, output=1, period=period, doubts=doubts)
 
 
 def _choose_failure_samples(test: ReducedTest, trace: Trace) -> Extractor:
     """Choose the samples for displacement and force at the failure.
 
-    The specimen fails within one sampling step after the sample of the failure. If that sample has
-    already lost force, the specimen failed in the step before it. The force at the failure is then
-    that of the sample before, or larger by up to the usual change of the force in one step.
+    The specimen fails within one sampling step after the sample of the failure. For a sample that
+    has already lost force, it fails in the step before that sample. The force at the failure is
+    then that of the previous sample, or larger by up to the usual change of the force in one step.
     """
-    sample = test.require(trace.failed_at)
-    failure = test.require(test.failure)
+    sample, failure = test.require(trace.failed_at), test.require(test.failure)
     if failure.slow_loss_limit is not None:
         select = partial(find_last_above, fraction=failure.slow_loss_limit)
-        finite = np.flatnonzero(~np.isnan(trace.force))
-        return _choose_selected(test, trace, sample, finite, select, is_break=True)
+        finite_samples = np.flatnonzero(~np.isnan(trace.force))
+        return _choose_selected(test, trace, sample, finite_samples, select, is_break=True)
     draw_noise = _make_noise_function(test, trace, sample)
-    step, change = _measure_next_step(trace, sample), _measure_usual_step(trace.force, sample)
+    displacement_step = _measure_next_step(trace, sample)
+    force_step = _measure_usual_step(trace.force, sample)
     loss = _measure_loss(test, failure)
 
     def compute_numbers(trace: Trace) -> tuple[Floats, Floats]:
-        displacement = trace.displacement[..., sample] + trace.steps_to_event * step
-        return displacement, trace.force[..., sample] + trace.steps_to_event * change
+        displacement = trace.displacement[..., sample] + trace.steps_to_event * displacement_step
+        return displacement, trace.force[..., sample] + trace.steps_to_event * force_step
 
     def compute_with_noise(noisy_trace: Trace) -> tuple[Floats, Floats]:
         displacement, force = compute_numbers(noisy_trace)
@@ -224,14 +225,13 @@ def _choose_failure_samples(test: ReducedTest, trace: Trace) -> Extractor:
     return Extractor(compute_numbers, 1, compute_with_noise)
 
 
+Selector: TypeAlias = Callable[[Floats], Ints]
+"""Function of forces, shape (..., n), N, positive in loading, that returns the index of a sample of
+each row, shape (...)."""
+
+
 def _choose_selected(
-    test: ReducedTest,
-    trace: Trace,
-    sample: int,
-    finite: Ints,
-    select: Callable[[Floats], Ints],
-    *,
-    is_break: bool,
+    test: ReducedTest, trace: Trace, sample: int, samples: Ints, select: Selector, *, is_break: bool
 ) -> Extractor:
     """Choose displacement and force at the sample that a function selects in each curve.
 
@@ -239,16 +239,15 @@ def _choose_selected(
     ----------
     test, trace : the test, and one of its curves
     sample : sample selected in that curve
-    finite : indices of the samples with a force
-    select : function that returns the position in `finite` of one sample for each row of forces,
-        which are positive in loading
+    samples : indices of the samples with a force
+    select : function that selects one of these samples
     is_break : whether the specimen breaks within one sampling step after the selected sample
     """
     sign = cycles.find_loading_sign(trace, trace.force)
     draw_noise = _make_noise_function(test, trace, sample)
 
     def compute_numbers(trace: Trace) -> tuple[Floats, ...]:
-        displacement, force = trace.displacement[..., finite], trace.force[..., finite]
+        displacement, force = trace.displacement[..., samples], trace.force[..., samples]
         index = np.asarray(select(sign * force))[..., np.newaxis]
         step = np.gradient(displacement, axis=-1)
         displacement = displacement + step * trace.steps_to_event * is_break
@@ -262,7 +261,7 @@ def _choose_selected(
 
 
 def _find_largest(force: Floats) -> Ints:
-    """Return the index of the largest force of each row, the middle of several equal ones."""
+    """Find the index of the largest force of each row; of several equal ones, the middle index."""
     is_largest = force == np.max(force, axis=-1, keepdims=True)
     return np.asarray((is_largest.argmax(axis=-1) + cycles.find_last_flagged(is_largest)) // 2)
 
@@ -272,7 +271,7 @@ def _make_noise_function(
 ) -> Callable[[Quantity, tuple[int, ...]], Floats]:
     """Make a function that draws the noise of a quantity in the loading up to a sample."""
     loading = slice(find_loading_before(trace, sample).start, sample + 1)
-    select_noise = cache(partial(SampleNoise.select, test, trace, stretch=loading, centre=sample))
+    select_noise = cache(partial(SampleNoise.select, test, trace, allowed=loading, centre=sample))
 
     def draw_noise(quantity: Quantity, shape: tuple[int, ...]) -> Floats:
         noise = select_noise(quantity)
@@ -282,7 +281,7 @@ def _make_noise_function(
 
 
 def _measure_usual_step(force: Floats, sample: int) -> float:
-    """Measure the median of the last changes of the force before a sample, N."""
+    """Measure the median change of the force in the last one to six steps before a sample, N."""
     n_steps = min(max(sample // 8, 1), 6)  # fewer in a short record, whose slope changes quickly
     steps = np.diff(force[:sample][~np.isnan(force[:sample])][-1 - n_steps :])
     return float(np.median(steps)) if len(steps) else 0.0
@@ -294,7 +293,7 @@ def _measure_loss(test: ReducedTest, failure: FailurePoint) -> float:
     The loss is counted from the usual change of the force in a step, because the force of a
     specimen that necks also falls in earlier steps. A loss shows that the final loss began in this
     step. The loss is 0 if it is below six standard deviations of the noise, or if fewer than eight
-    samples precede the failure, which are too few to estimate the noise.
+    samples, too few to estimate the noise, precede the failure.
     """
     curve, sample = test.required_curve, failure.sample
     force = curve.force[:sample][~np.isnan(curve.force[:sample])]
@@ -315,7 +314,7 @@ def _measure_next_step(trace: Trace, sample: int) -> float:
 def _describe_failure(test: ReducedTest) -> tuple[Stretch, tuple[Reason, ...]]:
     """Return the period of the loading up to the failure, s, and the doubts about the failure.
 
-    A failure is doubtful if the force was suddenly lost before it.
+    A failure is doubtful if a part of the force was suddenly lost before it.
     """
     failure, curve = test.require(test.failure), test.required_curve
     start = find_loading_before(curve, failure.sample).start
@@ -324,7 +323,7 @@ def _describe_failure(test: ReducedTest) -> tuple[Stretch, tuple[Reason, ...]]:
 
 
 def find_loading_before(curve: Curve | Trace, sample: int) -> Branch:
-    """Find the last loading branch that begins at or before a sample, or else the first one."""
+    """Find the last loading that begins at or before a sample, or else the first loading."""
     loadings = [branch for branch in curve.branches if branch.direction is Direction.LOADING]
     return ([loading for loading in loadings if loading.start <= sample] or loadings[:1])[-1]
 
@@ -337,7 +336,7 @@ class PeakForceDisplacement(CycleKind):
         Output("displacement_at_peak_force", "m", "Displacement at peak force", first=1),
     )
     n_complete_branches: ClassVar = 1
-    read_range: ClassVar = (0.0, 1.25)
+    branch_range: ClassVar = (0.0, 1.25)
     peak_quantity: ClassVar = "force"
     method: ClassVar = (
         "displacement at the largest force of the cycle, in the sense of loading; between"
@@ -350,19 +349,20 @@ class PeakForceDisplacement(CycleKind):
         With noise, a neighbouring sample may have the largest force. If the specimen breaks there,
         the peak lies within one sampling step after the sample.
         """
-        part = cycles.find_cycle_samples(trace, cycle)
-        finite = part.start + find_finite_samples(trace.displacement[part], trace.force[part])
-        if not len(finite):
+        cycle_samples = cycles.find_cycle_samples(trace, cycle)
+        d, f = trace.displacement[cycle_samples], trace.force[cycle_samples]
+        samples = cycle_samples.start + find_finite_samples(d, f)
+        if not len(samples):
             raise UnavailableError.of("results.no_sample")
         displacement, force = (
-            cycles.find_loading_sign(trace, values) * values[finite]
+            cycles.find_loading_sign(trace, values) * values[samples]
             for values in (trace.displacement, trace.force)
         )
         peak = int(_find_largest(force))
         rise = cycles.estimate_rise_beyond_peak(force, displacement)
-        is_break, sample = rise > 0.5 * (force[peak] - force[peak - 1]), int(finite[peak])
-        extractor = _choose_selected(test, trace, sample, finite, _find_largest, is_break=is_break)
-        return replace(extractor, n=len(finite))
+        is_break, sample = rise > 0.5 * (force[peak] - force[peak - 1]), int(samples[peak])
+        extractor = _choose_selected(test, trace, sample, samples, _find_largest, is_break=is_break)
+        return replace(extractor, n=len(samples))
 
 
 class EnergyToBreak(Kind):
@@ -376,10 +376,10 @@ class EnergyToBreak(Kind):
 
     method: ClassVar = "integral of force up to the failure, trapezoids"
 
-    def measure(self, test: ReducedTest) -> Iterator[Part]:
+    def measure(self, test: ReducedTest) -> Iterator[MeasuredItem]:
         """Integrate the force up to the failure."""
         period, doubts = _describe_failure(test)
-        outcome = test.measure_one(partial(_choose_work_to_break, test))
+        outcome = test.measure_number(partial(_choose_work_to_break, test))
         yield self.make_result(test, outcome, period=period, doubts=doubts)
 
 
@@ -388,19 +388,19 @@ def _choose_work_to_break(test: ReducedTest, trace: Trace) -> Extractor:
     sample = test.require(trace.failed_at)
     loading = slice(find_loading_before(trace, sample).start, sample + 1)
     work = cycles.choose_work_samples(trace, loading)
-    step = _measure_next_step(trace, sample)
+    displacement_step = _measure_next_step(trace, sample)
 
     def compute_numbers(trace: Trace) -> tuple[Floats]:
-        last_step = trace.steps_to_event * step * trace.force[..., sample]
-        return (np.asarray(work.compute_numbers(trace)[0] + last_step, dtype=np.float64),)
+        last_work = trace.steps_to_event * displacement_step * trace.force[..., sample]
+        return (np.asarray(work.compute_numbers(trace)[0] + last_work, dtype=np.float64),)
 
     return Extractor(compute_numbers, work.n)
 
 
-CONDUCTOR = "conductor"
-"""Label of a specimen for the cross-section of its conductor."""
+CONDUCTOR_LABEL = "conductor"
+"""Name of the label of a specimen that states the cross-section of its conductor."""
 MAX_SECTION_DEVIATION = 0.005
-"""Largest relative difference between a stated section, or gauge, and that of a row of a card."""
+"""Largest relative difference of a stated section, or gauge, from that of its row in a card."""
 _AWG = re.compile(r"awg\s*(\d+)|(\d+)\s*awg", re.IGNORECASE)
 
 
@@ -420,14 +420,14 @@ class CardRow:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LimitCard:
-    """Smallest allowed forces by section and column, and the document that prints them."""
+    """Smallest allowed forces by section and column, with the document that states them."""
 
     source: Annotated[str, "Document that prints the limits"]
     rows: tuple[CardRow, ...]
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """Return the names of the columns in the order of the rows."""
+        """Names of the columns in the order of the rows."""
         return tuple(dict.fromkeys(name for row in self.rows for name in row.limits))
 
 
@@ -455,22 +455,21 @@ class ForceLimit(Kind):
             yield Fault.of("protocol.no_card_column", ("card",))
 
     def list_methods(self, test: ReducedTest) -> tuple[str, str]:
-        """Return the methods of both numbers; that of the limit names the source of the limit."""
+        """List the methods of both numbers; the method of the limit names its source."""
         del test
         source = "stated by the protocol"
         if self.card is not None:
             source = f"column {self.column} of a card: {self.card.source}"
         return source, "largest force over the smallest force allowed"
 
-    def measure(self, test: ReducedTest) -> Iterator[Part]:
+    def measure(self, test: ReducedTest) -> Iterator[MeasuredItem]:
         """Divide the largest force by the limit for the conductor of the test sheet."""
-        limit, section = self._find_limit(test.setup.labels.get(CONDUCTOR, ""))
-        (limit_method, ratio_method), status = self.list_methods(test), Status.OK
+        limit, section = self._find_limit(test.setup.labels.get(CONDUCTOR_LABEL, ""))
+        limit_method, ratio_method = self.list_methods(test)
         peak = max(PeakForce().compute_results(test), key=lambda peak: peak.value or -inf)
         doubts = test.collect_doubts(("observation",), None)
         reasons = tuple(dict.fromkeys([*peak.reasons, *doubts]))
-        if peak.value is None or reasons:
-            status = Status.FAILED if peak.value is None else Status.DOUBTFUL
+        status = Status.DOUBTFUL if doubts and peak.status is Status.OK else peak.status
         ratio = replace(
             peak,
             name=PEAK_OVER_LIMIT,
@@ -482,13 +481,13 @@ class ForceLimit(Kind):
             reasons=reasons,
             method=ratio_method,
             estimate=None if peak.estimate is None else peak.estimate / limit,
-            budget=tuple(replace(part, change=part.change / limit) for part in peak.budget),
+            budget=tuple(replace(x, change=x.change / limit) for x in peak.budget),
         )
         yield Result(FORCE_LIMIT, limit, "N", method=limit_method, remark=section)
         yield replace(ratio, remark=judge_sample(ratio).text)
 
     def _find_limit(self, conductor: str) -> tuple[float, str]:
-        """Return the limit for a conductor, N, and the section to which it applies."""
+        """Find the limit for a conductor, N, and the section to which it applies."""
         if self.at_least is not None:
             if self.conductor and _parse_section(self.conductor) != _parse_section(conductor):
                 sections = {"stated": self.conductor, "found": conductor or "none"}
@@ -516,12 +515,12 @@ def _parse_section(conductor: str) -> tuple[str, float]:
 
 def _find_row(card: LimitCard, conductor: str) -> CardRow:
     """Find the row of a section; a section between two rows is an error."""
-    unit, size = _parse_section(conductor)
-    sizes = {row.awg if unit == "AWG" else 1e6 * row.section: row for row in card.rows}
-    for row_size, row in sizes.items():
-        if isclose(row_size, size, rel_tol=MAX_SECTION_DEVIATION):
+    unit, section = _parse_section(conductor)
+    row_by_section = {row.awg if unit == "AWG" else 1e6 * row.section: row for row in card.rows}
+    for row_section, row in row_by_section.items():
+        if isclose(row_section, section, rel_tol=MAX_SECTION_DEVIATION):
             return row
-    sorted_sizes = sorted(sizes)
-    index = bisect(sorted_sizes, size)
-    rows = " and ".join(str(sizes[x]) for x in sorted_sizes[max(index - 1, 0) : index + 1])
+    sections = sorted(row_by_section)
+    index = bisect(sections, section)
+    rows = " and ".join(str(row_by_section[x]) for x in sections[max(index - 1, 0) : index + 1])
     raise UnavailableError.of("results.section_not_in_card", conductor=conductor, rows=rows)

@@ -1,9 +1,9 @@
-"""Define what a kind of result is, and the test that it is measured on.
+"""Define the base class of kinds of results, and the record of a test that they measure.
 
-A kind of result is a class: its fields are the settings of its entry in a protocol, its
-class variables are its name, outputs, needs and methods. `measure` yields the numbers of a test,
+A kind of result is a class. Its fields are the settings of its entry in a protocol, and its class
+variables are its name, outputs, needs and methods. `Kind.measure` yields the numbers of a test,
 stiffnesses for later entries, lines and notes. Grammar, cross-checks, JSON Schema, descriptions and
-the reference page derive from the list `labpipe.results.KINDS`.
+the reference page derive from `labpipe.results.KINDS`.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from labpipe.uncertainty.replicates import Choice, Replicates
 
 if TYPE_CHECKING:
     from labpipe.markers.three_point_axis import SpanShape
-    from labpipe.results.tension import Pull
+    from labpipe.results.tension import TensileCurve
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,8 +49,8 @@ class FailurePoint:
 
     Parameters
     ----------
-    sample : index of the sample: the last one before a sudden loss, or above `slow_loss_limit` in a
-        slow loss; if only the end of the record shows the loss, the last one with a force
+    sample : index of the last sample before a sudden loss, or above `slow_loss_limit` in a slow
+        loss; if only the end of the record shows the loss, of the last sample with a force
     earlier_loss : largest sudden and permanent loss of force before the failure, as a fraction of
         the peak, for a specimen that failed in steps; else 0
     slow_loss_limit : fraction of the peak below which the force finally falls in a slow loss; None
@@ -91,8 +91,8 @@ class LoadString:
     ----------
     length : m, length from the specimen to the load cell
     counterweight : kg, mass that hangs at the tip
-    at_rest : state of the string before the test. A taut string carries the counterweight;
-        ``by-data`` means that the data show the state
+    at_rest : state of the string before the test. A taut string carries the counterweight. For
+        ``by-data``, the state is inferred from the data
     """
 
     length: float
@@ -109,10 +109,10 @@ class Setup:
     sizes : stated sizes of specimen and rig, m (area: m^2), by the keys of the protocol: length,
         span between the supports, and sizes of the cross-section
     mass_per_length : kg/m, mass of the specimen per length; None if not stated
-    uncertainties : standard uncertainties of sizes, m (area: m^2), by the keys of the sizes; sizes
-        without an uncertainty are exact
+    uncertainties : standard uncertainties of sizes, m (area: m^2), by the keys of the sizes; a size
+        without an uncertainty is assumed exact
     string : string that loads the specimen, or None
-    has_markers : whether the specimen carries markers
+    has_markers : whether the protocol describes markers on the specimen
     centre_offset : m, distance from the axis to the marker centres
     offset_uncertainty : m, standard uncertainty of positions along the specimen
     centre_uncertainty : m, standard uncertainty of `centre_offset`
@@ -144,8 +144,9 @@ class Stiffness:
     ----------
     name : name of the result
     choose_samples : function that chooses the samples of the stiffness on a curve
-    value : N/m, the stiffness
-    period : s, first and last time of the samples
+    value : N/m, stiffness of the measured curve
+    period : s on the clock of the curve, first and last time of the samples; None for the whole
+        record
     window : m, displacements between which the stiffness was measured
     slip_range : m, range of displacement in which a slip affects the stiffness; None if no slip
         affects it
@@ -163,7 +164,7 @@ class Stiffness:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReducedTest:
-    """A test at any stage of its reduction, with all data for the results.
+    """A test at any stage of its reduction, with all data from which results are computed.
 
     Parameters
     ----------
@@ -172,23 +173,25 @@ class ReducedTest:
     aligned : the raw signals at the times of the displacement; None without a curve
     curve : corrected curve, or None
     replicates : replicates of the curve, or None
-    unfiltered : force of the curve before any filter, with outliers replaced by interpolation
+    unfiltered_force : force of the curve before any filter, with outliers replaced by
+        interpolation; None without a curve
     shape : shape of the specimen; None if no step fits one
     span : the bent axis between two supports, or why there is none; None if not requested
     bending : measured moment-curvature, or why there is none; None if not requested
-    failure : point at which the specimen broke, or why no break was found; None if not requested
+    failure : point at which the specimen failed, or why it did not; None if not requested
     slips : the slip ledger
     compliance : m/N, compliance of load frame and grips, negative if force and displacement have
         opposite signs in loading; the compliance times the force is subtracted from the
         displacement
     slack : m, displacement before the specimen was taut, or why it is unknown; None if not
         requested
-    pull : stress and strain with the elastic line, or why there are none; None if not requested
+    tensile_curve : stress and strain with the elastic line, or why there are none; None if not
+        requested
     cut_times : s on the clock of the curve, time at which a record ends within a branch, by
         quantity
     stiffnesses : stiffnesses of earlier results by name
     findings : findings up to this stage
-    seed : seed of random draws, made from the recorded data
+    seed : seed of random draws, computed from the recorded data
     """
 
     signals: Signals
@@ -197,7 +200,7 @@ class ReducedTest:
     aligned: Aligned | None = None
     curve: Curve | None = None
     replicates: Replicates | None = None
-    unfiltered: Signal | None = None
+    unfiltered_force: Signal | None = None
     shape: Shape | None = None
     span: SpanBend | Failure | None = None
     bending: Bending | Failure | None = None
@@ -205,7 +208,7 @@ class ReducedTest:
     slips: tuple[Slip, ...] = ()
     compliance: float = 0.0
     slack: MeasuredNumber | Failure | None = None
-    pull: Pull | Failure | None = None
+    tensile_curve: TensileCurve | Failure | None = None
     cut_times: Mapping[str, float] = field(default_factory=dict)
     stiffnesses: Mapping[str, Stiffness] = field(default_factory=dict)
     findings: Findings = field(default_factory=Findings)
@@ -228,42 +231,42 @@ class ReducedTest:
 
     @property
     def required_curve(self) -> Curve:
-        """Curve of a test with cycles.
+        """Curve of a test that has one.
 
         Raises
         ------
         ValueError
-            If there is no curve.
+            If the test has no curve.
         """
         if self.curve is None:
             raise ValueError(format_sentence("results.no_curve"))
         return self.curve
 
-    def measure(self, choose: Choice) -> tuple[MeasuredNumber, ...]:
+    def measure_numbers(self, choose: Choice) -> tuple[MeasuredNumber, ...]:
         """Measure numbers of the curve with their uncertainty.
 
         Parameters
         ----------
-        choose : function that chooses samples, see `labpipe.uncertainty.intervals.measure_numbers`
+        choose : function that chooses the samples of the numbers on a curve
 
         Raises
         ------
         UnavailableError
-            If there are no such numbers, or no curve.
+            If the test has no curve, or as `labpipe.uncertainty.intervals.measure_numbers`.
         """
         return measure_numbers(self.require(self.replicates), choose)
 
-    def measure_one(self, choose: Choice) -> MeasuredNumber:
-        """Measure the first of the numbers that `measure` returns."""
-        return self.measure(choose)[0]
+    def measure_number(self, choose: Choice) -> MeasuredNumber:
+        """Measure the first of the numbers that `measure_numbers` returns."""
+        return self.measure_numbers(choose)[0]
 
     def require(self, stage: _Stage | Failure | None, missing: Failure = NO_LOADING) -> _Stage:
-        """Return a stage of the test.
+        """Return a stage of the test, or raise the reason why it is not available.
 
         Parameters
         ----------
-        stage : stage of the test, or the reason why it is not available
-        missing : reason for a stage that is None although nothing blocked the test
+        stage : stage of the test, or the reason why it is not available; None if it was not reached
+        missing : reason for a stage that is None although no finding blocks the test
 
         Raises
         ------
@@ -288,31 +291,30 @@ class ReducedTest:
         """First loading branch of the curve, or None."""
         return None if self.curve is None else self.curve.first_loading
 
-    def find_loading_interval(self, low: float = -np.inf, high: float = np.inf) -> Stretch | None:
+    def find_loading_period(self, start: float = -np.inf, stop: float = np.inf) -> Stretch | None:
         """Find the times at which the first loading passed two displacements.
 
         Parameters
         ----------
-        low, high : m, displacements at the start and at the end of the interval
+        start, stop : m, displacements at both ends of the period
 
         Returns
         -------
-        Times at which the branch first reached `low` and first exceeded `high`, s on the clock of
-        the curve. If it did not, the start and the end of the branch. None without a curve or a
-        branch.
+        Times at which the branch first reached `start` and first exceeded `stop`, s on the clock of
+        the curve; those of the ends of the branch if it did not. None without a curve or a branch.
         """
         curve = self.curve
         if curve is None or not curve.branches:
             return None
         branch = curve.branches[0]
         samples = slice(branch.start, branch.stop)
-        path, time = curve.displacement[samples], curve.time[samples]
-        start = time[np.argmax(path >= low)] if (path >= low).any() else branch.start_time
-        stop = time[np.argmax(path > high)] if (path > high).any() else branch.stop_time
-        return float(start), float(stop)
+        time, d = curve.time[samples], curve.displacement[samples]
+        first_time = time[np.argmax(d >= start)] if (d >= start).any() else branch.start_time
+        last_time = time[np.argmax(d > stop)] if (d > stop).any() else branch.stop_time
+        return float(first_time), float(last_time)
 
     def collect_doubts(self, quantities: Iterable[str], period: Stretch | None) -> list[Reason]:
-        """Collect the doubts about a number that depends on quantities in a range of time.
+        """Collect the doubts about a number that depends on quantities in a period.
 
         Parameters
         ----------
@@ -321,8 +323,8 @@ class ReducedTest:
 
         Returns
         -------
-        The first reason of each code and quantity whose period overlaps the range, or a stretch in
-        which the quantity was zeroed. A doubt without a period applies to every range.
+        The first reason of each code and quantity whose doubt overlaps the period, or the stretch
+        over which the quantity was zeroed. A doubt without a period overlaps every period.
         """
         reasons: dict[tuple[str, str], Reason] = {}
         for quantity in quantities:
@@ -332,7 +334,10 @@ class ReducedTest:
         return list(reasons.values())
 
     def _overlaps(self, doubt: Doubt, period: Stretch | None) -> bool:
-        """Return whether a doubt overlaps a period, or the stretch of the zero of its quantity."""
+        """Return whether a doubt overlaps a period, or the stretch of the zero of its quantity.
+
+        A period of None is that of the whole record.
+        """
         if doubt.period is None or period is None:
             return True
         stretches, signals = [(*period, self.clocks.curve_clock)], self.signals
@@ -371,11 +376,12 @@ def compute_loading_sign(values: Floats) -> float:
 
 
 Outcome: TypeAlias = MeasuredNumber | Estimate | Failure
-Part: TypeAlias = Result | Stiffness | FittedLine | Finding
-"""What a kind of result measures: numbers, stiffnesses for later entries, lines for figures, and
-notes on the test."""
+"""Number with its uncertainty, or the reason why it is not available."""
+MeasuredItem: TypeAlias = Result | Stiffness | FittedLine | Finding
+"""Item that a kind of result measures: a number, a stiffness for later entries, a line for figures,
+or a note on the test."""
 Errors: TypeAlias = Mapping[str, float]
-"""Standard errors that the fit does not include, in the unit of the number, by cause."""
+"""Standard errors that are not among the errors of the fit, in the unit of the number, by cause."""
 
 
 @dataclass_transform(frozen_default=True, kw_only_default=True)
@@ -385,9 +391,9 @@ class Kind(ABC):
 
     Subclasses become frozen dataclasses without a decorator.
 
-    ``method`` describes how all outputs are measured; ``methods`` describes each of them if they
-    differ. Both may have settings as replacement fields. The field ``over_mm`` is the setting
-    ``over`` in millimetres.
+    ``result`` is the name of the kind in a protocol. ``method`` describes how all outputs are
+    measured; ``methods`` describes each output if the methods differ. Both may have settings as
+    replacement fields. The field ``over_mm`` is the setting ``over`` in millimetres.
     """
 
     result: ClassVar[str]
@@ -397,12 +403,12 @@ class Kind(ABC):
     methods: ClassVar[tuple[str, ...]] = ()
 
     def __init_subclass__(cls) -> None:
-        """Make a frozen dataclass of a subclass."""
+        """Make the subclass a frozen dataclass."""
         dataclass(frozen=True, kw_only=True)(cls)
 
     @abstractmethod
-    def measure(self, test: ReducedTest) -> Iterator[Part]:
-        """Measure the numbers of a test; yield them, with stiffnesses, lines and notes.
+    def measure(self, test: ReducedTest) -> Iterator[MeasuredItem]:
+        """Measure a test; yield its numbers, with stiffnesses, lines and notes.
 
         Parameters
         ----------
@@ -415,12 +421,12 @@ class Kind(ABC):
         """
 
     def list_methods(self, test: ReducedTest) -> tuple[str, ...]:
-        """Return the method of each output, before settings are filled into it."""
+        """List the method of each output, before settings are filled into it."""
         del test
         return self.methods or (self.method,) * len(self.outputs)
 
-    def compute(self, test: ReducedTest) -> list[Part]:
-        """Measure the numbers of a test, or return all outputs as not available.
+    def compute(self, test: ReducedTest) -> list[MeasuredItem]:
+        """Measure a test, or return all outputs as not available.
 
         Parameters
         ----------
@@ -436,13 +442,13 @@ class Kind(ABC):
             ]
 
     def compute_results(self, test: ReducedTest) -> list[Result]:
-        """Compute what `compute` returns, without stiffnesses, lines and notes."""
-        return [part for part in self.compute(test) if isinstance(part, Result)]
+        """Compute the results that `compute` returns, without stiffnesses, lines and notes."""
+        return [item for item in self.compute(test) if isinstance(item, Result)]
 
     def make_results(
         self, test: ReducedTest, outcomes: Iterable[Outcome], *, first: int = 0, **common: Any
     ) -> Iterator[Result]:
-        """Make the results of consecutive outputs, from the index `first`, as `make_result`."""
+        """Make the results of consecutive outputs from the index `first` on, as `make_result`."""
         for index, outcome in enumerate(outcomes, start=first):
             yield self.make_result(test, outcome, output=index, **common)
 
@@ -464,12 +470,13 @@ class Kind(ABC):
         Parameters
         ----------
         test : reduced test with its doubts
-        outcome : the value with the standard error of its fit, or why it is not available; one
-            without an interval gets the normal one
+        outcome : number with its uncertainty, or why it is not available; an `Estimate` without an
+            interval gets the normal interval of its error
         errors : further standard errors, added to an `Estimate`; ignored for other outcomes
         output : index of the output in `outputs`; settings are filled into the name of the output
         method : method of the number; if empty, that of `Kind.list_methods`
-        period : s on the clock of the curve, first and last time of the samples; None for all
+        period : s on the clock of the curve, first and last time of the samples; None for the whole
+            record
         doubts : further reasons to doubt the number
         suffix : last part of the name, such as ``.1``
         remark : remark on the number of this test
@@ -486,8 +493,7 @@ class Kind(ABC):
             is_explained = outcome.code in _EXPLAINED_FAILURES
             all_reasons = [*curve_doubts, outcome] if is_explained else [outcome, *curve_doubts]
             reasons, unit = tuple(dict.fromkeys(all_reasons)), declaration.unit
-            failure: dict[str, Any] = {"value": None, "status": Status.FAILED, "reasons": reasons}
-            return Result(name, unit=unit, method=method, made_of=made_of, **failure)
+            return Result(name, None, unit, None, Status.FAILED, reasons, method, made_of=made_of)
         number_doubts = outcome.doubts if isinstance(outcome, MeasuredNumber) else ()
         quantities = "", *declaration.depends_on
         noise_doubts = [reason for quantity, reason in number_doubts if quantity in quantities]
@@ -513,7 +519,7 @@ class Kind(ABC):
 
 
 def _list_quantities(declaration: Output, test: ReducedTest) -> tuple[str, ...]:
-    """List the quantities whose doubts apply to a number, with signs and the zero of the force.
+    """List the quantities whose doubts apply to a number, with its sign and the zero of the force.
 
     A slope depends on the zero only if slack was subtracted, because the end of the slack depends
     on the force.
@@ -532,17 +538,18 @@ def compute_scale_error(test: ReducedTest, outcome: Outcome) -> Errors:
 
 
 _SIGN_QUANTITIES: tuple[str, ...] = ("force_sign", "displacement_sign")
-"""Quantities of doubts about signs: the first for numbers in newtons, the second in metres."""
+"""Quantities of doubts about signs: the first for numbers in newtons, the second for those in
+metres."""
 _CURVE_ERRORS = frozenset(
     ["frozen_channel", "saturation", "force_reversed", "displacement_reversed", "begins_under_load"]
 )
 """Codes of doubts that may explain a failure, because the curve itself is wrong."""
 _EXPLAINED_FAILURES = frozenset({"not_reached", "no_travel"})
-"""Codes of failures that such a doubt explains, so that the doubt is listed first."""
+"""Codes of failures that a doubt of `_CURVE_ERRORS` explains; the doubt is then listed first."""
 
 
 def _widen_estimate(outcome: Outcome, errors: Errors) -> tuple[Outcome, tuple[Contribution, ...]]:
-    """Add errors to an `Estimate`, and make the budget; a number that is not finite fails."""
+    """Add errors to an `Estimate`, and make the budget; fail for a number that is not finite."""
     budget = outcome.budget if isinstance(outcome, MeasuredNumber) else ()
     if isinstance(outcome, Estimate):
         fit_error = outcome.error if outcome.interval is None else outcome.interval.standard_error
@@ -556,13 +563,13 @@ def _widen_estimate(outcome: Outcome, errors: Errors) -> tuple[Outcome, tuple[Co
     return outcome, budget
 
 
-def find_pause_doubts(test: ReducedTest, stretch: tuple[float, float]) -> tuple[Reason, ...]:
+def find_pause_doubts(test: ReducedTest, window: tuple[float, float]) -> tuple[Reason, ...]:
     """Find a doubt about a range of the first loading with a pause in which the force falls.
 
     Parameters
     ----------
     test : reduced test with its curve
-    stretch : ends of the range, m
+    window : m, displacements at both ends of the range
 
     Notes
     -----
@@ -570,50 +577,48 @@ def find_pause_doubts(test: ReducedTest, stretch: tuple[float, float]) -> tuple[
     the median duration; noise may spread it over several parts. The force falls if it decreases by
     more than 1 % of its change over the range, and by more than four standard errors.
     """
-    n_parts, duration_factor, min_fall, n_errors = 20, 5.0, 0.01, 4.0
+    n_parts, min_duration_ratio, min_fall, min_errors = 20, 5.0, 0.01, 4.0
     curve = test.required_curve
     branch = curve.first_loading
     if branch is None:
         return ()
     loading = slice(branch.start, branch.stop)
     time, force = curve.time[loading], curve.force[loading]
-    path = np.fmax.accumulate(curve.displacement[loading])
-    edges = np.searchsorted(path, np.linspace(*stretch, n_parts + 1))
-    edges = np.minimum(edges, len(path) - 1)
+    largest_so_far = np.fmax.accumulate(curve.displacement[loading])
+    edges = np.searchsorted(largest_so_far, np.linspace(*window, n_parts + 1))
+    edges = np.minimum(edges, len(time) - 1)
     durations = np.diff(time[edges])
-    long_parts = np.flatnonzero(durations > duration_factor * np.median(durations))
+    long_parts = np.flatnonzero(durations > min_duration_ratio * np.median(durations))
     if not len(long_parts) or edges[long_parts[-1] + 1] - edges[long_parts[0]] < n_parts:
         return ()
     start, stop = edges[long_parts[0]], edges[long_parts[-1] + 1]
-    size = (stop - start) // 10
+    tenth = (stop - start) // 10  # samples
     change = float(force[edges[-1]] - force[edges[0]]) or np.inf
-    start_force, end_force = force[start : start + size], force[stop - 2 * size : stop - size]
+    start_force, end_force = force[start : start + tenth], force[stop - 2 * tenth : stop - tenth]
     fall = float(np.nanmean(start_force) - np.nanmean(end_force)) / change
-    error = estimate_noise_level(force) / np.sqrt(size) / abs(change)
-    if not fall > max(min_fall, n_errors * error):
+    error = estimate_noise_level(force) / np.sqrt(tenth) / abs(change)
+    if not fall > max(min_fall, min_errors * error):
         return ()
-    place, duration = 1e3 * float(path[start]), float(time[stop] - time[start])
+    place, duration = 1e3 * float(largest_so_far[start]), float(time[stop] - time[start])
     return (Reason.of("results.pause_in_window", place=place, duration=duration, fall=fall),)
 
 
-def find_slip_doubts(test: ReducedTest, stretch: tuple[float, float] | None) -> tuple[Reason, ...]:
+def find_slip_doubts(test: ReducedTest, window: tuple[float, float] | None) -> tuple[Reason, ...]:
     """Find a doubt about a range of displacement with a slip that is marked but not repaired.
 
     Parameters
     ----------
     test : reduced test with its slip ledger
-    stretch : ends of the range, m; None if slips have no effect
+    window : m, displacements at both ends of the range; None if slips have no effect
     """
+    start, stop = window or (np.inf, -np.inf)
     slips = [slip for slip in test.slips if slip.decision is SlipDecision.MARKED]
-    slips = [slip for slip in slips if stretch and stretch[0] <= slip.position <= stretch[1]]
-    if not slips:
-        return ()
-    places = ", ".join(f"{1e3 * slip.position:.4g} mm" for slip in slips)
-    return (Reason.of("results.slip_in_window", places=places),)
+    places = [f"{1e3 * x.position:.4g} mm" for x in slips if start <= x.position <= stop]
+    return (Reason.of("results.slip_in_window", places=", ".join(places)),) if places else ()
 
 
 def find_compliance_doubts(test: ReducedTest, stiffness: float) -> tuple[Reason, ...]:
-    """Find a doubt that a large part of the displacement may be that of load frame and grips.
+    """Find a doubt if a large part of the displacement may be that of load frame and grips.
 
     Parameters
     ----------
@@ -621,11 +626,11 @@ def find_compliance_doubts(test: ReducedTest, stiffness: float) -> tuple[Reason,
     stiffness : N/m, measured stiffness
     """
     limits = test.setup.limits
-    fraction = limits.machine_compliance * stiffness
-    if test.setup.is_compliance_stated or not fraction > limits.machine_share:
+    machine_fraction = limits.machine_compliance * stiffness  # of the displacement
+    if test.setup.is_compliance_stated or not machine_fraction > limits.machine_share:
         return ()
     usual = 1e6 * limits.machine_compliance
-    return (Reason.of("results.machine_compliance", usual=usual, share=fraction),)
+    return (Reason.of("results.machine_compliance", usual=usual, share=machine_fraction),)
 
 
 class ClockResult(Kind):
@@ -639,7 +644,7 @@ class ClockResult(Kind):
     needs: ClassVar = Needs(clocks=True)
     method: ClassVar = "method by which the clocks of force and motion were joined"
 
-    def measure(self, test: ReducedTest) -> Iterator[Part]:
+    def measure(self, test: ReducedTest) -> Iterator[MeasuredItem]:
         """Yield offset and drift of force time against marker time; one event gives no drift."""
         fit = test.require(test.clocks.force_fit, Failure.of("results.one_clock"))
         n_events = len(fit.event_times_motion)

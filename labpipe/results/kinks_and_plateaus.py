@@ -18,7 +18,7 @@ from labpipe.records.quality import Finding, Reason
 from labpipe.records.result import Result
 from labpipe.results import curves, kinds
 from labpipe.results.cycles import find_truncation_doubts
-from labpipe.results.kinds import Kind, Outcome, Part, ReducedTest, Stiffness
+from labpipe.results.kinds import Kind, MeasuredItem, Outcome, ReducedTest, Stiffness
 from labpipe.results.stiffness import RangeKind
 from labpipe.uncertainty.intervals import MeasuredNumber, measure_numbers
 from labpipe.uncertainty.replicates import Choice, Extractor, Input, Replicates, Trace
@@ -28,13 +28,13 @@ _MIN_SEGMENT_SAMPLES = 4
 
 
 class Segments(NamedTuple):
-    """Two lines that meet, for each of many curves.
+    """Two lines that meet at a break, for each of many curves.
 
     Parameters
     ----------
-    break_point : shape (...), m, displacement at which the lines meet
+    break_point : shape (...), m, displacement at the break
     first_slope, second_slope : shape (...), N/m, slopes of the lines before and after the break
-    break_force : shape (...), N, force at which the lines meet
+    break_force : shape (...), N, force at the break
     """
 
     break_point: Floats
@@ -53,8 +53,8 @@ class Hinges:
     x : shape (k,), displacements of these samples, scaled to the range from -1 to 1
     candidates : shape (300,), candidate breaks on the scale of `x`
     line_residual : N, standard deviation of the reference curve about one straight line
-    grid_correction : globally best break of the reference curve, less the break that follows from
-        its best candidate, on the scale of `x`
+    grid_correction : globally best break of the reference curve, less the break interpolated
+        between its candidates, on the scale of `x`
     """
 
     path: curves.CommonPath
@@ -74,8 +74,8 @@ class Hinges:
 
         Returns
         -------
-        Equidistant candidates, from the eighth sample to the eighth from the end. With fewer than
-        64 samples, an eighth of their number replaces the eight, but at least four.
+        Equidistant candidates, from the eighth sample to the eighth from the end. For fewer than 64
+        samples, an eighth of their number, but at least four, replaces the eight.
 
         Raises
         ------
@@ -97,10 +97,8 @@ class Hinges:
         residuals = y - y.mean() - curves.compute_slope(x, y) * (x - x.mean())
         line_residual = float(np.sqrt(residuals @ residuals / (len(x) - 2)))
         hinges = cls(curves.CommonPath.of(displacement, force, order), x, candidates, line_residual)
-        global_break = hinges._find_global_break(residuals)
-        return replace(
-            hinges, grid_correction=global_break - float(hinges._find_breaks(y[None])[0])
-        )
+        grid_break = float(hinges._find_breaks(y[None])[0])
+        return replace(hinges, grid_correction=hinges._find_global_break(residuals) - grid_break)
 
     @property
     def ends(self) -> tuple[float, float]:
@@ -131,11 +129,10 @@ class Hinges:
         between them (Hudson, J. Am. Stat. Assoc. 61 (1966) 1097). For all other curves, the 300
         candidates are tried. A hinge max(x - c, 0) at the candidate c reduces the sum of squares
         about one straight line by (y'u)^2. Here y are the forces, and u is the hinge less its own
-        least-squares line, scaled to length 1. The candidate with the
-        largest reduction is refined by the parabola through it and its neighbours, and shifted by
-        the error that this refinement has for the reference curve. The lines are the least-squares
-        lines with this break. Noise of the displacement counts as noise of the force
-        (`CommonPath`).
+        least-squares line, scaled to length 1. The break is the maximum of the parabola through the
+        largest reduction and its neighbours, shifted by the error of this parabola for the
+        reference curve. The lines are the least-squares lines with this break. Noise of the
+        displacement counts as noise of the force (`CommonPath`).
         """
         y = self.path.move_force(force, displacement)
         shape, y, x = y.shape[:-1], y.reshape(-1, y.shape[-1]), self.x
@@ -157,17 +154,17 @@ class Hinges:
     def _find_breaks(self, y: Floats) -> Floats:
         """Find the best breaks (R,) of curves (R, k), interpolated between candidates."""
         candidates = self.candidates
-        gain = self._compute_gain(y, candidates)
-        best_index = np.clip(np.argmax(gain, axis=1), 1, len(candidates) - 2)
-        neighbours = np.take_along_axis(gain, best_index[:, None] + [-1, 0, 1], axis=1)
-        previous_gain, largest_gain, next_gain = neighbours.T  # of a parabola
-        curvature = 2.0 * largest_gain - previous_gain - next_gain
-        offset = 0.5 * (next_gain - previous_gain) / np.where(curvature > 0.0, curvature, np.inf)
+        reductions = self._compute_reductions(y, candidates)
+        best_index = np.clip(np.argmax(reductions, axis=1), 1, len(candidates) - 2)
+        neighbours = np.take_along_axis(reductions, best_index[:, None] + [-1, 0, 1], axis=1)
+        before, largest, after = neighbours.T  # reductions on a parabola
+        curvature = 2.0 * largest - before - after
+        offset = 0.5 * (after - before) / np.where(curvature > 0.0, curvature, np.inf)
         step = np.diff(candidates)[0]
         return np.asarray(candidates[best_index] + np.clip(offset, -1.0, 1.0) * step)
 
-    def _compute_gain(self, y: Floats, breaks: Floats) -> Floats:
-        """Compute how much a hinge at each break reduces the sum of squares of curves (R, k)."""
+    def _compute_reductions(self, y: Floats, breaks: Floats) -> Floats:
+        """Compute the reduction of the sum of squares of curves (R, k) by a hinge at each break."""
         x, centred_x = self.x, self.x - self.x.mean()
         starts = np.append(0, np.searchsorted(x, breaks))
         is_empty = np.diff(starts, append=len(x)) == 0
@@ -185,7 +182,7 @@ class Hinges:
         return np.asarray(product**2 / np.where(norms > 1e-14 * len(x), norms, np.inf))
 
     def _find_global_break(self, residuals: Floats) -> float:
-        """Find the best break of a curve, at a sample or where lines meet between two samples.
+        """Find the best break of a curve, at a sample or at a crossing of lines between samples.
 
         The residuals (k,), N, of the curve about one straight line are used, because their sums
         have smaller rounding errors than those of the forces.
@@ -203,11 +200,12 @@ class Hinges:
         inner_x = x[margin - 1 : len(x) - margin + 1]
         is_in_gap = (crossings >= inner_x[:-1]) & (crossings <= inner_x[1:])
         candidates = np.sort(np.concatenate([inner_x, crossings[is_in_gap]]))
-        return float(candidates[int(np.argmax(self._compute_gain(residuals[None], candidates)))])
+        reductions = self._compute_reductions(residuals[None], candidates)
+        return float(candidates[int(np.argmax(reductions))])
 
 
 def require_bend(segments: tuple[MeasuredNumber, ...], hinges: Hinges) -> None:
-    """Raise an error if the replicates of a curve do not show that it bends.
+    """Raise an error if a curve does not bend significantly.
 
     Parameters
     ----------
@@ -218,17 +216,16 @@ def require_bend(segments: tuple[MeasuredNumber, ...], hinges: Hinges) -> None:
     ------
     UnavailableError
         ``no_bend`` if the slopes differ by at most four standard errors, or if the break is within
-        the first or last three candidates in at least 2.5 % of the replicates, either as it is or
-        with the sign of its deviation reversed.
+        the first or last three candidates in at least 2.5 % of the replicates, with the deviations
+        as they are or with their signs reversed.
 
     Notes
     -----
-    The break is chosen for the best fit, which makes the difference of the slopes large. On a
+    The choice of the break for the best fit makes the difference of the slopes large. For a
     straight line, the difference therefore exceeds two standard errors much more often than once in
     twenty. The standard error is the distance from the median of all replicates to their 2.5 %
-    quantile on the side of the smaller bend, divided by 1.96. The other side is not used, because
-    replicates whose break moves towards an end have steeper slopes beyond the break. Such slopes
-    are no evidence against a bend.
+    quantile on the side of the smaller bend, divided by 1.96. The other side is not used: slopes
+    beyond a break near an end of the stretch may be steep, but are no evidence against a bend.
     """
     min_bend_errors = 4.0
     break_point, slope, next_slope, _ = segments
@@ -247,7 +244,7 @@ def require_bend(segments: tuple[MeasuredNumber, ...], hinges: Hinges) -> None:
 
 
 def require_kink(segments: tuple[MeasuredNumber, ...], hinges: Hinges) -> None:
-    """Raise an error if the replicates of a curve do not show that its slope decreases at a kink.
+    """Raise an error if the slope of a curve does not decrease significantly at a kink.
 
     Parameters
     ----------
@@ -261,9 +258,9 @@ def require_kink(segments: tuple[MeasuredNumber, ...], hinges: Hinges) -> None:
         in the first or the last twentieth of the stretch.
     """
     start, stop = (1e3 * end for end in hinges.ends)
-    no_bend, rms = return_failure(require_bend)(segments, hinges), hinges.line_residual
-    if no_bend is not None:
-        why = no_bend.message
+    failure, rms = return_failure(require_bend)(segments, hinges), hinges.line_residual
+    if failure is not None:
+        why = failure.message
         raise UnavailableError.of("results.no_kink", rms=rms, start=start, stop=stop, why=why)
     break_mm, first, second = 1e3 * segments[0].value, segments[1].value, segments[2].value
     if second >= first:
@@ -323,19 +320,19 @@ class _TwoLineKind(RangeKind):
     def fit(
         self, test: ReducedTest, require: Callable[[tuple[MeasuredNumber, ...], Hinges], None]
     ) -> tuple[tuple[MeasuredNumber, ...], Hinges]:
-        """Fit two lines to the curve of a test, and require a break between them.
+        """Fit two lines to the curve of a test, or raise an error if they do not meet at a break.
 
         Parameters
         ----------
         test : reduced test
-        require : function that raises an error without the required break, as `require_bend`
+        require : function that raises the error, such as `require_bend`
 
         Returns
         -------
         segments : fields of `Segments`, with their replicates
         hinges : candidate breaks of the curve
         """
-        segments = test.measure(self.choose_samples)
+        segments = test.measure_numbers(self.choose_samples)
         _, hinges = self._choose_hinges(curves.make_trace(test))
         require(segments, hinges)
         return segments, hinges
@@ -349,7 +346,7 @@ class _TwoLineKind(RangeKind):
 
         Returns
         -------
-        The functions that compute the fields of `Segments`.
+        The extractor of the fields of `Segments`.
         """
         samples, hinges = self._choose_hinges(trace)
 
@@ -400,11 +397,11 @@ class TwoSegments(_TwoLineKind):
         Output("break_point", "m", "Break point of the two segments"),
     )
 
-    def measure(self, test: ReducedTest) -> Iterator[Part]:
-        """Measure the slopes of the two best segments that meet, and their break."""
+    def measure(self, test: ReducedTest) -> Iterator[MeasuredItem]:
+        """Measure the slopes of the two lines that meet, and their break."""
         segments, hinges = self.fit(test, require_bend)
         break_point, (start, stop) = segments[0], hinges.ends
-        period = test.find_loading_interval(start, stop)
+        period = test.find_loading_period(start, stop)
         sample_doubts = find_contact_doubts(segments, hinges)
         sample_doubts += kinds.find_pause_doubts(test, hinges.ends)
         doubts = kinds.find_slip_doubts(test, hinges.ends) + sample_doubts
@@ -430,14 +427,14 @@ class Kink(_TwoLineKind):
         Output("kink_force", "N", "Kink force"),
     )
 
-    def measure(self, test: ReducedTest) -> Iterator[Part]:
+    def measure(self, test: ReducedTest) -> Iterator[MeasuredItem]:
         """Measure the point at which the slope of the first loading decreases."""
         segments, hinges = self.fit(test, require_kink)
         displacement, _, _, force = segments
         doubts = kinds.find_slip_doubts(test, hinges.ends)
         doubts += kinds.find_pause_doubts(test, hinges.ends)
         doubts += find_break_doubts(displacement.interval, hinges)
-        period = test.find_loading_interval(*hinges.ends)
+        period = test.find_loading_period(*hinges.ends)
         yield from self.make_results(test, (displacement, force), period=period, doubts=doubts)
         yield from _make_lines(segments, hinges, ("before_kink", "behind_kink"))
 
@@ -450,14 +447,14 @@ _MIN_TANGENT_SAMPLES = 8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tangents:
-    """Tangents of a loading curve, from its end backwards, with samples chosen on one curve.
+    """Tangents of loading curves, from the end backwards, with samples chosen on a reference curve.
 
     Parameters
     ----------
     path : samples with force and displacement, in order of time
-    length : length of a tangent, m
-    midpoints : shape (p,), m, displacements at the middle of the tangents, an eighth of `length`
-        apart, from the end of the curve backwards
+    length : m, length of a tangent
+    midpoints : shape (p,), m, displacements at the middle of the tangents, at distances of an
+        eighth of `length`, from the end of the curve backwards
     slope_weights : shape (p, k), 1/m, weights of the k forces in the slope of each tangent
     end_force_weights : shape (k,), weights of the forces in the force at the midpoint of the
         tangent at the end of the curve
@@ -479,7 +476,7 @@ class Tangents:
         ----------
         displacement, force : shape (n,), m, N; one loading branch in order of time, evenly sampled;
             NaN are ignored
-        length : length of a tangent, m
+        length : m, length of a tangent
 
         Returns
         -------
@@ -494,8 +491,8 @@ class Tangents:
         Notes
         -----
         The slope of a tangent is that of a least-squares parabola at the middle of its stretch, so
-        that the curvature of the curve is not mistaken for noise. A stretch begins when the curve
-        first reaches the lower displacement, and ends when it first reaches the higher one.
+        that curvature does not count as noise. A stretch begins when the curve first reaches its
+        lower displacement, and ends when the curve first reaches its higher displacement.
         """
         samples = curves.find_finite_samples(displacement, force)
         d = displacement[samples]
@@ -509,12 +506,12 @@ class Tangents:
         is_determined = np.isfinite(force_weights[:, 0])
         if not is_determined[0]:
             raise UnavailableError.of("results.displacement_jumps")
-        count = int(np.argmin([*is_determined, False]))
+        n_tangents = int(np.argmin([*is_determined, False]))
         return cls(
             path=curves.CommonPath.of(displacement, force, samples),
             length=length,
-            midpoints=midpoints[:count],
-            slope_weights=_expand_weights(indices, slope_weights, len(d))[:count],
+            midpoints=midpoints[:n_tangents],
+            slope_weights=_expand_weights(indices, slope_weights, len(d))[:n_tangents],
             end_force_weights=_expand_weights(indices, force_weights, len(d))[0],
             end_samples=indices[0][indices[0] < len(d)],
         )
@@ -535,7 +532,7 @@ class Tangents:
 
         Returns
         -------
-        shape (...), N/m.
+        Shape (...), N/m.
         """
         return np.asarray(self.path.move_force(force, displacement) @ self.slope_weights[0])
 
@@ -560,7 +557,7 @@ class Tangents:
         *,
         slope_below: float,
     ) -> tuple[Floats, Floats]:
-        """Find the point beyond which tangents stay below a fraction of the initial slope.
+        """Find the point beyond which all tangents are below a fraction of the initial slope.
 
         Parameters
         ----------
@@ -587,8 +584,8 @@ class Tangents:
         """
         f = self.path.move_force(force, displacement)
         shape, f = f.shape[:-1], f.reshape(-1, f.shape[-1])
-        required = slope_below * np.broadcast_to(initial_slope, shape).reshape(-1)
-        onset = _interpolate_first_crossing(self.midpoints, f @ self.slope_weights.T, required)
+        limits = slope_below * np.broadcast_to(initial_slope, shape).reshape(-1)
+        onset = _interpolate_first_crossing(self.midpoints, f @ self.slope_weights.T, limits)
         onset_force = _fit_forces(self.path.displacement, f, onset, 0.5 * self.length)
         return onset.reshape(shape), onset_force.reshape(shape)
 
@@ -599,7 +596,7 @@ class Tangents:
         slope: Floats | float,
         displacement: Floats | None = None,
     ) -> tuple[Floats, Floats, Floats]:
-        """Measure how tangents of half the length change an onset, and the slope beyond the onset.
+        """Measure changes of an onset with tangents of half the length, and the slope beyond it.
 
         Parameters
         ----------
@@ -618,12 +615,12 @@ class Tangents:
         Notes
         -----
         A tangent smooths a corner over its length, which moves the onset. The parabola for the
-        force cuts the corner.
+        force rounds the corner off.
         """
         f = self.path.move_force(force, displacement)
         shape, f = f.shape[:-1], f.reshape(-1, f.shape[-1])
         onset, slope = (np.broadcast_to(values, shape).reshape(-1) for values in (onset, slope))
-        # All curves share one mean onset, since noise moves the onset by a small part of a tangent.
+        # All curves have one mean onset, as noise moves the onset by a small fraction of a tangent.
         d, half_length, mean_onset = self.path.displacement, 0.5 * self.length, np.nanmean(onset)
         positions = mean_onset + self.length * np.linspace(0.5, -0.5, 2 * _TANGENTS_PER_LENGTH + 1)
         first, last = d.min() + 0.5 * half_length, d.max() - 0.5 * half_length
@@ -643,7 +640,10 @@ class Tangents:
 
 
 def _interpolate_first_crossing(positions: Floats, slopes: Floats, limits: Floats) -> Floats:
-    """Interpolate where slopes (R, p) at positions (p,) first reach limits (R,), or return NaN."""
+    """Interpolate the positions at which slopes (R, p) first reach limits (R,); NaN if never.
+
+    The slopes belong to `positions`, of shape (p,).
+    """
     is_steep = slopes >= limits[:, None]
     index, rows = np.argmax(is_steep, axis=1), np.arange(len(slopes))
     previous = np.maximum(index - 1, 0)
@@ -683,7 +683,7 @@ def _weigh_parabolas(
         half of `length`, or with samples that do not determine a parabola
     counts : shape (p,), number of samples of each stretch
     """
-    edge_tolerance = 1e-9  # a sample this close to an end counts as on it, despite rounding
+    edge_tolerance = 1e-9  # of the length; a sample so close to an end counts as at the end
     # The determinant of the mean products of 1, x, x^2 over the samples is of the order of rounding
     # for samples at only two displacements, and 5e-4 for evenly spaced samples.
     min_determinant = 1e-9
@@ -715,10 +715,10 @@ def _expand_weights(samples: Ints, weights: Floats, count: int) -> Floats:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _CornerError:
-    """Largest error of the onset from the length of tangents, and the noise of this error.
+    """Largest error of the onset from the length of tangents, and the effect of noise on it.
 
-    Half of the error corrects the estimate, so half of its noise is in the interval. The two
-    elements are those of displacement (m) and force (N) at the onset.
+    Half of the error corrects the estimate, so half of its noise is included in the interval. The
+    two elements are those of displacement (m) and force (N) at the onset.
 
     Parameters
     ----------
@@ -743,9 +743,8 @@ class _CornerError:
 
         Notes
         -----
-        On average, noise adds its variance v to the square of an error c. The variance is
-        subtracted, so that the fraction sqrt(1 - v / c^2) of the error remains. Nothing remains if
-        noise explains the whole error.
+        On average, noise adds its variance v to the square of an error c. The error is therefore
+        multiplied by sqrt(1 - v / c^2), or by zero if v exceeds c^2.
         """
         mean_effect, variance = np.nanmean(noise, axis=1), np.nanvar(noise, axis=1)
         error = measured - mean_effect
@@ -774,19 +773,19 @@ class Plateau(Kind):
     )
     over: Annotated[Length, "Length of a tangent"] = 0.005
 
-    def compute(self, test: ReducedTest) -> list[Part]:
-        """Measure the plateau, without its onset if the slope at the end is not available."""
+    def compute(self, test: ReducedTest) -> list[MeasuredItem]:
+        """Measure the plateau; without a slope at the end, omit its onset."""
         end_slope, *onset = super().compute(test)
         has_end_slope = isinstance(end_slope, Result) and end_slope.value is not None
         return [end_slope, *onset] if has_end_slope else [end_slope]
 
-    def measure(self, test: ReducedTest) -> Iterator[Part]:
+    def measure(self, test: ReducedTest) -> Iterator[MeasuredItem]:
         """Measure the slope at the end of the first loading, and the onset of a plateau."""
         missing = Failure.of("results.no_stiffness", name=self.of)
         stiffness = test.require(test.stiffnesses.get(self.of), missing)
         choose_samples = partial(self._choose_end_samples, choose_initial=stiffness.choose_samples)
-        outcome = test.measure_one(choose_samples)
-        loading, period = test.cycles[0][:1], test.find_loading_interval()
+        outcome = test.measure_number(choose_samples)
+        loading, period = test.cycles[0][:1], test.find_loading_period()
         slip_doubts = kinds.find_slip_doubts(test, stiffness.slip_range)
         gap_doubts = _find_gap_doubts(test, loading[0])
         doubts = (
@@ -796,7 +795,7 @@ class Plateau(Kind):
         yield end_slope
         onset, trace = self._measure_onset(test, stiffness, end_slope), curves.make_trace(test)
         tangents, _ = self._choose_tangents(trace, stiffness.choose_samples)
-        d, f = _read_loading(trace)
+        d, f = _cut_loading(trace)
         if not onset and (interval := end_slope.interval) is not None:
             facts: dict[str, Any] = {"slope": 1e2 * outcome.value, "low": 1e2 * interval.lower}
             facts |= {"high": 1e2 * interval.upper, "slope_below": 1e2 * self.slope_below}
@@ -813,43 +812,42 @@ class Plateau(Kind):
         yield FittedLine("slope_at_end", slope, force, start, stop)
 
     def _choose_tangents(self, trace: Trace, choose_initial: Choice) -> tuple[Tangents, Extractor]:
-        """Choose the tangents of the first loading, and the samples of the slope at its start."""
-        extractor = choose_initial(trace)
-        value = float(extractor.compute_numbers(trace)[0])
-        if value <= 0.0:
-            raise UnavailableError.of("results.no_initial_slope", value=value)
-        return Tangents.of(*_read_loading(trace), length=self.over), extractor
+        """Choose the tangents of the first loading, and the samples for the initial slope."""
+        initial = choose_initial(trace)
+        initial_slope = float(initial.compute_numbers(trace)[0])
+        if initial_slope <= 0.0:
+            raise UnavailableError.of("results.no_initial_slope", value=initial_slope)
+        return Tangents.of(*_cut_loading(trace), length=self.over), initial
 
     def _choose_end_samples(self, trace: Trace, *, choose_initial: Choice) -> Extractor:
         """Choose the samples for the ratio of the slope at the end to that at the start."""
-        tangents, extractor = self._choose_tangents(trace, choose_initial)
+        tangents, initial = self._choose_tangents(trace, choose_initial)
         change_per_step = self._compute_change_per_step(trace, tangents)
 
         def compute_ratio(trace: Trace) -> tuple[Floats]:
-            d, f = _read_loading(trace)
+            d, f = _cut_loading(trace)
             end_slope = tangents.compute_end_slope(f, d) + trace.steps_to_event * change_per_step
-            return (np.asarray(end_slope / extractor.compute_numbers(trace)[0], dtype=np.float64),)
+            return (np.asarray(end_slope / initial.compute_numbers(trace)[0], dtype=np.float64),)
 
-        n, ends_at_samples = len(tangents.end_samples), extractor.ends_at_samples
-        return Extractor(compute_ratio, n, ends_at_samples=ends_at_samples)
+        n_samples, ends_at_samples = len(tangents.end_samples), initial.ends_at_samples
+        return Extractor(compute_ratio, n_samples, ends_at_samples=ends_at_samples)
 
     def _compute_change_per_step(self, trace: Trace, tangents: Tangents) -> float:
         """Compute the change of the slope at the end over the last sampling step, N/m.
 
-        The machine turned at an unknown time, up to one step after the last sample.
+        The machine turns at an unknown time, up to one step after the last sample.
         """
-        d, f = _read_loading(trace)
+        d, f = _cut_loading(trace)
         earlier_tangents = return_failure(Tangents.of)(d[:-1], f[:-1], length=self.over)
         if isinstance(earlier_tangents, Failure):
             return 0.0
         return float(tangents.compute_end_slope(f) - earlier_tangents.compute_end_slope(f[:-1]))
 
     def _find_onset(
-        self, trace: Trace, choice: tuple[Tangents, Extractor]
+        self, trace: Trace, tangents: Tangents, initial: Extractor
     ) -> tuple[Floats, Floats, Floats]:
         """Find displacement (m) and force (N) at the onset, and the initial slope (N/m)."""
-        (tangents, extractor), (d, f) = choice, _read_loading(trace)
-        initial_slope = extractor.compute_numbers(trace)[0]
+        (d, f), initial_slope = _cut_loading(trace), initial.compute_numbers(trace)[0]
         onset = tangents.find_onset(f, initial_slope, d, slope_below=self.slope_below)
         return *onset, initial_slope
 
@@ -857,52 +855,55 @@ class Plateau(Kind):
         self, trace: Trace, choose_initial: Choice, corner: _CornerError
     ) -> Extractor:
         """Choose the samples for displacement and force at the onset of the plateau."""
-        choice = self._choose_tangents(trace, choose_initial)
+        tangents, initial = self._choose_tangents(trace, choose_initial)
 
         def compute_onset(trace: Trace) -> tuple[Floats, Floats]:
-            onset, force, _ = self._find_onset(trace, choice)
+            onset, force, _ = self._find_onset(trace, tangents, initial)
             correction = trace.sizes.get(TANGENT, 0.0) * corner.error
             return onset + correction[0], force + correction[1]
 
         def compute_noisy_onset(trace: Trace) -> tuple[Floats, Floats]:
-            onset, force, _ = self._find_onset(trace, choice)
-            effect = corner.compute_noise_effect(self._measure_corners(trace, choice))
+            onset, force, _ = self._find_onset(trace, tangents, initial)
+            errors = self._measure_corners(trace, tangents, initial)
+            effect = corner.compute_noise_effect(errors)
             return onset + effect[0], force + effect[1]
 
         if np.isnan(compute_onset(trace)[1]):
             raise UnavailableError.of("results.no_onset")
-        return Extractor(compute_onset, len(choice[0].end_samples), compute_noisy_onset)
+        return Extractor(compute_onset, len(tangents.end_samples), compute_noisy_onset)
 
-    def _measure_corners(self, trace: Trace, choice: tuple[Tangents, Extractor]) -> Floats:
+    def _measure_corners(self, trace: Trace, tangents: Tangents, initial: Extractor) -> Floats:
         """Measure the largest error of the onset from the length of tangents, m and N, (2, ...)."""
         # The factors are multiples of the change with tangents of half the length. At a corner, the
-        # error of the onset is in proportion to the length, which makes it twice that change. In a
-        # smooth bend, it is in proportion to the square of the length, and 4/3 of that change. The
+        # error of the onset is in proportion to the length, and thus twice that change. In a smooth
+        # bend, it is in proportion to the square of the length, and thus 4/3 of that change. The
         # range from zero to the factor contains both.
         onset_factor = 3.0
-        force_factor = 2.0  # the force is that over half the length: 1 or 1/3 of its change
-        (d, f), (onset, _, initial_slope) = _read_loading(trace), self._find_onset(trace, choice)
-        required = self.slope_below * initial_slope
-        onset_change, force_change, slope = choice[0].measure_corner_changes(f, onset, required, d)
+        force_factor = (
+            2.0  # for a parabola over half the length, the error is 1 or 1/3 of the change
+        )
+        d, f = _cut_loading(trace)
+        onset, _, initial_slope = self._find_onset(trace, tangents, initial)
+        limit = self.slope_below * initial_slope
+        onset_change, force_change, slope = tangents.measure_corner_changes(f, onset, limit, d)
         onset_error = onset_factor * onset_change
         return np.stack([onset_error, force_factor * force_change + onset_error * slope])
 
     def _estimate_corner(self, replicates: Replicates, choose_initial: Choice) -> _CornerError:
         """Estimate the error of the onset of the measured curve, without the effect of noise.
 
-        The smooth curve may have other corners, so the effect of noise is the difference between
-        the errors of a replicate and of the smooth curve. If the smooth curve has no tangents or no
-        initial slope, the effect is not removed.
+        The effect of noise is the error of a replicate less that of the smooth curve, because the
+        smooth curve may have other corners. If the smooth curve has no tangents or no initial
+        slope, the effect is not removed.
         """
-        choose_tangents = partial(self._choose_tangents, choose_initial=choose_initial)
-        choice = choose_tangents(replicates.measured_trace)
-        error = self._measure_corners(replicates.measured_trace, choice)
-        smooth_choice = return_failure(choose_tangents)(replicates.smooth_trace)
+        measured, smooth = replicates.measured_trace, replicates.smooth_trace
+        error = self._measure_corners(measured, *self._choose_tangents(measured, choose_initial))
+        smooth_choice = return_failure(self._choose_tangents)(smooth, choose_initial)
         if isinstance(smooth_choice, Failure):
             return _CornerError(error, np.zeros(2), np.zeros(2))
-        smooth_error = self._measure_corners(replicates.smooth_trace, smooth_choice)
+        smooth_error = self._measure_corners(smooth, *smooth_choice)
         traces = replicates.iterate_traces()
-        noisy_errors = [self._measure_corners(trace, smooth_choice) for trace in traces]
+        noisy_errors = [self._measure_corners(trace, *smooth_choice) for trace in traces]
         noise = np.concatenate(noisy_errors, axis=1) - smooth_error[:, None]
         return _CornerError.of(error, smooth_error, noise)
 
@@ -911,32 +912,31 @@ class Plateau(Kind):
     ) -> Sequence[Outcome]:
         """Measure displacement and force at the onset; the length of tangents is one more input.
 
-        There are no outcomes without a plateau, which is not a failure.
+        The outcomes are empty without a plateau, which is not a failure.
         """
         if end_slope.interval is None or not end_slope.interval.upper < self.slope_below:
             return ()
 
-        def set_correction(trace: Trace, x: float) -> Trace:
-            return replace(trace, sizes={**trace.sizes, TANGENT: x})
+        def set_correction(trace: Trace, n_units: float) -> Trace:
+            return replace(trace, sizes={**trace.sizes, TANGENT: n_units})
 
-        replicates = test.require(test.replicates)
-        choose_initial = stiffness.choose_samples
-        choice = self._choose_tangents(replicates.measured_trace, choose_initial)
-        if np.isnan(self._find_onset(replicates.measured_trace, choice)[1]):
+        replicates, choose_initial = test.require(test.replicates), stiffness.choose_samples
+        measured = replicates.measured_trace
+        tangents, initial = self._choose_tangents(measured, choose_initial)
+        if np.isnan(self._find_onset(measured, tangents, initial)[1]):
             return 2 * (Failure.of("results.no_onset"),)
-        inputs = (*replicates.inputs, Input(TANGENT, set_correction, distribution="ends"))
+        correction = Input(TANGENT, set_correction, distribution="ends")
+        replicates = replace(replicates, inputs=(*replicates.inputs, correction))
         corner = self._estimate_corner(replicates, choose_initial)
         choose_samples = partial(self._choose_onset, choose_initial=choose_initial, corner=corner)
-        outcome = return_failure(measure_numbers)(
-            replace(replicates, inputs=inputs), choose_samples
-        )
+        outcome = return_failure(measure_numbers)(replicates, choose_samples)
         return 2 * (outcome,) if isinstance(outcome, Failure) else outcome
 
 
-def _read_loading(trace: Trace) -> tuple[Floats, Floats]:
-    """Return displacement and force of the first loading."""
-    stretch = curves.select_first_loading(trace)
-    return trace.displacement[..., stretch], trace.force[..., stretch]
+def _cut_loading(trace: Trace) -> tuple[Floats, Floats]:
+    """Cut displacement (m) and force (N) of the first loading from one or many curves."""
+    loading = curves.select_first_loading(trace)
+    return trace.displacement[..., loading], trace.force[..., loading]
 
 
 def _find_gap_doubts(test: ReducedTest, branch: Branch) -> tuple[Reason, ...]:
@@ -947,5 +947,5 @@ def _find_gap_doubts(test: ReducedTest, branch: Branch) -> tuple[Reason, ...]:
     # Up to two samples are lost when two clocks are joined.
     if not len(finite_samples) or finite_samples[-1] >= len(d) - 3:
         return ()
-    end, missing = 1e3 * float(d[finite_samples[-1]]), len(d) - 1 - finite_samples[-1]
-    return (Reason.of("results.gap_at_end", end=end, missing=missing),)
+    last = finite_samples[-1]
+    return (Reason.of("results.gap_at_end", end=1e3 * float(d[last]), missing=len(d) - 1 - last),)

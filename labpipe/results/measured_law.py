@@ -1,19 +1,19 @@
 """Measure curvature and moment (the cloud), and fit the law of the first loading.
 
-Markers give the shape and the force gives the moment; no stiffness is assumed. The axes are those
+Shapes are measured by markers and moments by the force; no stiffness is assumed. The axes are those
 of the specimen: x along its undeformed axis from the clamped end, y in the plane of bending towards
-the pull. The cloud takes curvatures from second derivatives of curves through the markers. The fit
-of the law compares the markers with the shapes that follow from the law. It differentiates no
-curve, so its curvatures are much more accurate.
+the pull. Curvatures of the cloud are computed from second derivatives of curves through the
+markers. The fit of the law compares the markers with the shapes that the law predicts. It
+differentiates no curve, so its curvatures are much more accurate.
 
-The wire does not stretch, and its direction at the clamp is fixed. The angle of its axis in frame f
-of the cameras is
+The model wire does not stretch, and its direction at the clamp is fixed. The angle of its axis in
+frame f of the cameras is
 
     theta_f(s) = theta_rest(s) + integral from 0 to s of [kappa(M_f) - kappa(M_rest)] ds'
 
-with one law kappa(M) for all cross-sections and frames. Where a weight bends the wire at rest away
-from the pull, the loading first unloads the wire. Masing's rule then holds until the moment is as
-large towards the pull:
+with one law kappa(M) for all cross-sections and frames. If a weight bends the wire at rest away
+from the pull, the loading first unloads the wire. Masing's rule then holds until the moment towards
+the pull is as large as that at rest:
 
     kappa - kappa(M_rest) = 2 kappa((M_f - M_rest) / 2).
 
@@ -46,11 +46,11 @@ from labpipe.records.quality import Reason
 N_FIT_MEANS = 80
 """Number of means over consecutive frames of the first loading in the fit of the law.
 
-All means have the same whole number of frames, so that the loading has between this number of means
-and twice this number. It has fewer if it has fewer frames, or if means have no shape or force.
+All means have the same whole number of frames, so the loading has from this number to twice this
+number of means. It has fewer if it has fewer frames, or if means have no shape or force.
 """
 N_CLOUD_MEANS = 50
-"""Number of means of the first loading in the cloud, counted as `N_FIT_MEANS`."""
+"""Number of means of the first loading in the cloud, in the sense of `N_FIT_MEANS`."""
 N_CLOUD_STATIONS = 17
 """Number of equidistant stations along the specimen in the cloud."""
 RECTANGULAR_DEVIATION = 1.0 / np.sqrt(3.0)
@@ -59,7 +59,7 @@ RECTANGULAR_DEVIATION = 1.0 / np.sqrt(3.0)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TipPull:
-    """Pull of a string and a weight on the tip, for any reading of the load cell.
+    """Pull of a string and a weight at the tip, as a function of the reading of the load cell.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ class TipPull:
     self_weight: float = 0.0
 
     def compute_force(self, reading: Floats, tip_x: Floats) -> Floats:
-        """Return the force at the tip, N.
+        """Compute the force at the tip.
 
         Parameters
         ----------
@@ -87,8 +87,8 @@ class TipPull:
 
         Returns
         -------
-        shape (n, 2), N, along x and y. The y component is NaN if the tip is farther from the anchor
-        along x than the string is long; the x component is then finite.
+        Shape (n, 2), N, along x and y. The y component is NaN if the distance of the tip from the
+        anchor along x exceeds the length of the string; the x component is then finite.
 
         Notes
         -----
@@ -133,7 +133,7 @@ def evaluate_curves(coefficients: Floats, length: float, arc_length: Floats) -> 
 
     Notes
     -----
-    The curvature is kappa = (x' y'' - y' x'') / (x'^2 + y'^2)^(3/2). It is not x' y'' - y' x'',
+    The curvature is kappa = (x' y'' - y' x'') / (x'^2 + y'^2)^(3/2). The denominator is not 1,
     because the parameter s of a fitted curve is only approximately its arc length.
     """
     series, u = np.moveaxis(coefficients[:, :2], -1, 0), arc_length / length
@@ -177,19 +177,17 @@ class FittedMeans:
     branch : shape (n,), index of the branch of each mean
     markers : shape (n, markers, 3), m, mean positions from the clamped end; NaN if a marker was not
         measured in every frame of the mean
-    frames_per_mean : number of frames of one mean
     coefficients : shape (n, 3, terms), m, power series of the fitted curves
     finer_series : shape (n, 3, terms + 1), m, power series with one more coefficient; None if
         the markers do not determine it
-    tip_gain : shape (n,), standard error of the tip coordinate x or y, whichever is larger, over
-        the standard deviation of a marker coordinate
+    tip_gain : shape (n,), larger standard error of both coordinates of the tip, over the standard
+        deviation of a marker coordinate
     """
 
     time: Floats
     force: Floats
     branch: Ints
     markers: Floats
-    frames_per_mean: int
     coefficients: Floats
     finer_series: Floats | None
     tip_gain: Floats
@@ -197,7 +195,7 @@ class FittedMeans:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SpecimenAtRest:
-    """Mean markers and mean curve of the specimen before the loading.
+    """Mean markers of the specimen before the loading, and the mean curve through them.
 
     Parameters
     ----------
@@ -256,7 +254,7 @@ def _flag_markers(shape: Shape) -> Flags:
 
 @dataclass(frozen=True, eq=False)
 class BendingTest:
-    """Shapes and forces of a bending test. All arrays have shape (frames,).
+    """Shapes and forces of a bending test; all arrays have shape (frames,).
 
     Parameters
     ----------
@@ -365,7 +363,6 @@ class BendingTest:
             force=force[is_usable],
             branch=branch[rows[:, 0]],
             markers=markers,
-            frames_per_mean=frames_per_mean,
             coefficients=fit.coefficients[is_usable],
             finer_series=None if finer_fit is None else finer_fit.coefficients,
             tip_gain=fit.gain[is_usable, :2].max(axis=1),
@@ -382,7 +379,7 @@ class BendingTest:
 
         Returns
         -------
-        shape (n, stations), N m, positive if the moment bends towards the pull: M(s) =
+        Shape (n, stations), N m, positive if the moment bends towards the pull: M(s) =
         Py (x_L - x) - Px (y_L - y), less the moment of the specimen's weight between s and the tip.
         """
         length, pull = self.shape.length, self.pull
@@ -399,7 +396,7 @@ class BendingTest:
     def compute_curvature_gain(
         self, markers: Floats, curves: StationCurves, arc_length: Floats
     ) -> Floats:
-        """Compute the standard error of curvature over the standard deviation of a coordinate.
+        """Compute the ratio of the standard error of curvature to the noise of a coordinate.
 
         Parameters
         ----------
@@ -410,15 +407,16 @@ class BendingTest:
 
         Returns
         -------
-        shape (n, stations), 1/m^2; NaN for a curve with too few markers.
+        Shape (n, stations), 1/m^2; NaN for a curve with too few markers.
 
         Notes
         -----
         With the normal n = (-sin, cos) and the tangent t = (cos, sin) of the curve, d kappa =
         n . d r'' - 2 kappa t . d r'. The least-squares fit makes r'' and r' linear in the markers.
         """
-        length, n = self.shape.length, int(self.shape.coefficients.shape[2])
-        basis = build_curve_basis(terms=n, length=length, has_clamp=True, free_tip=self.free_tip)
+        length, free_tip = self.shape.length, self.free_tip
+        terms = int(self.shape.coefficients.shape[2])
+        basis = build_curve_basis(terms=terms, length=length, has_clamp=True, free_tip=free_tip)
         second_derivative = polyval(arc_length / length, polyder(basis.matrix, 2)).T / length**2
         derivatives = second_derivative, basis.compute_slopes(arc_length)
         is_visible = np.isfinite(markers).all(axis=2)
@@ -463,7 +461,7 @@ def measure_bending(test: BendingTest) -> Bending:
 
 
 def measure_cloud(test: BendingTest) -> BendingCloud:
-    """Compute curvatures and moments, less those at rest, at stations along the specimen.
+    """Measure curvatures and moments, less those at rest, at stations along the specimen.
 
     Parameters
     ----------
@@ -472,7 +470,7 @@ def measure_cloud(test: BendingTest) -> BendingCloud:
     Returns
     -------
     One row per mean over consecutive frames of a branch. `N_CLOUD_MEANS` sets the number of frames
-    of one mean, for all branches. A mean without a shape or a force is left out.
+    of one mean, for all branches. A mean without a shape or a force is omitted.
 
     Raises
     ------
@@ -507,7 +505,7 @@ def measure_cloud(test: BendingTest) -> BendingCloud:
     gain = test.compute_curvature_gain(means.markers, loaded_curves, stations)
     force_error = np.hypot(errors.force_zero, errors.force_noise / np.sqrt(frames_per_mean))
     error_from_force = force_error * (loaded_curves.x[:, -1:] - loaded_curves.x)
-    # If marker centres are farther from the axis, the lever is shorter in proportion to the sine of
+    # If marker centres are farther from the axis by d, the lever is shorter by d times the sine of
     # the angle at the tip.
     centre_error = errors.centre_offset * np.sin(loaded_curves.angle[:, -1])
     tip_error = rest.marker_noise * means.tip_gain / np.sqrt(frames_per_mean)
@@ -553,9 +551,9 @@ def fit_loading_law(test: BendingTest, cloud: BendingCloud) -> MeasuredLaw:
     Moments are those of the fitted shapes. Changes of the compliances from causes common to all
     frames (zero of the force, a tension at rest removed by the zero, ends of the specimen, distance
     of marker centres from the axis, moments of shapes with one more coefficient) are computed to
-    first order and added as independent errors. An equally probable alternative counts with
-    1 / sqrt(3) of its change, the standard deviation of a rectangular distribution. So does the
-    change with half as many intervals between knots.
+    first order and added as independent errors. The standard error from an equally probable
+    alternative, or from half as many intervals between knots, is 1 / sqrt(3) of the change, as for
+    a rectangular distribution.
     """
     min_means = 24
     is_loading, rest = test.branch == test.first_branch, test.specimen_at_rest
@@ -584,8 +582,8 @@ def fit_loading_law(test: BendingTest, cloud: BendingCloud) -> MeasuredLaw:
     displacement = fit.compute_displacement(data)
     common_errors = [knot_error]
     for alternative, factor in _generate_alternatives(test, means, data):
-        displacement_change = fit.compute_displacement(alternative) - displacement
-        common_errors.append(factor * fit.compute_compliance_change(displacement_change))
+        marker_shifts = fit.compute_displacement(alternative) - displacement
+        common_errors.append(factor * fit.compute_compliance_change(marker_shifts))
     return tabulate_law(
         fit,
         common_errors,
@@ -599,7 +597,7 @@ def fit_loading_law(test: BendingTest, cloud: BendingCloud) -> MeasuredLaw:
 def _generate_alternatives(
     test: BendingTest, means: FittedMeans, data: LawData
 ) -> Iterator[tuple[LawData, float]]:
-    """Yield the data for a change of each common cause, and how many standard errors it counts."""
+    """Yield the data changed by each common cause, and the factor from change to standard error."""
     errors, rest, length = test.errors, test.specimen_at_rest, test.shape.length
     points, no_load = data.arc_length, np.zeros(1)
 
@@ -615,7 +613,7 @@ def _generate_alternatives(
             moment_at_rest=test.compute_moments(rest_curves, no_load, points)[0],
         )
 
-    # The force at rest is not zero.
+    # The zero of the force is wrong.
     yield recompute(force_change=errors.force_zero), 1.0
     if errors.alternative_tension is not None:
         # The string has another tension at rest.
@@ -668,7 +666,7 @@ def evaluate_law(
     -------
     Values and standard errors, each of shape (n,), of ``moment`` (N m), ``secant`` and ``tangent``
     (N m^2). Beyond the largest curvature of the law, values are NaN and errors have no meaning. At
-    zero curvature, the secant is NaN. Where the compliance is zero, errors are not finite.
+    zero curvature, the secant is NaN. If the compliance is zero, errors are not finite.
 
     Notes
     -----
@@ -732,9 +730,9 @@ def tabulate_law(
 
     Notes
     -----
-    A curvature is known if it is above 1.96 times the noise of the curvatures of the cloud, and if
-    the interval of the law excludes a moment of zero. Where an interval is not finite, the moment
-    is given without it. Stiffnesses are given where the curvature is known.
+    A curvature is known if it exceeds 1.96 times the noise of the curvatures of the cloud, and if
+    the interval of the law excludes a moment of zero. A moment without a finite interval has the
+    interval NaN. Stiffnesses are NaN at unknown curvatures.
     """
     n_rows = 41
     knots, compliance = fit.basis.knots, fit.compliance
@@ -773,7 +771,7 @@ def tabulate_law(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LawFit:
-    """A fitted law, and the dependence of its compliances on the markers.
+    """A fitted law, with the sensitivity of its compliances to the markers.
 
     Parameters
     ----------
@@ -784,8 +782,8 @@ class LawFit:
         coordinate
     residual : m, root mean square misfit of a marker coordinate
     n_coordinates : number of measured marker coordinates in all means
-    noise_variance : m^2, variance of independent noise of the coordinates that would give the
-        compliances about the same covariance
+    noise_variance : m^2, variance of independent noise of the coordinates for which the compliances
+        have about the same covariance
     """
 
     basis: LawBasis
@@ -797,26 +795,25 @@ class LawFit:
     noise_variance: float
 
     def compute_displacement(self, data: LawData) -> Floats:
-        """Compute the displacement of the markers from rest by the law, shape (n, 2 markers), m."""
+        """Compute the displacement of the markers from rest by the law, m, shape (n, 2 markers)."""
         return data.compute_displacement(data.compute_rotations(self.basis) @ self.compliance)
 
-    def compute_compliance_change(self, change: Floats) -> Floats:
-        """Compute how the fitted compliances change with the data of the fit.
+    def compute_compliance_change(self, marker_shifts: Floats) -> Floats:
+        """Compute the change of the fitted compliances with a change of the data of the fit.
 
         Parameters
         ----------
-        change : shape (n, 2 markers), m, change of the displacement that the data give with the
-            same law
+        marker_shifts : shape (n, 2 markers), m, change of the displacements by the same law
 
         Returns
         -------
-        shape (knots,), 1/(N m^2), to first order.
+        Shape (knots,), 1/(N m^2), to first order.
         """
-        return np.asarray(-np.tensordot(self.sensitivity, change, axes=2), dtype=np.float64)
+        return np.asarray(-np.tensordot(self.sensitivity, marker_shifts, axes=2), dtype=np.float64)
 
 
 def refine_law(data: LawData) -> tuple[LawFit, Floats]:
-    """Fit a law with 13 knots, or with 25 if these fit the markers significantly better.
+    """Fit a law with 13 knots, or with 25 knots if these fit the markers significantly better.
 
     Parameters
     ----------
@@ -825,8 +822,8 @@ def refine_law(data: LawData) -> tuple[LawFit, Floats]:
     Returns
     -------
     fit : the law
-    knot_error : shape (knots,), 1/(N m^2), standard errors of the compliances from the number of
-        knots, fully correlated: 1 / sqrt(3) of the change with half as many intervals between knots
+    knot_error : shape (knots,), 1/(N m^2), fully correlated standard errors of the compliances from
+        the number of knots: 1 / sqrt(3) of the change with half as many intervals between knots
 
     Raises
     ------
@@ -835,10 +832,10 @@ def refine_law(data: LawData) -> tuple[LawFit, Floats]:
 
     Notes
     -----
-    Thirteen knots describe a smooth law to 0.1 % of its moment. A wire whose strands all begin to
-    slip at the same moment has a law with a kink. The intervals between knots are therefore halved
-    if that reduces the sum of squares by more than log n times the variance of the noise for each
-    added knot (Schwarz, Ann. Stat. 6 (1978) 461).
+    Thirteen knots describe a smooth law to 0.1 % of its moment. If all strands of a wire begin to
+    slip at the same moment, the law has a kink. The intervals between knots are therefore halved if
+    that reduces the sum of squares, for each added knot, by more than log n times the variance of
+    the noise (Schwarz, Ann. Stat. 6 (1978) 461).
     """
     knot_counts = (7, 13, 25)
     largest = float(data.moment.max())
@@ -877,8 +874,8 @@ def fit_law(data: LawData, basis: LawBasis) -> LawFit:
     frames at rest are one more row of the design. The covariance of the compliances therefore
     includes the noise of the mean at rest, which is common to all frames. It is a sandwich
     estimator with the long-run covariance of the residuals between coordinates (Newey and West,
-    Econometrica 55 (1987) 703), because an error of the clamp's pivot or of the force moves all
-    coordinates, and an error of a smoothed force lasts for several frames.
+    Econometrica 55 (1987) 703), because an error of the clamp's pivot or of the force affects all
+    coordinates, and an error of a smoothed force persists for several frames.
     """
     max_steps = 12
     relative_tolerance = 1e-7
@@ -912,20 +909,18 @@ def fit_law(data: LawData, basis: LawBasis) -> LawFit:
         compliance = solution
         if relative_change < relative_tolerance:
             break
-    loaded_residuals, count = residuals[:-1, :, 0], int(is_measured.sum())
+    loaded_residuals, n_coordinates = residuals[:-1, :, 0], int(is_measured.sum())
     sensitivity = np.einsum("kj,nmj->knm", _invert(normal_matrix), design)[:, :-1]
-    degrees_of_freedom = max(float(count) - len(ones) - is_measured.shape[1], 1.0)
-    noise = (
-        _estimate_long_run_covariance(loaded_residuals, is_measured) * count / degrees_of_freedom
-    )
+    dof = max(float(n_coordinates) - len(ones) - is_measured.shape[1], 1.0)
+    noise = _estimate_long_run_covariance(loaded_residuals, is_measured) * n_coordinates / dof
     covariance = np.einsum("knm,ml,jnl->kj", sensitivity, noise, sensitivity, optimize=True)
     return LawFit(
         basis=basis,
         compliance=compliance,
         covariance=covariance,
         sensitivity=sensitivity,
-        residual=float(np.sqrt((loaded_residuals**2).sum() / max(count, 1))),
-        n_coordinates=count,
+        residual=float(np.sqrt((loaded_residuals**2).sum() / max(n_coordinates, 1))),
+        n_coordinates=n_coordinates,
         noise_variance=float(np.trace(covariance @ normal_matrix)) / len(ones),
     )
 
@@ -953,9 +948,9 @@ def _invert(normal_matrix: Floats) -> Floats:
 
 
 def _estimate_long_run_covariance(residuals: Floats, is_measured: Flags) -> Floats:
-    """Estimate the long-run covariance of residuals (n, 2 markers), with Bartlett's weights."""
-    count = len(residuals)
-    max_lag = min(round(4.0 * (count / 100.0) ** (2.0 / 9.0)) + 1, count // 4)
+    """Estimate the long-run covariance of residuals (n, 2 markers) with Bartlett's weights."""
+    n_means = len(residuals)
+    max_lag = min(round(4.0 * (n_means / 100.0) ** (2.0 / 9.0)) + 1, n_means // 4)
     weights = is_measured.astype(np.float64)
     covariance = residuals.T @ residuals / np.maximum(weights.T @ weights, 1.0)
     for lag in range(1, max_lag + 1):
@@ -966,7 +961,7 @@ def _estimate_long_run_covariance(residuals: Floats, is_measured: Flags) -> Floa
 
 
 def divide_wire(marker_arc_length: Floats, length: float) -> tuple[Floats, Ints]:
-    """Divide a wire by points at the clamped end, the markers and the tip, and between them.
+    """Divide a wire into steps between points, among them the clamped end, the markers and the tip.
 
     Parameters
     ----------
@@ -1025,7 +1020,7 @@ class LawData:
         return np.concatenate([displacement[..., 0], displacement[..., 1]], axis=1)
 
     def compute_rotations(self, basis: LawBasis) -> Floats:
-        """Compute rotations of the wire from rest per unit of compliance at each knot.
+        """Compute rotations of the wire from rest for a unit compliance at each knot.
 
         Parameters
         ----------
@@ -1033,7 +1028,7 @@ class LawData:
 
         Returns
         -------
-        shape (n, points, knots), rad N m^2.
+        Shape (n, points, knots), rad N m^2.
         """
         return self._integrate(basis.compute_curvature_changes(self.moment_at_rest, self.moment))
 
@@ -1046,7 +1041,7 @@ class LawData:
 
         Returns
         -------
-        shape (n, 2 markers), m: x of all markers, then y.
+        Shape (n, 2 markers), m: x of all markers, then y.
         """
         angles = self.angle_at_rest + rotation, self.angle_at_rest[None]
         centres, rest_centres = (self._place_centres(np.cos(a), np.sin(a)) for a in angles)
@@ -1062,7 +1057,7 @@ class LawData:
 
         Returns
         -------
-        shape (n, 2 markers, knots), N m^3.
+        Shape (n, 2 markers, knots), N m^3.
         """
         angle = (self.angle_at_rest + rotations @ compliance)[..., None]
         return self._place_centres(-np.sin(angle) * rotations, np.cos(angle) * rotations)
@@ -1095,12 +1090,12 @@ class LawBasis:
     knots: Floats
 
     def compute_compliances(self, moment: Floats) -> Floats:
-        """Compute the compliance per unit of compliance at each knot, shape (*moment, knots)."""
+        """Compute the compliance for a unit compliance at each knot, shape (*moment, knots)."""
         hats = np.eye(len(self.knots))
         return np.stack([np.interp(np.abs(moment), self.knots, hat) for hat in hats], axis=-1)
 
     def compute_curvatures(self, moment: Floats) -> Floats:
-        """Compute the curvature per unit of compliance at each knot, N m, shape (*moment, knots).
+        """Compute the curvature for a unit compliance at each knot, N m, shape (*moment, knots).
 
         The curvature is an odd function of the moment.
         """
@@ -1115,16 +1110,16 @@ class LawBasis:
         return np.asarray(np.sign(moment)[..., None] * curvatures, dtype=np.float64)
 
     def compute_curvature_changes(self, start_moment: Floats, moment: Floats) -> Floats:
-        """Compute curvatures less those at the start, per unit of compliance at each knot.
+        """Compute curvatures less those at the start, for a unit compliance at each knot.
 
         Parameters
         ----------
-        start_moment : shape (points,), N m, moments at the start, reached by a first loading
+        start_moment : shape (points,), N m, moments at the start, after a first loading from zero
         moment : shape (n, points), N m, later moments
 
         Returns
         -------
-        shape (n, points, knots), N m.
+        Shape (n, points, knots), N m.
         """
         changes = self.compute_curvatures(moment) - self.compute_curvatures(start_moment)
         rise = moment - start_moment
@@ -1134,9 +1129,9 @@ class LawBasis:
 
 
 def choose_knots(largest_moment: float, count: int) -> LawBasis:
-    """Choose knots at moments in proportion to the power 1.6 of their index.
+    """Choose knots of a law at moments in proportion to the power 1.6 of their index.
 
-    They are denser near zero, since every frame has cross-sections with small moments.
+    Knots are denser near zero, because every frame has cross-sections with small moments.
 
     Parameters
     ----------

@@ -1,14 +1,14 @@
 """Measure the moment-curvature law of a test, and find the state of its string at rest.
 
 A string that is taut at rest carries the load at the tip: the counterweight, and 3/8 of the weight
-of the wire, as a prop at the tip would. Under a slack string, the wire carries this load. It then
+of the wire, as a prop at the tip would. With a slack string, the wire carries this load. It then
 hangs, and is bent downwards before it is bent upwards. Four observations distinguish the states:
 
 - the string becomes slack in a later cycle, and the tip moves with the clamp. The force is then
-  below that at rest by the tension at rest;
-- the force falls below that at rest, which is not possible for a slack string;
+  lower than at rest by the tension at rest;
+- the force falls below the force at rest, which is not possible for a slack string;
 - the clamp is ahead of the tip when the string begins to pull: the string was slack by that length;
-- the tip is below the axis of the clamp at rest by the deflection under that load.
+- at rest, the tip is below the axis of the clamp by the deflection under that load.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from math import sqrt
-from typing import Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
@@ -33,15 +33,17 @@ from labpipe.units import GRAVITY
 
 MIN_SLACK_TRAVEL = 0.2e-3
 """Smallest travel of the clamp ahead of the tip, m, that shows a slack string."""
-HANGING_FRACTION, LEANING_FRACTION = 0.5, 0.1
-"""Fractions of the deflection under the load at the tip. A wire hung if its tip is lower than the
-first one. A tip that is lower than the second one is reported, since wires are not quite straight.
-"""
+HANGING_FRACTION = 0.5
+"""Fraction of the deflection under the load at the tip, above which the sag of a wire shows that it
+hung."""
+LEANING_FRACTION = 0.1
+"""Fraction of the deflection under the load at the tip, above which the sag of a wire is reported;
+smaller sags are usual, because wires are not quite straight."""
 _N_MEAN_SAMPLES = 50
 """Number of samples over which a force is averaged."""
 
 State: TypeAlias = Literal["taut", "slack", "off the wire", "part", "unknown"]
-"""State of a string at rest, as `StringState` explains."""
+"""State of a string at rest, see `StringState`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,9 +56,9 @@ class RestEvidence:
         without a travel of the clamp
     sag : m, distance of the tip below the axis of the clamp at rest; NaN without a shape
     load_deflection : m, deflection of the first loading at which the force is the load at the tip;
-        the largest deflection if the force stays below
+        the largest deflection if the force stays below that load
     tip_load : N, the counterweight and 3/8 of the wire's weight
-    force_error : N, standard error of the next two forces
+    force_error : N, standard error of `lowest_force` and `slack_force`
     lowest_force : N, lowest mean force after the first loading, less that at rest; NaN if unknown
     slack_force : N, force while the string is slack after the first loading, less that at rest; NaN
         if the string is never slack
@@ -96,7 +98,7 @@ class RestEvidence:
     def state(self) -> State:
         """State of the string at rest, from the most direct evidence."""
         taut_fraction, slack_fraction = 0.75, 0.25  # of the load at the tip
-        straight_fraction = 0.25  # of the deflection under that load, since wires are curved
+        straight_fraction = 0.25  # of the deflection under that load, as wires are slightly curved
         # If the string was under tension at rest, the force falls by more than drift and noise.
         min_loss = max(0.05 * self.tip_load, 5.0 * self.force_error)
         has_lost_tension = self.lowest_force < -min_loss
@@ -165,7 +167,8 @@ def collect_rest_evidence(
     curve : force-deflection curve of the test
     first_loading : branch of the first loading
     counterweight : N, weight at the tip
-    wire_load : N, part of the wire's weight that a prop at its tip carries: `compute_prop_force`
+    wire_load : N, part of the wire's weight that a prop at its tip carries, see
+        `compute_prop_force`
 
     Returns
     -------
@@ -175,15 +178,16 @@ def collect_rest_evidence(
     lead_range = (0.5e-3, 3e-3)
     n_blocks = 100
     tip_load = counterweight + wire_load
-    rows = slice(first_loading.start, first_loading.stop)
-    path = curve.displacement[rows]
-    deflection, force = (average_blocks(values, n_blocks) for values in (path, curve.force[rows]))
-    beyond_load = deflection[force >= tip_load]
+    samples = slice(first_loading.start, first_loading.stop)
+    deflection = curve.displacement[samples]
+    mean_deflection = average_blocks(deflection, n_blocks)
+    mean_force = average_blocks(curve.force[samples], n_blocks)
+    loaded_deflection = mean_deflection[mean_force >= tip_load]
     clamp_lead = sag = slack_force = lowest_force = float("nan")
     travel = None if aligned is None else aligned.series.get("travel")
     if travel is not None and len(travel.values) == len(curve.displacement):
-        is_in_range = (path > lead_range[0]) & (path < lead_range[1])
-        clamp_lead = median(drop_missing((travel.values[rows] - path)[is_in_range]))
+        is_in_range = (deflection > lead_range[0]) & (deflection < lead_range[1])
+        clamp_lead = median(drop_missing((travel.values[samples] - deflection)[is_in_range]))
         slack_force = median(_collect_slack_forces(travel.values, curve, first_loading))
     if shape is not None and len(shape.names):
         heights = shape.positions[shape.time < first_loading.start_time, :, 1]
@@ -196,7 +200,7 @@ def collect_rest_evidence(
     return RestEvidence(
         clamp_lead=clamp_lead,
         sag=sag,
-        load_deflection=float(beyond_load[0] if len(beyond_load) else np.nanmax(deflection)),
+        load_deflection=float([*loaded_deflection, np.nanmax(mean_deflection)][0]),
         tip_load=tip_load,
         lowest_force=lowest_force,
         slack_force=slack_force,
@@ -206,7 +210,13 @@ def collect_rest_evidence(
 
 
 def list_rest_notes(test: str, evidence: RestEvidence) -> Iterator[QualityNote]:
-    """Yield notes on the assumption that the wire of a test was straight at rest."""
+    """Yield a note if the wire of a test was not straight at rest, or if that is unknown.
+
+    Parameters
+    ----------
+    test : name of the test
+    evidence : evidence of the test on string and wire at rest
+    """
     if np.isnan([evidence.clamp_lead, evidence.sag]).all():
         yield QualityNote.of("results.rest_unknown", test)
     elif evidence.sag > LEANING_FRACTION * evidence.load_deflection:
@@ -215,35 +225,35 @@ def list_rest_notes(test: str, evidence: RestEvidence) -> Iterator[QualityNote]:
 
 
 def _collect_slack_forces(travel: Floats, curve: Curve, first_loading: Branch) -> Floats:
-    """Collect mean forces, N, after the first loading while the tip does not follow the clamp."""
-    max_tip_to_clamp, min_stretches = 0.3, 2
+    """Collect mean forces after the first loading while the tip does not follow the clamp, N."""
+    max_movement_ratio, min_stretches = 0.3, 2  # movement of the tip over that of the clamp
     forces: list[float] = []
     for branch in curve.branches:
         if branch.start < first_loading.stop:
             continue
         means = _average_stretches(travel, curve, branch)
         clamp_movement, tip_movement = np.abs(np.diff(means[:, :2], axis=0)).T
-        slack_forces = means[1:, 2][tip_movement < max_tip_to_clamp * clamp_movement].tolist()
+        slack_forces = means[1:, 2][tip_movement < max_movement_ratio * clamp_movement].tolist()
         if len(slack_forces) >= min_stretches:
-            # The string may still pull in the stretch at the outer end.
-            inner = slice(1, None) if branch.direction is Direction.UNLOADING else slice(-1)
-            forces += slack_forces[inner]
+            # In the stretch at the largest deflection, the string may still pull.
+            is_unloading = branch.direction is Direction.UNLOADING
+            forces += slack_forces[1:] if is_unloading else slack_forces[:-1]
     return np.array(forces)
 
 
 def _average_stretches(travel: Floats, curve: Curve, branch: Branch) -> Floats:
-    """Average travel, deflection and force over stretches with equal sample counts, shape (n, 3).
+    """Average travel, deflection and force over stretches of equal sample counts, shape (n, 3).
 
-    The mean travel of a stretch is a quarter of a millimetre.
+    The mean travel in a stretch is a quarter of a millimetre.
     """
     stretch_travel = 0.25e-3  # m
-    rows = slice(branch.start, branch.stop)
-    columns = np.column_stack([travel[rows], curve.displacement[rows], curve.force[rows]])
-    columns = columns[np.isfinite(columns).all(axis=1)]
-    count = int(np.ptp(columns[:, 0]) / stretch_travel) if len(columns) else 0
-    if count < 2 or len(columns) < 2 * count:
+    samples = slice(branch.start, branch.stop)
+    rows = np.column_stack([travel[samples], curve.displacement[samples], curve.force[samples]])
+    rows = rows[np.isfinite(rows).all(axis=1)]
+    n_stretches = int(np.ptp(rows[:, 0]) / stretch_travel) if len(rows) else 0
+    if n_stretches < 2 or len(rows) < 2 * n_stretches:
         return np.zeros((1, 3))
-    return np.array([block.mean(axis=0) for block in np.array_split(columns, count)])
+    return np.array([stretch.mean(axis=0) for stretch in np.array_split(rows, n_stretches)])
 
 
 @dataclass(frozen=True, slots=True)
@@ -259,7 +269,7 @@ class StringState:
     tension : N, tension of the string at rest
     weight : N, counterweight at the tip; 0 if it did not pull at the tip
     alternative_tension : N, another tension at rest that the intervals include, or None
-    evidence : sentence on the evidence, with its numbers
+    evidence : sentence on the state and its evidence, with numbers
     """
 
     state: State
@@ -277,11 +287,11 @@ class StringState:
 
 
 def decide_string_state(evidence: RestEvidence) -> StringState:
-    """Decide what the string carried at rest.
+    """Decide which load the string carried at rest.
 
     Parameters
     ----------
-    evidence : what the test shows of string and wire at rest
+    evidence : evidence of the test on string and wire at rest
 
     Returns
     -------
@@ -298,7 +308,7 @@ def decide_string_state(evidence: RestEvidence) -> StringState:
         remedy = format_overrides("rig.string.at_rest", "taut")
         why = format_sentence("results.string_unknown", **context, assumed=assumed, remedy=remedy)
     elif state == "part":
-        # The law counts an alternative with 1 / sqrt(3) of its change.
+        # The standard error of the law from an alternative is 1 / sqrt(3) of the change.
         alternative = tension - sqrt(3.0) * evidence.force_error
         why = format_sentence("results.string_carried_part", **context, tension=1e3 * tension)
     elif state == "off the wire":
@@ -317,7 +327,7 @@ def make_stated_state(
 
     Parameters
     ----------
-    at_rest : value of ``rig.string.at_rest``
+    at_rest : value of ``rig.string.at_rest`` in the protocol
     weight : N, counterweight at the tip
     wire_load : N, part of the wire's weight that a prop at its tip carries
     """
@@ -338,7 +348,7 @@ def measure_moment_curvature(test: ReducedTest) -> tuple[Bending | Failure | Non
     Returns
     -------
     bending : cloud and law, or the reason why there are none; None without curve, shape or loading
-    findings : notes on the assumptions, and on the data of the law
+    findings : notes on the assumptions, and on the data of cloud and law
     """
     curve, shape, loading = test.curve, test.shape, test.first_loading
     if curve is None or shape is None or loading is None:
@@ -350,30 +360,29 @@ def measure_moment_curvature(test: ReducedTest) -> tuple[Bending | Failure | Non
     pull, alternative_tension, findings = _make_tip_pull(test, curve, shape, loading, is_at_rest)
     force = np.interp(shape.time, curve.time, curve.force, left=np.nan, right=np.nan)
     force_at_rest = drop_missing(force[is_at_rest])
-    branch: Ints = np.full(len(shape.time), AT_REST, dtype=np.int64)
-    cycle: Ints = np.zeros(len(shape.time), dtype=np.int64)
-    for index, stretch in enumerate(curve.branches):
-        is_in_branch = (shape.time >= stretch.start_time) & (shape.time < stretch.stop_time)
-        branch[is_in_branch], cycle[is_in_branch] = index, stretch.cycle
-    errors = BendingErrors(
-        force_noise=float(force_at_rest.std()) if len(force_at_rest) else 0.0,
-        force_zero=test.force.zero_error,
-        force_scale=test.force.relative_error,
-        end_position=test.setup.offset_uncertainty,
-        alternative_tension=alternative_tension,
-        centre_offset=test.setup.centre_uncertainty,
-    )
+    branch_indices: Ints = np.full(len(shape.time), AT_REST, dtype=np.int64)
+    cycles: Ints = np.zeros(len(shape.time), dtype=np.int64)
+    for index, branch in enumerate(curve.branches):
+        is_in_branch = (shape.time >= branch.start_time) & (shape.time < branch.stop_time)
+        branch_indices[is_in_branch], cycles[is_in_branch] = index, branch.cycle
     bending_test = BendingTest(
         shape=shape,
         force=force,
-        branch=branch,
-        cycle=cycle,
+        branch=branch_indices,
+        cycle=cycles,
         first_branch=curve.branches.index(loading),
         is_at_rest=is_at_rest,
         centre_offset=test.setup.centre_offset,
         free_tip=test.setup.free_tip,
         pull=pull,
-        errors=errors,
+        errors=BendingErrors(
+            force_noise=float(force_at_rest.std()) if len(force_at_rest) else 0.0,
+            force_zero=test.force.zero_error,
+            force_scale=test.force.relative_error,
+            end_position=test.setup.offset_uncertainty,
+            alternative_tension=alternative_tension,
+            centre_offset=test.setup.centre_uncertainty,
+        ),
     )
     try:
         bending = measure_bending(bending_test)
@@ -381,26 +390,21 @@ def measure_moment_curvature(test: ReducedTest) -> tuple[Bending | Failure | Non
         return Failure("no_moment_curvature", str(error)), findings
     if test.setup.mass_per_length is None:
         findings.append(Finding.of("results.weight_not_stated", "specimen.mass_per_length"))
-    cloud, law, law_text = bending.cloud, bending.law, ""
+    cloud, law, law_clause = bending.cloud, bending.law, ""
     if law is not None:
         facts = {"largest": law.curvature[-1], "residual": 1e6 * law.residual, "floor": law.floor}
-        law_text = format_sentence("results.law_of_frames", frames=law.n_frames, **facts)
-    finding = Finding.of(
-        "results.moment_curvature",
-        "shape",
-        points=cloud.curvature.size,
-        frames=cloud.frames_per_mean,
-        places=len(cloud.arc_length),
-        law=law_text,
-    )
+        law_clause = format_sentence("results.law_of_frames", frames=law.n_frames, **facts)
+    cloud_facts: dict[str, Any] = {"points": cloud.curvature.size, "frames": cloud.frames_per_mean}
+    cloud_facts |= {"places": len(cloud.arc_length), "law": law_clause}
+    finding = Finding.of("results.moment_curvature", "shape", **cloud_facts)
     return bending, [*findings, finding]
 
 
 def _make_tip_pull(
     test: ReducedTest, curve: Curve, shape: Shape, loading: Branch, is_at_rest: Flags
 ) -> tuple[TipPull, float | None, list[Finding]]:
-    """Make the pull at the tip, an alternative tension at rest or None, and findings."""
-    # The last point of a power series in arc length / length is the sum of its coefficients.
+    """Make the pull at the tip, an alternative tension at rest (N) or None, and findings."""
+    # A power series in arc length / length has the sum of its coefficients as its value at the tip.
     tip_x = float(np.nanmean(shape.coefficients[is_at_rest], axis=0)[0].sum())
     string = test.setup.string
     self_weight = GRAVITY * (test.setup.mass_per_length or 0.0)

@@ -27,7 +27,7 @@ from labpipe.records.estimates import Failure, UnavailableError, return_failure
 from labpipe.records.quality import Reason
 from labpipe.results import curves, cycles, kinds
 from labpipe.results.cycles import CycleKind
-from labpipe.results.kinds import Kind, Part, ReducedTest, Stiffness
+from labpipe.results.kinds import Kind, MeasuredItem, ReducedTest, Stiffness
 from labpipe.signal.filters import compute_moving_average
 from labpipe.uncertainty.autocorrelation import estimate_fast_noise, scale_limit_by_noise
 from labpipe.uncertainty.intervals import MeasuredNumber
@@ -35,7 +35,7 @@ from labpipe.uncertainty.replicates import Extractor, Trace, combine_numbers, re
 
 _MIN_FOOT_SAMPLES = 8
 """Smallest number of samples of the foot of the force."""
-_MIN_SIGNIFICANT_ERRORS = 3.0
+_MIN_DIVISOR_ERRORS = 3.0
 """Number of standard errors above which a divisor is distinguished from its noise."""
 
 
@@ -47,7 +47,7 @@ class ForceOnset:
     ----------
     samples : samples of the branch that have a force and a displacement
     peak_index : index in `samples` of the largest force
-    limit : N, largest force that counts as zero
+    limit : N, limit of zero force: a force up to it counts as zero
     min_foot_samples : smallest number of samples of the foot of the force
     """
 
@@ -68,20 +68,20 @@ class ForceOnset:
         -------
         zero : shape (...), value at zero force, in the unit of `values`; NaN if the line does not
             rise
-        first_index : shape (...), index in `samples` of the first sample of the foot
+        first : shape (...), index in `samples` of the first sample of the foot
         """
         x, f = np.broadcast_arrays(values[..., self.samples], force[..., self.samples])
         shape, (x, f) = f.shape[:-1], (rows.reshape(-1, f.shape[-1]) for rows in (x, f))
-        limit = scale_limit_by_noise(self.limit, f)[:, np.newaxis]
-        indices, count = np.arange(f.shape[1]), f.shape[1]
-        first = cycles.find_last_flagged((f <= limit) & (indices < self.peak_index)) + 1
+        limits = scale_limit_by_noise(self.limit, f)[:, np.newaxis]
+        indices, n_samples = np.arange(f.shape[1]), f.shape[1]
+        first = cycles.find_last_flagged((f <= limits) & (indices < self.peak_index)) + 1
         min_first = int(first.min())
         indices = indices[min_first:]
-        is_beyond_foot = f[:, min_first:] > cycles.FOOT_LIMIT_FACTOR * limit
+        is_beyond_foot = f[:, min_first:] > cycles.FOOT_LIMIT_FACTOR * limits
         is_beyond_foot &= indices >= first[:, None]
-        stop = np.where(is_beyond_foot.any(1), min_first + np.argmax(is_beyond_foot, 1), count)
+        stop = np.where(is_beyond_foot.any(1), min_first + np.argmax(is_beyond_foot, 1), n_samples)
         stop = np.maximum(stop, first + self.min_foot_samples)
-        columns = slice(min_first, min(int(stop.max()), count))
+        columns = slice(min_first, min(int(stop.max()), n_samples))
         indices = indices[: columns.stop - min_first]
         is_foot = (indices >= first[:, np.newaxis]) & (indices < stop[:, np.newaxis])
         mean_x, mean_f, slope = curves.fit_chosen_lines(is_foot, x[:, columns], f[:, columns])
@@ -101,12 +101,12 @@ class ForceOnset:
             the line through the foot does not rise
         first_sample : shape (...), index of the first sample above zero in the branch
         """
-        zero, index = self.extrapolate_to_zero(displacement, force)
+        zero, first = self.extrapolate_to_zero(displacement, force)
         samples = self.samples
-        first_sample = index + samples.start if isinstance(samples, slice) else samples[index]
-        paths = np.broadcast_to(displacement, (*first_sample.shape, displacement.shape[-1]))
-        at_sample = np.take_along_axis(paths, first_sample[..., np.newaxis], axis=-1)[..., 0]
-        return np.where(np.isnan(zero), at_sample, zero), first_sample
+        first_sample = first + samples.start if isinstance(samples, slice) else samples[first]
+        d = np.broadcast_to(displacement, (*first_sample.shape, displacement.shape[-1]))
+        d_at_sample = np.take_along_axis(d, first_sample[..., np.newaxis], axis=-1)[..., 0]
+        return np.where(np.isnan(zero), d_at_sample, zero), first_sample
 
 
 def find_force_onset(
@@ -118,13 +118,13 @@ def find_force_onset(
     ----------
     displacement, force : shape (n,), m, N; one loading branch in order of time, evenly sampled; NaN
         are ignored
-    limit : N, largest force that counts as zero, for a curve without noise; None for a limit from
-        the noise of the force
+    limit : N, limit of zero force, for a curve without noise; None for a limit from the noise of
+        the force
     parts : number of parts into which each sampling step is divided
 
     Returns
     -------
-    The samples, and the limit up to which the force counts as zero.
+    The rule, with the samples and the limit of zero force of the branch.
 
     Raises
     ------
@@ -137,9 +137,9 @@ def find_force_onset(
     Without `limit`, a force up to four standard deviations of its fast noise counts as zero. The
     foot of the force begins after the last sample within the limit before the largest force, and
     ends at five times the limit. The foot has at least eight samples for each part of a sampling
-    step. A straight line through the foot is extrapolated to zero force. If the force comes from
-    below zero, as after bending to the other side, the line interpolates the crossing of zero. Each
-    curve has its own foot, and its own limit from its noise.
+    step. A straight line through the foot is extrapolated to zero force. For a force that rises
+    from below zero, as after bending to the other side, the line interpolates the crossing of zero.
+    Each curve has its own foot, and its own limit from its noise.
 
     Examples
     --------
@@ -160,17 +160,19 @@ def find_force_onset(
         raise UnavailableError.of("results.no_force", largest=f[peak_index], limit=limit)
     samples, min_samples = convert_to_slice(finite_samples), parts * _MIN_FOOT_SAMPLES
     onset = ForceOnset(samples, peak_index, limit, min_samples)
-    zero, index = onset.extrapolate_to_zero(displacement, force)
-    if not index and not zero >= d[0] - max_extrapolation_fraction * float(np.ptp(d)):
+    zero, first = onset.extrapolate_to_zero(displacement, force)
+    if not first and not zero >= d[0] - max_extrapolation_fraction * float(np.ptp(d)):
         raise UnavailableError.of("results.not_unloaded", begin=f[0], limit=limit)
     return onset
 
 
 _MIN_WINDOW_SAMPLES = 8
 """Smallest number of samples of a window."""
-_START_FRACTION, _STEADY_FRACTION = 0.02, 0.1
-"""Fractions of the length of a window. The first 2 % are the start of the window. From 2 % to 10 %,
-the machine is assumed to move at constant speed."""
+_START_FRACTION = 0.02
+"""Fraction of the length of a window that is the start of the window."""
+_STEADY_FRACTION = 0.1
+"""Fraction of the length of a window up to which, from the start of the window on, the machine is
+assumed to move at constant speed."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -180,9 +182,9 @@ class WindowSlope:
     Parameters
     ----------
     samples : shape (m,), samples of the branch that have a force and a displacement
-    time : shape (m,), s, of these samples
+    time : shape (m,), s, times of these samples
     path : shape (m,), m, moving average of the distance along the branch
-    path_so_far : shape (m,), m, largest value of `path` up to each sample
+    path_so_far : shape (m,), m, largest moving average up to each sample
     start, stop : m, ends of the window on the path
     """
 
@@ -196,7 +198,7 @@ class WindowSlope:
     def select_window(
         self, shift: Floats | float = 0.0, first_sample: Ints | int = 0
     ) -> tuple[slice, Flags]:
-        """Select the samples of the window, up to where the path first leaves it.
+        """Select the samples of the window, up to the first point at which the path leaves it.
 
         Parameters
         ----------
@@ -205,23 +207,23 @@ class WindowSlope:
 
         Returns
         -------
-        stretch : range of indices in `samples` that contains all windows
-        is_in_window : shape (..., stretch), whether the sample is in each window
+        index_range : range of indices in `samples` that contains all windows
+        is_in_window : shape (..., indices in the range), whether the sample is in each window
         """
         start, stop = (np.add(end, shift) for end in (self.start, self.stop))
         first = np.searchsorted(self.path_so_far, start)
         last = np.searchsorted(self.path_so_far, stop, side="right")
-        stretch = slice(int(first.min()), max(int(last.max()), int(first.min())))
-        is_in_window: Flags = self.path[stretch] >= start[..., np.newaxis]
-        is_in_window &= np.arange(stretch.start, stretch.stop) < last[..., np.newaxis]
-        is_in_window &= self.samples[stretch] >= np.asarray(first_sample)[..., np.newaxis]
-        return stretch, is_in_window
+        index_range = slice(int(first.min()), max(int(last.max()), int(first.min())))
+        is_in_window: Flags = self.path[index_range] >= start[..., np.newaxis]
+        is_in_window &= np.arange(index_range.start, index_range.stop) < last[..., np.newaxis]
+        is_in_window &= self.samples[index_range] >= np.asarray(first_sample)[..., np.newaxis]
+        return index_range, is_in_window
 
     @property
     def window_samples(self) -> Samples:
         """Samples of the branch within the window."""
-        stretch, is_in_window = self.select_window()
-        return convert_to_slice(self.samples[stretch][is_in_window])
+        index_range, is_in_window = self.select_window()
+        return convert_to_slice(self.samples[index_range][is_in_window])
 
     @property
     def n_samples(self) -> int:
@@ -245,11 +247,11 @@ class WindowSlope:
         shift : shape (...), m, shift of the window along the path
         first_sample : shape (...), first sample of the branch that the window may contain
         """
-        stretch, is_in_window = self.select_window(shift, first_sample)
-        samples, time = convert_to_slice(self.samples[stretch]), self.time[stretch]
-        count = is_in_window.sum(axis=-1)
-        sufficient_count = np.where(count < _MIN_WINDOW_SAMPLES, 0, count)
-        mean_time = divide(np.asarray(is_in_window @ time), sufficient_count)
+        index_range, is_in_window = self.select_window(shift, first_sample)
+        samples, time = convert_to_slice(self.samples[index_range]), self.time[index_range]
+        n_samples = is_in_window.sum(axis=-1)
+        n_samples = np.where(n_samples < _MIN_WINDOW_SAMPLES, 0, n_samples)
+        mean_time = divide(np.asarray(is_in_window @ time), n_samples)
         weight = np.where(is_in_window, time - mean_time[..., np.newaxis], 0.0)
         rise, run = (np.vecdot(weight, values[..., samples]) for values in (force, displacement))
         return divide(rise, run)
@@ -263,12 +265,12 @@ def choose_window(
     Parameters
     ----------
     time, displacement, force : shape (n,), s, m, N, of the branch; NaN where unknown
-    path : shape (n,), m, distance along the branch, in which the window is defined
+    path : shape (n,), m, distance along the branch that defines the window
     start, stop : m, ends of the window on the path
 
     Returns
     -------
-    The samples of the window, for the slope of curves with the samples of this branch.
+    The slope over the window, for curves with the samples of this branch.
 
     Raises
     ------
@@ -277,11 +279,11 @@ def choose_window(
 
     Notes
     -----
-    The window is cut from the path averaged over at most 11 samples, and ends where the path first
-    leaves it, so that noise moves its ends little. The slope is k = sum (t - mean t) F / sum (t -
-    mean t) d, with time as the instrument. Ordinary least squares of F on a noisy displacement
-    would be too small, by the fraction of the variance of the displacement that is noise (Fuller,
-    Measurement Error Models, 1987, sec. 1.4).
+    The window is cut from the path averaged over at most 11 samples, and ends where this average
+    first exceeds `stop`, so that noise moves its ends little. With time as the instrument, the
+    slope is k = sum (t - mean t) F / sum (t - mean t) d. The slope by ordinary least squares of F
+    on a noisy displacement would be too small, by the fraction of the variance of the displacement
+    that is noise (Fuller, Measurement Error Models, 1987, sec. 1.4).
     """
     smooth_path = compute_moving_average(path, window=min(11, len(path) - 1 + len(path) % 2))
     if not (smooth_path > stop).any():
@@ -302,14 +304,14 @@ def choose_turn_samples(trace: Trace, branch: Branch) -> Callable[[Floats], Floa
     Parameters
     ----------
     trace : one curve; NaN of its displacement are ignored
-    branch : the branch, which may contain a part of the wait before the turn
+    branch : the branch, which may include a part of the rest before the turn
 
     Returns
     -------
     A function that computes the values at the turn, shape (...), from values of shape (..., n). A
-    parabola is fitted through the first tenth of the branch after the turn, at most 50 samples. If
-    fewer than 8 of these have a displacement, the values of the first sample of the branch are
-    returned.
+    parabola is fitted to the first tenth of the branch after the turn, at most 50 samples. If fewer
+    than 8 of these have a displacement, the function returns the values of the first sample of the
+    branch.
     """
     start = max(branch.start, int(np.searchsorted(trace.time, branch.start_time)))
     first_tenth = np.arange(start, start + min(50, (branch.stop - start) // 10))
@@ -330,7 +332,7 @@ class LoadingSlope:
     onset : rule that finds the onset of the force in the branch
     first_taut_sample : first sample of the branch in which the specimen counts as taut
     slope : slope over the window, for the branch from the first taut sample on
-    window_distance : m, from the displacement at the onset to the mean displacement in the window
+    window_distance : m, mean displacement in the window, less the displacement at the onset
     """
 
     onset: ForceOnset
@@ -350,9 +352,9 @@ class LoadingSlope:
         """
         start, first_sample = self.onset.find_start(displacement, force)
         first = np.maximum(first_sample - self.first_taut_sample, 0) if has_noise else 0
-        path = displacement[..., self.first_taut_sample :]
-        shift = start + self.window_distance - path[..., self.slope.window_samples].mean(axis=-1)
-        return self.slope.compute_slope(path, force[..., self.first_taut_sample :], shift, first)
+        d, f = (values[..., self.first_taut_sample :] for values in (displacement, force))
+        shift = start + self.window_distance - d[..., self.slope.window_samples].mean(axis=-1)
+        return self.slope.compute_slope(d, f, shift, first)
 
     @property
     def start_sample_fraction(self) -> float:
@@ -360,8 +362,8 @@ class LoadingSlope:
 
         The fraction is large if the motion rests there while the force is above its noise.
         """
-        stretch, is_in_window = self.slope.select_window()
-        path = self.slope.path[stretch][is_in_window]
+        index_range, is_in_window = self.slope.select_window()
+        path = self.slope.path[index_range][is_in_window]
         start_length = _START_FRACTION * (self.slope.stop - self.slope.start)
         return float((path <= path.min() + start_length).mean())
 
@@ -381,8 +383,8 @@ def choose_loading_window(
     ----------
     time, displacement, force : shape (n,), s, m, N, of the branch; NaN where unknown
     length : m, length of the window after the onset of the force
-    limit : N, largest force that counts as zero, for a curve without noise; None for a limit from
-        the noise of the force
+    limit : N, limit of zero force, for a curve without noise; None for a limit from the noise of
+        the force
     parts : number of parts into which each sampling step is divided
 
     Returns
@@ -398,8 +400,9 @@ def choose_loading_window(
     -----
     A branch counts as taut from the first sample whose force is above its noise. A branch without
     noise counts as taut from the zero of the line through the foot of the force. The difference is
-    an effect of noise. If sampling steps are divided, the branch does not count as taut before the
-    machine moves, because samples at rest with a force above the noise would shift the line.
+    an effect of noise. If sampling steps are divided, the branch counts as taut only after the
+    machine has begun to move, because samples at rest with a force above the noise would shift the
+    line.
     """
     onset = find_force_onset(displacement, force, limit=limit, parts=parts)
     zero, first_sample = onset.find_start(displacement, force)
@@ -413,8 +416,8 @@ def choose_loading_window(
         # A machine of constant speed passes the onset at this time.
         start_time = float(curves.compute_zero_crossing(time[is_steady], travel[is_steady]))
         first = max(first, 0 if np.isnan(start_time) else int(np.searchsorted(time, start_time)))
-    path, ends = displacement[first:], {"start": start, "stop": start + length}
-    slope = choose_window(time[first:], path, force[first:], path, **ends)
+    path, stop = displacement[first:], start + length
+    slope = choose_window(time[first:], path, force[first:], path, start=start, stop=stop)
     return LoadingSlope(onset, first, slope, float(path[slope.window_samples].mean()) - start)
 
 
@@ -470,7 +473,7 @@ def find_compliance_window(
     ----------
     displacement, force : shape (n,), m, N; the loading branch of a stiff-bar test; NaN
         are ignored
-    start, stop : N, ends of the range of force; below this range, grips and joints settle
+    start, stop : N, ends of the range of force; below it, grips and joints settle
 
     Returns
     -------
@@ -503,7 +506,7 @@ class UnloadingStiffness(CycleKind):
         Output("unloading_stiffness", "N/m", "Unloading stiffness", first=1, is_slope=True),
     )
     over: Length
-    read_range: ClassVar = (1.0, 2.0)
+    branch_range: ClassVar = (1.0, 2.0)
 
     method: ClassVar = (
         "line over {over_mm:g} mm off the peak without its first tenth, time as instrument"
@@ -526,17 +529,17 @@ class LoadingStiffness(CycleKind):
         Output("loading_stiffness", "N/m", "Loading stiffness", first=1, is_slope=True),
     )
     over: Length
-    read_range: ClassVar = (0.0, 1.0)
+    branch_range: ClassVar = (0.0, 1.0)
 
     method: ClassVar = "line over {over_mm:g} mm from the onset of the force, time as instrument"
 
     def choose_samples(self, test: ReducedTest, trace: Trace, cycle: int) -> Extractor:
         """Choose the samples after the onset, with the force limit of the measured curve."""
+        measured = curves.make_trace(test)
+        limit = self._choose_window(measured, cycle).onset.limit if trace.is_smooth else None
+        window = self._choose_window(trace, cycle, limit)
         branch = cycles.select_branches(trace, cycle)[0]
-        columns, samples = cycles.cut_branch(trace, branch), slice(branch.start, branch.stop)
-        limit = self._choose_measured_window(test, cycle).onset.limit if trace.is_smooth else None
-        parts = trace.parts_per_step
-        window = choose_loading_window(*columns, length=self.over, limit=limit, parts=parts)
+        samples = slice(branch.start, branch.stop)
         compute = restrict(window.compute_slope, samples)
         compute_noisy = restrict(partial(window.compute_slope, has_noise=True), samples)
         return Extractor(compute, window.slope.n_samples, compute_noisy, ends_at_samples=True)
@@ -544,17 +547,17 @@ class LoadingStiffness(CycleKind):
     def list_doubts(self, test: ReducedTest, branches: list[Branch]) -> tuple[Reason, ...]:
         """List a doubt if over 10 % of the samples of the window are in its first fiftieth."""
         # At constant speed, a fiftieth of the samples is there; the limit is five times as many.
-        window = return_failure(self._choose_measured_window)(test, branches[0].cycle)
+        window = return_failure(self._choose_window)(curves.make_trace(test), branches[0].cycle)
         if isinstance(window, Failure) or window.start_sample_fraction <= 0.1:
             return ()
         fraction, limit = window.start_sample_fraction, window.onset.limit
         return (Reason.of("results.rest_in_window", share=fraction, limit=limit),)
 
-    def _choose_measured_window(self, test: ReducedTest, cycle: int) -> LoadingSlope:
-        """Choose the samples for the stiffness of a cycle on the measured curve."""
-        curve = curves.make_trace(test)
-        columns = cycles.cut_branch(curve, cycles.select_branches(curve, cycle)[0])
-        return choose_loading_window(*columns, length=self.over)
+    def _choose_window(self, trace: Trace, cycle: int, limit: float | None = None) -> LoadingSlope:
+        """Choose the samples for the stiffness of a cycle on a curve."""
+        columns = cycles.cut_branch(trace, cycles.select_branches(trace, cycle)[0])
+        parts = trace.parts_per_step
+        return choose_loading_window(*columns, length=self.over, limit=limit, parts=parts)
 
 
 class Hardening(Kind):
@@ -568,14 +571,13 @@ class Hardening(Kind):
         "slope over {over_mm:g} mm from the onset of the force / that of cycle 1, scale cancelled"
     )
 
-    def measure(self, test: ReducedTest) -> Iterator[Part]:
+    def measure(self, test: ReducedTest) -> Iterator[MeasuredItem]:
         """Measure the ratio of each later cycle to the first one, in which the scale cancels."""
-        first, *later_cycles = test.require(test.cycles or None)
+        first_cycle, *later_cycles = test.require(test.cycles or None)
         stiffness = LoadingStiffness(over=self.over)
-        first_outcome = return_failure(test.measure_one)(
-            partial(stiffness.choose_samples, test, cycle=1)
-        )
-        doubts = stiffness.list_doubts(test, first)
+        choose = partial(stiffness.choose_samples, test, cycle=1)
+        first_outcome = return_failure(test.measure_number)(choose)
+        first_doubts = stiffness.list_doubts(test, first_cycle)
 
         def choose_first(trace: Trace) -> Extractor:
             extractor = return_failure(stiffness.choose_samples)(test, trace, 1)
@@ -587,17 +589,18 @@ class Hardening(Kind):
         def measure_ratio(cycle: int) -> MeasuredNumber:
             choose = partial(stiffness.choose_samples, test, cycle=cycle)
             ratio = combine_numbers(lambda _, x, first: divide(x, first), choose, choose_first)
-            hardening, first_stiffness = test.measure_one(ratio), test.require(first_outcome)
+            hardening, first_stiffness = test.measure_number(ratio), test.require(first_outcome)
             value = first_stiffness.value
-            if value <= _MIN_SIGNIFICANT_ERRORS * first_stiffness.error:
+            if value <= _MIN_DIVISOR_ERRORS * first_stiffness.error:
                 raise UnavailableError.of("results.first_stiffness_is_noise", value=value)
             return hardening
 
         for later_cycle in later_cycles:
-            loading, all_doubts = later_cycle[0], doubts + stiffness.list_doubts(test, later_cycle)
-            period, suffix = (first[0].start_time, loading.stop_time), f".{loading.cycle}"
-            ratio = measure_ratio(loading.cycle)
-            yield self.make_result(test, ratio, doubts=all_doubts, period=period, suffix=suffix)
+            loading = later_cycle[0]
+            doubts = first_doubts + stiffness.list_doubts(test, later_cycle)
+            period, suffix = (first_cycle[0].start_time, loading.stop_time), f".{loading.cycle}"
+            hardening = measure_ratio(loading.cycle)
+            yield self.make_result(test, hardening, doubts=doubts, period=period, suffix=suffix)
 
 
 class RangeKind(Kind):
@@ -621,27 +624,27 @@ class RangeKind(Kind):
         """
         loading, start, stop = curves.select_first_loading(trace), self.start, self.stop
         displacement = trace.displacement[loading]
-        path = displacement[~np.isnan(displacement)]
-        if not len(path) or path.max() < stop:
-            reached = 1e3 * float(path.max()) if len(path) else float("nan")
+        d = displacement[~np.isnan(displacement)]
+        if not len(d) or d.max() < stop:
+            reached = 1e3 * float(d.max()) if len(d) else float("nan")
             raise UnavailableError.of("results.not_reached", reached=reached, needed=1e3 * stop)
-        if path[0] > start + 0.02 * (stop - start):
-            begin = 1e3 * path[0]
+        if d[0] > start + 0.02 * (stop - start):
+            begin = 1e3 * d[0]
             raise UnavailableError.of("results.begins_later", begin=begin, needed=1e3 * start)
-        first, end = int(np.argmax(displacement >= start)), int(np.argmax(displacement > stop))
-        return slice(loading.start + first, loading.start + (end or len(displacement)))
+        first, last = int(np.argmax(displacement >= start)), int(np.argmax(displacement > stop))
+        return slice(loading.start + first, loading.start + (last or len(displacement)))
 
 
 def _choose_secant_window(trace: Trace, start: float, stop: float) -> Extractor:
     """Choose the samples for the stiffness between two displacements of the first loading."""
     branch = trace.branches[0]
-    time, path, force = cycles.cut_branch(trace, branch)
-    samples = slice(branch.start, branch.stop)
-    slope = choose_window(time, path, force, path, start=start, stop=stop)
-    window, mean_path = slope.window_samples, path[slope.window_samples].mean()
+    time, displacement, force = cycles.cut_branch(trace, branch)
+    slope = choose_window(time, displacement, force, displacement, start=start, stop=stop)
+    window, samples = slope.window_samples, slice(branch.start, branch.stop)
+    mean_displacement = displacement[window].mean()
 
-    def compute_noisy_stiffness(path: Floats, force: Floats) -> Floats:
-        return slope.compute_slope(path, force, mean_path - path[..., window].mean(axis=-1))
+    def compute_noisy_stiffness(d: Floats, f: Floats) -> Floats:
+        return slope.compute_slope(d, f, mean_displacement - d[..., window].mean(axis=-1))
 
     compute = restrict(slope.compute_slope, samples)
     compute_noisy = restrict(compute_noisy_stiffness, samples)
@@ -657,11 +660,11 @@ class InitialStiffness(RangeKind):
         "line from {start_mm:g} mm to {stop_mm:g} mm of the first loading, time as instrument"
     )
 
-    def measure(self, test: ReducedTest) -> Iterator[Part]:
+    def measure(self, test: ReducedTest) -> Iterator[MeasuredItem]:
         """Measure the slope of force against displacement, with time as the instrument."""
         window = self.start, self.stop
         choose_samples = partial(_choose_secant_window, start=self.start, stop=self.stop)
-        outcome, period = test.measure_one(choose_samples), test.find_loading_interval(*window)
+        outcome, period = test.measure_number(choose_samples), test.find_loading_period(*window)
         doubts = kinds.find_pause_doubts(test, window)
         result = self.make_result(test, outcome, period=period, doubts=doubts)
         yield result
@@ -683,24 +686,27 @@ class LineStiffness(InitialStiffness):
         """Return the method, which has time as the instrument if the test has a shape."""
         return (self.method if test.shape is None else InitialStiffness.method,)
 
-    def measure(self, test: ReducedTest) -> Iterator[Part]:
+    def measure(self, test: ReducedTest) -> Iterator[MeasuredItem]:
         """Fit a least-squares line or, for a test with a shape, a line with time as instrument."""
         if test.shape is not None:
             yield from super().measure(test)
             return
-        slope, curve = test.measure_one(self.choose_samples), curves.make_trace(test)
+        slope, curve = test.measure_number(self.choose_samples), curves.make_trace(test)
         samples = self.select_finite_samples(curve)
         d, f = curve.displacement[samples], curve.force[samples]
-        stretch = start, stop = float(d.min()), float(d.max())
+        slip_range = start, stop = float(d.min()), float(d.max())
         start_force = float(f.mean()) + slope.value * (start - float(d.mean()))
-        period, pause = test.find_loading_interval(*stretch), kinds.find_pause_doubts(test, stretch)
-        doubts = kinds.find_slip_doubts(test, stretch) + pause
+        period = test.find_loading_period(start, stop)
+        pause_doubts = kinds.find_pause_doubts(test, slip_range)
+        doubts = kinds.find_slip_doubts(test, slip_range) + pause_doubts
         if slope.value <= 0.0:
             doubts = (Reason.of("results.negative_slope"), *doubts)
         yield self.make_result(test, slope, period=period, doubts=doubts)
         window = max(start, 0.0), stop
-        yield Stiffness(self.name, self.choose_samples, slope.value, period, window, stretch, pause)
-        yield FittedLine(self.name, slope.value, start_force, *stretch)
+        yield Stiffness(
+            self.name, self.choose_samples, slope.value, period, window, slip_range, pause_doubts
+        )
+        yield FittedLine(self.name, slope.value, start_force, start, stop)
 
     def select_finite_samples(self, trace: Trace) -> Ints:
         """Select the samples in the window that have a force and a displacement.
@@ -734,21 +740,27 @@ class DerivedKind(Kind):
 
     @abstractmethod
     def measure_outcome(self, test: ReducedTest, stiffness: Stiffness) -> kinds.Outcome:
-        """Measure the value of a test from its stiffness."""
+        """Measure the value of a test from a stiffness.
+
+        Parameters
+        ----------
+        test : reduced test
+        stiffness : the stiffness with the name `of`
+        """
 
     def collect_context(self, test: ReducedTest, stiffness: Stiffness) -> dict[str, Any]:
         """Collect further arguments of `Kind.make_result`: period, doubts, remark."""
         del test, stiffness
         return {}
 
-    def measure(self, test: ReducedTest) -> Iterator[Part]:
+    def measure(self, test: ReducedTest) -> Iterator[MeasuredItem]:
         """Measure the value from the stiffness."""
         missing = Failure.of("results.no_stiffness", name=self.of)
         stiffness = test.require(test.stiffnesses.get(self.of), missing)
         outcome = return_failure(self.measure_outcome)(test, stiffness)
         context = {"period": stiffness.period, **self.collect_context(test, stiffness)}
-        slips = kinds.find_slip_doubts(test, stiffness.slip_range)
-        context["doubts"] = slips + stiffness.doubts + context.get("doubts", ())
+        slip_doubts = kinds.find_slip_doubts(test, stiffness.slip_range)
+        context["doubts"] = slip_doubts + stiffness.doubts + context.get("doubts", ())
         yield self.make_result(test, outcome, **context)
 
 
@@ -771,17 +783,17 @@ class NormalisedStiffness(DerivedKind):
     def measure_outcome(self, test: ReducedTest, stiffness: Stiffness) -> kinds.Outcome:
         """Measure a stiffness over the largest force of all cycles; the scale of force cancels."""
         trace = curves.make_trace(test)
-        force, cycle_numbers = trace.force, range(1, len(test.cycles) + 1)
-        slices = [cycles.find_cycle_samples(trace, cycle) for cycle in cycle_numbers]
-        peaks = [float(np.fmax.reduce(force[x], initial=-np.inf)) for x in slices]
-        # The last of equal peaks is chosen.
-        largest_cycle = max(cycle_numbers, key=lambda cycle: (peaks[cycle - 1], cycle))
-        choose_peak = partial(cycles.choose_peak_sample, test, cycle=largest_cycle)
-        peak_force = test.measure_one(choose_peak)
-        if peak_force.value <= _MIN_SIGNIFICANT_ERRORS * peak_force.error:
+        peaks = []
+        for cycle in range(1, len(test.cycles) + 1):
+            force = trace.force[cycles.find_cycle_samples(trace, cycle)]
+            peaks.append((float(np.fmax.reduce(force, initial=-np.inf)), cycle))
+        _, peak_cycle = max(peaks)  # the last one of equal peaks
+        choose_peak = partial(cycles.choose_peak_sample, test, cycle=peak_cycle)
+        peak_force = test.measure_number(choose_peak)
+        if peak_force.value <= _MIN_DIVISOR_ERRORS * peak_force.error:
             raise UnavailableError.of("results.no_peak_force", peak=peak_force.value)
         choices = stiffness.choose_samples, choose_peak
-        return test.measure_one(combine_numbers(lambda _, x, peak: x / peak, *choices))
+        return test.measure_number(combine_numbers(lambda _, x, peak: x / peak, *choices))
 
 
 class Modulus(DerivedKind):
@@ -802,7 +814,7 @@ class Modulus(DerivedKind):
         if "length" not in test.setup.sizes:
             raise UnavailableError.of("results.no_gauge_length")
         compute_area(test.setup.sizes, self.area)
-        return test.measure_one(combine_numbers(self._compute_modulus, stiffness.choose_samples))
+        return test.measure_number(combine_numbers(self._compute_modulus, stiffness.choose_samples))
 
     def _compute_modulus(self, trace: Trace, stiffness: Floats) -> Floats:
         """Compute the modulus, Pa; NaN if the area of a replicate is not positive."""
@@ -811,7 +823,7 @@ class Modulus(DerivedKind):
         return np.asarray(stiffness * trace.sizes["length"] / area, dtype=np.float64)
 
     def collect_context(self, test: ReducedTest, stiffness: Stiffness) -> dict[str, Any]:
-        """Return a doubt if the displacement may be that of frame and grips."""
+        """Return a doubt if a part of the displacement may be that of frame and grips."""
         return {"doubts": kinds.find_compliance_doubts(test, stiffness.value)}
 
 
@@ -825,11 +837,11 @@ _AREAS: Mapping[str, tuple[tuple[str, ...], Callable[..., float]]] = {
     "thin-wall": (("outer_diameter", "wall"), lambda outer, wall: np.pi * (outer - wall) * wall),
     "circle": (("outer_diameter",), lambda outer: 0.25 * np.pi * outer**2),
 }
-"""Keys of the sizes in the protocol, and the function of these sizes that computes the area of a
-section, by the kind of area.
+"""Keys of the sizes in the protocol, and the function that computes the area of a section from
+these sizes, by the kind of area.
 
-The diameters of a corrugated tube include the height of its folds, so that annulus and thin wall
-differ. A modulus therefore has to state which one it refers to.
+The diameters of a corrugated tube include the height of its folds, so the areas of annulus and thin
+wall differ. A modulus must therefore state to which area it refers.
 """
 
 
@@ -846,13 +858,13 @@ def compute_area(sizes: Mapping[str, float], kind: str = "") -> float:
     UnavailableError
         ``no_area`` without a complete set of sizes, or if the area is not positive.
     """
-    for candidate in [kind] if kind else _AREAS:
-        names, compute = _AREAS[candidate]
+    for area_kind in [kind] if kind else _AREAS:
+        names, compute = _AREAS[area_kind]
         if not all(name in sizes for name in names):
             continue
         area = compute(*(sizes[name] for name in names))
         if not area > 0.0:
-            raise UnavailableError.of("results.bad_area", kind=candidate, area=area)
+            raise UnavailableError.of("results.bad_area", kind=area_kind, area=area)
         return area
     missing = "specimen.section.area, or its width and thickness, or outer_diameter"
     if kind:
@@ -871,10 +883,10 @@ class ComplianceResult(Kind):
         "displacement against force from {start:g} N to {stop:g} N, the bar assumed rigid"
     )
 
-    def measure(self, test: ReducedTest) -> Iterator[Part]:
-        """Measure the slope of displacement against force of a bar that is assumed rigid."""
-        compliance = test.measure_one(self.choose_samples)
-        yield self.make_result(test, compliance, period=test.find_loading_interval())
+    def measure(self, test: ReducedTest) -> Iterator[MeasuredItem]:
+        """Measure the slope of displacement against force; the bar is assumed rigid."""
+        compliance = test.measure_number(self.choose_samples)
+        yield self.make_result(test, compliance, period=test.find_loading_period())
 
     def choose_samples(self, trace: Trace) -> Extractor:
         """Choose the samples for the slope of displacement against force over the window.
@@ -883,10 +895,10 @@ class ComplianceResult(Kind):
         ----------
         trace : one curve
         """
-        stretch = curves.select_first_loading(trace)
-        d, f = trace.displacement[stretch], trace.force[stretch]
+        loading = curves.select_first_loading(trace)
+        d, f = trace.displacement[loading], trace.force[loading]
         window = find_compliance_window(d, f, start=self.start, stop=self.stop)
-        samples = np.arange(stretch.start, stretch.stop)[window]
+        samples = np.arange(loading.start, loading.stop)[window]
         compute = restrict(lambda d, f: curves.compute_slope(f, d), convert_to_slice(samples))
         if (compliance := float(compute(trace)[0])) <= 0.0:
             raise UnavailableError.of("results.not_positive", slope=compliance)

@@ -3,8 +3,8 @@
 Stress is force over the original area, strain is displacement over the gauge length. Elongations
 and the strain of a proof stress begin where the elastic line meets zero stress (toe compensation).
 
-**Uncertainty**: each quantity is computed again with every input changed by its standard
-uncertainty (JCGM 100:2008, 5.1.3). The elastic line has an interval for correlated residuals.
+**Uncertainty**: each quantity is computed again with each input changed by its standard uncertainty
+(JCGM 100:2008, 5.1.3). The interval of the elastic line is that for correlated residuals.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from labpipe.records.estimates import Estimate, Failure, UnavailableError, retur
 from labpipe.records.quality import Reason
 from labpipe.results import kinds
 from labpipe.results.curves import make_trace, require_samples
-from labpipe.results.kinds import Kind, Part, ReducedTest
+from labpipe.results.kinds import Errors, Kind, MeasuredItem, ReducedTest
 from labpipe.results.stiffness import compute_area
 from labpipe.uncertainty.autocorrelation import LinearFit, estimate_fast_noise, fit_linear
 from labpipe.uncertainty.intervals import MeasuredNumber
@@ -37,23 +37,21 @@ MIN_ELASTIC_SAMPLES = 8
 """Smallest number of samples of an elastic line."""
 MIN_ELASTIC_RANGE = 0.1
 """Smallest range of stress of an elastic line, as a fraction of the largest stress."""
-MAX_BEND = 0.03
-"""Relative difference of the slopes of both halves of an elastic line, above which it is
-doubtful."""
-MAX_EXTENSION = 1.1
-"""Ratio of the extension of the gauge length to the travel of the machine, above which both are
-doubtful."""
-MAX_YIELD_ONSET = 5e-3
+MAX_SLOPE_DIFFERENCE = 0.03
+"""Largest relative difference of the slopes of both halves of an elastic line without a doubt."""
+MAX_HALF_LINE_CHANGE = 0.005
+"""Largest relative change of another quantity between the lines of both halves without a doubt."""
+MAX_EXTENSION_RATIO = 1.1
+"""Largest ratio of the extension of the gauge length to the travel of the machine without a
+doubt."""
+MAX_YIELD_ONSET_STRAIN = 5e-3
 """Largest plastic strain at an upper yield stress."""
 MIN_YIELD_STRAIN = 5e-4
 """Smallest plastic strain of a yield with a falling stress."""
 MIN_STRAIN_JUMP = 1e-4
 """Smallest jump of the strain that is reported."""
-MAX_CHANGE_BY_BEND = 0.005
-"""Relative difference of another quantity with the lines of both halves, above which it is
-doubtful."""
 _CLEAR_DEVIATIONS = 6.0
-"""Number of standard deviations above which a change is distinguished from noise."""
+"""Number of standard deviations of noise above which a change is significant."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +61,7 @@ class ElasticWindow:
     Parameters
     ----------
     start, stop : ends of a stated window; None for the longest straight part
-    of : quantity of the two ends: ``strain``, or ``strength`` for fractions of the largest stress
+    of : quantity of both ends: ``strain``, or ``strength`` for fractions of the largest stress
     straight : smallest square of the correlation coefficient of the longest straight part
     """
 
@@ -77,20 +75,20 @@ _NO_SLOPE = Estimate(np.nan, np.nan, 0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Pull:
+class TensileCurve:
     """The loading of a tension test in stress and strain.
 
     Parameters
     ----------
     time : shape (n,), s
-    strain, stress : shape (n,), 1 and Pa; strain is counted from the first sample, or from the end
-        of the slack, and is NaN where the extensometer is off
+    strain, stress : shape (n,), 1 and Pa; strain is counted from the first sample or, if slack was
+        subtracted, from the end of the slack; NaN while the extensometer is off
     window : samples of the elastic line
-    is_line_searched : whether the line is the longest straight part, not a stated window
+    is_line_searched : whether the line is that of the longest straight part, not a stated window
     stress_noise, strain_noise : Pa and 1, standard deviations of single samples
-    slope_estimate : slope of the elastic line, Pa, with its interval
+    slope_estimate : Pa, slope of the elastic line with its interval
     slope : Pa, slope of the elastic line
-    mean_strain, mean_stress : 1 and Pa, means over the samples of the line, a point of the line
+    mean_strain, mean_stress : 1 and Pa, means over the samples of the line; a point on the line
     line_failure : reason why there is no elastic line; None if there is one
     """
 
@@ -117,7 +115,7 @@ class Pull:
         """Index of the sample of the largest stress."""
         return int(np.nanargmax(self.stress))
 
-    def scale(self, stress_factor: float, strain_factor: float) -> Pull:
+    def scale(self, stress_factor: float, strain_factor: float) -> TensileCurve:
         """Multiply stress and strain by factors, but neither the noise nor `slope_estimate`."""
         return replace(
             self,
@@ -129,12 +127,12 @@ class Pull:
         )
 
 
-PullFunction: TypeAlias = Callable[[Pull], float]
+QuantityFunction: TypeAlias = Callable[[TensileCurve], float]
 """Function that computes a quantity from stress and strain."""
 
 
 @return_failure
-def fit_pull(test: ReducedTest, settings: ElasticWindow) -> Pull:
+def fit_tensile_curve(test: ReducedTest, settings: ElasticWindow) -> TensileCurve:
     """Compute stress and strain of the loading without unloading loops, and fit the elastic line.
 
     Parameters
@@ -144,8 +142,8 @@ def fit_pull(test: ReducedTest, settings: ElasticWindow) -> Pull:
 
     Returns
     -------
-    The pull, with a reason in `line_failure` if no line can be fitted; a failure without a loading,
-    an area or a gauge length.
+    The curve, with a reason in `line_failure` if no line can be fitted; a failure without a
+    loading, an area or a gauge length.
     """
     trace = make_trace(test)
     samples = _select_loading(trace)
@@ -158,7 +156,7 @@ def fit_pull(test: ReducedTest, settings: ElasticWindow) -> Pull:
     start = 0.0 if has_slack else drop_missing(displacement)[:1].sum()
     sense = kinds.compute_loading_sign(displacement)
     strain = sense * (displacement - start) / get_gauge_length(sizes)
-    pull = Pull(
+    curve = TensileCurve(
         time=trace.time[samples],
         strain=strain,
         stress=stress,
@@ -168,17 +166,17 @@ def fit_pull(test: ReducedTest, settings: ElasticWindow) -> Pull:
         strain_noise=_estimate_noise(strain),
     )
     try:
-        window = _choose_elastic_window(pull, settings)
+        window = _choose_elastic_window(curve, settings)
         x, y = _average_blocks(strain[window], stress[window])
         require_samples(len(x), MIN_ELASTIC_SAMPLES, " of the elastic line")
         fit = _fit_line(x, y)
         if fit.coefficients[1] <= 0.0:
             raise UnavailableError.of("results.no_elastic_line", why="its slope is not positive")
     except UnavailableError as error:
-        return replace(pull, line_failure=error.failure)
+        return replace(curve, line_failure=error.failure)
     slope = fit.make_estimate(1)
-    pull = replace(pull, window=window, slope_estimate=slope, slope=slope.value)
-    return replace(pull, mean_strain=float(x.mean()), mean_stress=float(fit.coefficients[0]))
+    curve = replace(curve, window=window, slope_estimate=slope, slope=slope.value)
+    return replace(curve, mean_strain=float(x.mean()), mean_stress=float(fit.coefficients[0]))
 
 
 def _fit_line(strain: Floats, stress: Floats) -> LinearFit:
@@ -197,7 +195,7 @@ def _fit_line(strain: Floats, stress: Floats) -> LinearFit:
 def _select_loading(trace: Trace) -> Ints:
     """Select the samples of the loading up to a failure, without those of unloading loops.
 
-    A loop ends where the displacement exceeds that at which the loop began.
+    A loop ends when the displacement exceeds that at which the loop began.
     """
     stop = len(trace.time) if trace.failed_at is None else trace.failed_at + 1
     samples, largest_so_far = [np.empty(0, dtype=np.intp)], -np.inf
@@ -231,26 +229,26 @@ def _average_blocks(strain: Floats, stress: Floats) -> tuple[Floats, Floats]:
     """Average strain and stress over at most 1000 blocks of the samples that have both."""
     is_finite = ~np.isnan(strain) & ~np.isnan(stress)
     strain, stress = strain[is_finite], stress[is_finite]
-    size = 1 + len(strain) // 1000
-    count = size * (len(strain) // size)
-    x, y = (values[:count].reshape(-1, size).mean(axis=1) for values in (strain, stress))
+    width = 1 + len(strain) // 1000
+    stop = width * (len(strain) // width)
+    x, y = (values[:stop].reshape(-1, width).mean(axis=1) for values in (strain, stress))
     return x, y
 
 
-def _choose_elastic_window(pull: Pull, settings: ElasticWindow) -> slice:
+def _choose_elastic_window(curve: TensileCurve, settings: ElasticWindow) -> slice:
     """Choose the samples of the elastic line: a stated window, or the longest straight part."""
     if settings.start is None or settings.stop is None:
-        return _find_longest_straight_part(pull, settings.straight)
-    scale = float(np.nanmax(pull.stress)) if settings.of == "strength" else 1.0
-    values = pull.stress if settings.of == "strength" else pull.strain
+        return _find_longest_straight_part(curve, settings.straight)
+    scale = float(np.nanmax(curve.stress)) if settings.of == "strength" else 1.0
+    values = curve.stress if settings.of == "strength" else curve.strain
     is_beyond = values > settings.stop * scale
     if not is_beyond.any():
         raise UnavailableError.of("results.elastic_window_not_reached")
     return slice(int(np.argmax(values >= settings.start * scale)), int(np.argmax(is_beyond)))
 
 
-def _find_longest_straight_part(pull: Pull, min_correlation: float) -> slice:
-    """Find the longest range of stress in which the curve is straight, and not steeper below.
+def _find_longest_straight_part(curve: TensileCurve, min_correlation: float) -> slice:
+    """Find the longest range of stress in which the curve is straight; it is not steeper below it.
 
     The square of the correlation coefficient in the range is at least `min_correlation`, or that of
     a straight line with the noise of both signals. One minus this square is the normalised residual
@@ -258,23 +256,23 @@ def _find_longest_straight_part(pull: Pull, min_correlation: float) -> slice:
     That method uses the window with the smallest residual. The longest window within a limit
     depends less on noise. Its ends are searched in steps of 1 % of the largest stress.
 
-    The elastic range is the steepest part of a curve. The line of a later part that is straight
-    lies far above the curve where the curve begins.
+    The elastic range is the steepest part of a curve. The line of a later straight part is far
+    above the curve at the first sample, and is rejected.
     """
-    strain, stress = pull.strain, pull.stress
+    strain, stress = curve.strain, curve.stress
     is_finite = ~np.isnan(strain) & ~np.isnan(stress)
     largest = float(np.nanmax(stress[is_finite])) if is_finite.any() else np.nan
-    levels = np.arange(0.0, 1.0, 0.01) * largest
+    limits = np.arange(0.0, 1.0, 0.01) * largest
     finite_stress = np.where(is_finite, stress, -np.inf)
-    ends = np.array([int(np.argmax(finite_stress >= level)) for level in levels])
+    ends = np.array([int(np.argmax(finite_stress >= limit)) for limit in limits])
     x, y = np.where(is_finite, strain, 0.0), np.where(is_finite, stress / largest, 0.0)
     x = x / np.abs(x).max(initial=1e-30)
-    count, *sums = (
+    counts, *sums = (
         np.concatenate([[0.0], np.cumsum(values)])[ends]
         for values in (is_finite.astype(np.float64), x, y, x * x, x * y, y * y)
     )
     # Each sum is over the samples from a start (row) to a stop (column).
-    n, sx, sy, sxx, sxy, syy = (np.subtract.outer(x, x).T for x in (count, *sums))
+    n, sx, sy, sxx, sxy, syy = (np.subtract.outer(x, x).T for x in (counts, *sums))
     is_enough = n >= MIN_ELASTIC_SAMPLES
     n = np.where(is_enough, n, 1.0)
     spread_x, spread_y, product = sxx - sx * sx / n, syy - sy * sy / n, sxy - sx * sy / n
@@ -291,7 +289,7 @@ def _find_longest_straight_part(pull: Pull, min_correlation: float) -> slice:
     # At the first sample, the line is at most `MIN_ELASTIC_RANGE` above the curve.
     x_from_first, y_from_first = sx / n - x[is_finite][:1], sy / n - y[is_finite][:1]
     is_low = (y_from_first - MIN_ELASTIC_RANGE) * spread_x <= product * x_from_first
-    ranges = 0.01 * np.subtract.outer(np.arange(len(levels)), np.arange(len(levels))).T
+    ranges = 0.01 * np.subtract.outer(np.arange(len(limits)), np.arange(len(limits))).T
     ranges = np.where(is_straight & is_low, ranges, -1.0)
     start, stop = np.unravel_index(int(np.argmax(ranges)), ranges.shape)
     if ranges[start, stop] < MIN_ELASTIC_RANGE:
@@ -319,22 +317,23 @@ def get_gauge_length(sizes: Mapping[str, float]) -> float:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PullQuantity:
-    """A quantity of a pull, with the samples and errors on which it depends.
+class TensileQuantity:
+    """A quantity of a tensile curve, with the samples on which it depends, errors and doubts.
 
     Parameters
     ----------
-    compute : function that computes the quantity of a pull
-    sample_range : first sample on which the quantity depends, and last one or the one after it
+    compute : function that computes the quantity of a tensile curve
+    sample_range : first and last sample on which the quantity depends; the stop of a window may
+        replace the last one
     has_line : whether the quantity depends on the elastic line
     errors : further standard errors of the quantity, by cause
     doubts : further reasons to doubt the quantity
     """
 
-    compute: PullFunction
+    compute: QuantityFunction
     sample_range: tuple[int, int]
     has_line: bool = True
-    errors: Mapping[str, float] = field(default_factory=dict)
+    errors: Errors = field(default_factory=dict)
     doubts: tuple[Reason, ...] = ()
 
 
@@ -345,124 +344,129 @@ class TensionResult(Kind):
     needs_line: ClassVar = True
 
     @abstractmethod
-    def list_quantities(self, test: ReducedTest, pull: Pull) -> Sequence[PullQuantity]:
-        """List the quantities of a pull, in the order of the outputs."""
+    def list_quantities(self, test: ReducedTest, curve: TensileCurve) -> Sequence[TensileQuantity]:
+        """List the quantities of a tensile curve, in the order of the outputs."""
 
-    def measure(self, test: ReducedTest) -> Iterator[Part]:
-        """Measure each quantity, also with every input changed by its standard uncertainty."""
-        pull = test.require(test.pull)
-        if pull.line_failure is not None and self.needs_line:
-            raise UnavailableError(pull.line_failure)
-        for output, quantity in enumerate(self.list_quantities(test, pull)):
-            value, errors, doubts = quantity.compute(pull), dict[str, float](), quantity.doubts
-            for cause, changed_pull in _change_inputs(test, pull):
-                change = quantity.compute(changed_pull) - value
+    def measure(self, test: ReducedTest) -> Iterator[MeasuredItem]:
+        """Measure each quantity, and its changes with each input."""
+        curve = test.require(test.tensile_curve)
+        if curve.line_failure is not None and self.needs_line:
+            raise UnavailableError(curve.line_failure)
+        for output, quantity in enumerate(self.list_quantities(test, curve)):
+            value, errors, doubts = quantity.compute(curve), dict[str, float](), quantity.doubts
+            for cause, changed_curve in _change_inputs(test, curve):
+                change = quantity.compute(changed_curve) - value
                 errors[cause] = float(np.hypot(errors.get(cause, 0.0), change))
             errors |= quantity.errors
-            outcome = Estimate(value, 0.0, pull.slope_estimate.n)
-            if quantity.compute is _read_slope:
-                outcome = pull.slope_estimate
+            outcome = Estimate(value, 0.0, curve.slope_estimate.n)
+            if quantity.compute is _get_slope:
+                outcome = curve.slope_estimate
             elif quantity.has_line:
-                steeper_pull = replace(pull, slope=pull.slope + pull.slope_estimate.error)
-                outcome = replace(outcome, error=abs(quantity.compute(steeper_pull) - value))
+                steeper_curve = replace(curve, slope=curve.slope + curve.slope_estimate.error)
+                outcome = replace(outcome, error=abs(quantity.compute(steeper_curve) - value))
             if quantity.has_line:
-                doubts = (*_list_line_doubts(test, pull, quantity.compute), *doubts)
-            start, stop = pull.time[np.minimum(quantity.sample_range, len(pull.time) - 1)].tolist()
+                doubts = (*_list_line_doubts(test, curve, quantity.compute), *doubts)
+            ends = np.minimum(quantity.sample_range, len(curve.time) - 1)
+            start, stop = curve.time[ends].tolist()
             yield self.make_result(
                 test, outcome, errors, output=output, period=(start, stop), doubts=doubts
             )
 
 
-def _change_inputs(test: ReducedTest, pull: Pull) -> Iterator[tuple[str, Pull]]:
-    """Yield the pull with each input changed by its standard uncertainty, by cause."""
+def _change_inputs(test: ReducedTest, curve: TensileCurve) -> Iterator[tuple[str, TensileCurve]]:
+    """Yield the curve with each input changed by its standard uncertainty, by cause."""
     setup, sizes = test.setup, test.setup.sizes
-    yield causes.SCALE_OF_FORCE, pull.scale(1.0 + test.raw_force.relative_error, 1.0)
-    yield causes.SCALE_OF_DISPLACEMENT, pull.scale(1.0, 1.0 + test.displacement.relative_error)
+    yield causes.SCALE_OF_FORCE, curve.scale(1.0 + test.raw_force.relative_error, 1.0)
+    yield causes.SCALE_OF_DISPLACEMENT, curve.scale(1.0, 1.0 + test.displacement.relative_error)
     zero = test.raw_force.zero_error / compute_area(sizes)
-    yield causes.ZERO_OF_FORCE, _add_stress(pull, np.full(len(pull.stress), zero))
-    drift = test.raw_force.zero_drift * float(np.nanmax(np.abs(pull.stress)))
-    for mode in compute_drift_modes(pull.time - pull.time[0], drift):
-        yield causes.DRIFT_OF_ZERO, _add_stress(pull, mode)
+    yield causes.ZERO_OF_FORCE, _add_stress(curve, np.full(len(curve.stress), zero))
+    drift = test.raw_force.zero_drift * float(np.nanmax(np.abs(curve.stress)))
+    for mode in compute_drift_modes(curve.time - curve.time[0], drift):
+        yield causes.DRIFT_OF_ZERO, _add_stress(curve, mode)
     for name, error in setup.uncertainties.items():
         if name not in sizes:
             continue
-        larger = {**sizes, name: sizes[name] + error}
+        larger_sizes = {**sizes, name: sizes[name] + error}
         cause = causes.LENGTH if name in ("length", "gauge_length") else causes.SECTION
-        area, length = compute_area(sizes) / compute_area(larger), get_gauge_length(sizes)
-        yield cause, pull.scale(area, length / get_gauge_length(larger))
+        stress_factor = compute_area(sizes) / compute_area(larger_sizes)
+        strain_factor = get_gauge_length(sizes) / get_gauge_length(larger_sizes)
+        yield cause, curve.scale(stress_factor, strain_factor)
     # This noise affects quantities from single samples; the elastic line has its own error.
-    yield causes.NOISE, replace(pull, stress=pull.stress + pull.stress_noise)
-    yield causes.NOISE_OF_DISPLACEMENT, replace(pull, strain=pull.strain + pull.strain_noise)
+    yield causes.NOISE, replace(curve, stress=curve.stress + curve.stress_noise)
+    yield causes.NOISE_OF_DISPLACEMENT, replace(curve, strain=curve.strain + curve.strain_noise)
 
 
-def _add_stress(pull: Pull, stress: Floats) -> Pull:
-    """Add a stress to every sample of a pull, and to its elastic line."""
-    x, y = _average_blocks(pull.strain[pull.window], stress[pull.window])
+def _add_stress(curve: TensileCurve, stress: Floats) -> TensileCurve:
+    """Add a stress to every sample of a tensile curve, and to its elastic line."""
+    x, y = _average_blocks(curve.strain[curve.window], stress[curve.window])
     slope_change, mean_change = np.polyfit(x - x.mean(), y, 1) if len(x) else (0.0, 0.0)
-    slope, mean_stress = pull.slope + slope_change, pull.mean_stress + mean_change
-    return replace(pull, stress=pull.stress + stress, slope=slope, mean_stress=mean_stress)
+    slope, mean_stress = curve.slope + slope_change, curve.mean_stress + mean_change
+    return replace(curve, stress=curve.stress + stress, slope=slope, mean_stress=mean_stress)
 
 
-def _list_line_doubts(test: ReducedTest, pull: Pull, compute: PullFunction) -> Iterator[Reason]:
+def _list_line_doubts(
+    test: ReducedTest, curve: TensileCurve, compute: QuantityFunction
+) -> Iterator[Reason]:
     """Yield doubts about an elastic line, and about the displacement from which it is computed.
 
     The line is doubtful if it bends, or if the curve later rises above it. Metals do not stiffen,
-    so both show that an extensometer slips or jumps, or that the specimen is bent. A line in a
+    so both are signs of an extensometer that slips or jumps, or of a bent specimen. A line in a
     stated window is not examined, because the window defines it. Without an extensometer, the
     displacement may be that of the machine. With an extensometer, the extension cannot exceed the
-    travel of the machine, since the gauge length lies between the grips. If it does, a unit may be
-    wrong.
+    travel of the machine, because the gauge length lies between the grips. An extension that does
+    may have a wrong unit.
     """
-    if pull.is_line_searched:
-        strain, stress = (values[pull.window] for values in (pull.strain, pull.stress))
-        is_upper, halves = stress > 0.5 * (np.nanmin(stress) + np.nanmax(stress)), list[float]()
+    if curve.is_line_searched:
+        strain, stress = (values[curve.window] for values in (curve.strain, curve.stress))
+        is_upper, half_values = stress > 0.5 * (np.nanmin(stress) + np.nanmax(stress)), []
         for is_in_half in (~is_upper, is_upper):
             x, y = _average_blocks(strain[is_in_half], stress[is_in_half])
-            slope, strain_mean, stress_mean = np.polyfit(x, y, 1)[0], x.mean(), y.mean()
-            half_pull = replace(pull, slope=slope, mean_strain=strain_mean, mean_stress=stress_mean)
-            halves.append(compute(half_pull))
-        value, change = compute(pull), halves[1] - halves[0]
-        limit = MAX_BEND if value == pull.slope else MAX_CHANGE_BY_BEND
-        if abs(change) > limit * abs(value):
+            slope, mean_strain, mean_stress = np.polyfit(x, y, 1)[0], x.mean(), y.mean()
+            variant = replace(curve, slope=slope, mean_strain=mean_strain, mean_stress=mean_stress)
+            half_values.append(compute(variant))
+        value, change = compute(curve), half_values[1] - half_values[0]
+        max_change = MAX_SLOPE_DIFFERENCE if value == curve.slope else MAX_HALF_LINE_CHANGE
+        if abs(change) > max_change * abs(value):
             yield Reason.of("results.elastic_line_bends", change=change / value)
-        tail = slice(pull.window.stop, max(pull.peak, pull.window.stop) + 1)
-        largest = float(np.fmax.reduce(_compute_stress_above_line(pull)[tail], initial=-np.inf))
-        end_stress = float(pull.stress[pull.window.stop - 1])
-        noise = float(np.hypot(pull.stress_noise, pull.slope * pull.strain_noise))
+        until_peak = slice(curve.window.stop, max(curve.peak, curve.window.stop) + 1)
+        stress_above = _compute_stress_above_line(curve)[until_peak]
+        largest = float(np.fmax.reduce(stress_above, initial=-np.inf))
+        end_stress = float(curve.stress[curve.window.stop - 1])
+        noise = float(np.hypot(curve.stress_noise, curve.slope * curve.strain_noise))
         if largest > max(_CLEAR_DEVIATIONS * noise, 0.01 * end_stress):
             yield Reason.of("results.above_elastic_line", above=1e-6 * largest)
     travel, sizes = test.signals.raw.get("displacement"), test.setup.sizes
     length = get_gauge_length(sizes)
     if "gauge_length" not in sizes:
-        yield from kinds.find_compliance_doubts(test, pull.slope * compute_area(sizes) / length)
+        yield from kinds.find_compliance_doubts(test, curve.slope * compute_area(sizes) / length)
     elif travel is not None:
-        last = int(np.nanargmax(pull.strain))
-        extension = 1e3 * length * float(pull.strain[last] - np.nanmin(pull.strain))
-        path = np.interp(pull.time[: last + 1], travel.time, travel.values)
+        last = int(np.nanargmax(curve.strain))
+        extension = 1e3 * length * float(curve.strain[last] - np.nanmin(curve.strain))
+        path = np.interp(curve.time[: last + 1], travel.time, travel.values)
         facts = {"extension": extension, "travel": 1e3 * float(np.ptp(path))}
-        if extension > MAX_EXTENSION * facts["travel"] > 0.0:
+        if extension > MAX_EXTENSION_RATIO * facts["travel"] > 0.0:
             yield Reason.of("results.extension_exceeds_travel", **facts)
 
 
-def _find_jump_doubts(pull: Pull, stop: int) -> tuple[Reason, ...]:
-    """Find a doubt if the strain jumps before a sample, as if a knife edge slipped."""
-    finite_samples = np.flatnonzero(~np.isnan(pull.strain[: stop + 7]))
+def _find_jump_doubts(curve: TensileCurve, stop: int) -> tuple[Reason, ...]:
+    """Find a doubt if the strain jumps up to a sample, as in a slip of a knife edge."""
+    finite_samples = np.flatnonzero(~np.isnan(curve.strain[: stop + 7]))
     counts = np.diff(finite_samples)
-    steps = np.diff(pull.strain[finite_samples]) / counts  # per sample, so that a gap is no jump
+    steps = np.diff(curve.strain[finite_samples]) / counts  # per sample, so that a gap is no jump
     if len(steps) < MIN_ELASTIC_SAMPLES:
         return ()
     # The speed may change at a step, so it is compared with five steps before and five after it.
     medians = np.median(sliding_window_view(np.pad(steps, 6, "reflect"), 5), axis=1)
     usual_steps = np.stack([medians[1 : 1 + len(steps)], medians[7 : 7 + len(steps)]])
     jumps = np.abs(steps - usual_steps).min(axis=0) * counts
-    min_jump = max(MIN_STRAIN_JUMP, _CLEAR_DEVIATIONS * pull.strain_noise)
+    min_jump = max(MIN_STRAIN_JUMP, _CLEAR_DEVIATIONS * curve.strain_noise)
     is_jump = jumps > np.maximum(min_jump, 3.0 * np.abs(usual_steps).max(axis=0))
     is_jump &= finite_samples[1:] <= stop
     if not is_jump.any():
         return ()
     index = int(np.argmax(np.where(is_jump, jumps, 0.0)))
     jump = float(steps[index] * counts[index])
-    stress = 1e-6 * float(pull.stress[finite_samples[index]])
+    stress = 1e-6 * float(curve.stress[finite_samples[index]])
     return (Reason.of("results.strain_jumps", jump=jump, stress=stress),)
 
 
@@ -473,43 +477,44 @@ class ElasticModulus(TensionResult):
     outputs: ClassVar = (Output("elastic_modulus", "Pa", "Modulus of elasticity"),)
 
     def list_methods(self, test: ReducedTest) -> tuple[str]:
-        """Return the method with the range of stress of the elastic line."""
-        if not isinstance(test.pull, Pull) or test.pull.line_failure is not None:
+        """List the method, with the range of stress of the elastic line."""
+        curve = test.tensile_curve
+        if not isinstance(curve, TensileCurve) or curve.line_failure is not None:
             return ("slope of the elastic line",)
-        stress = test.pull.stress[test.pull.window]
+        stress = curve.stress[curve.window]
         low, high = 1e-6 * float(np.nanmin(stress)), 1e-6 * float(np.nanmax(stress))
         return (f"slope of the elastic line from {low:.4g} to {high:.4g} MPa",)
 
-    def list_quantities(self, test: ReducedTest, pull: Pull) -> Sequence[PullQuantity]:
+    def list_quantities(self, test: ReducedTest, curve: TensileCurve) -> Sequence[TensileQuantity]:
         """List the slope of the elastic line, whose residuals may be correlated."""
         del test
-        window, doubts = pull.window, _find_jump_doubts(pull, pull.window.stop)
-        # Neighbouring values are rounded alike, so rounding moves both ends of the line.
-        strain, sample_range = drop_missing(pull.strain[window]), (window.start, window.stop)
-        rounding = np.sqrt(2.0) * pull.slope * _estimate_rounding(strain) / np.ptp(strain)
+        window, doubts = curve.window, _find_jump_doubts(curve, curve.window.stop)
+        # Neighbouring values have the same rounding error, so rounding moves both ends of the line.
+        strain, sample_range = drop_missing(curve.strain[window]), (window.start, window.stop)
+        rounding = np.sqrt(2.0) * curve.slope * _estimate_rounding(strain) / np.ptp(strain)
         errors = {causes.RESOLUTION_OF_DISPLACEMENT: float(rounding)}
-        return [PullQuantity(_read_slope, sample_range, errors=errors, doubts=doubts)]
+        return [TensileQuantity(_get_slope, sample_range, errors=errors, doubts=doubts)]
 
-    def measure(self, test: ReducedTest) -> Iterator[Part]:
+    def measure(self, test: ReducedTest) -> Iterator[MeasuredItem]:
         """Measure the slope, and yield the line for figures."""
         yield from super().measure(test)
-        pull = test.require(test.pull)
-        path = test.required_curve.displacement[_select_loading(make_trace(test))[pull.window]]
+        curve = test.require(test.tensile_curve)
+        path = test.required_curve.displacement[_select_loading(make_trace(test))[curve.window]]
         start, stop = float(np.nanmin(path)), float(np.nanmax(path))
-        strain = float(np.nanmin(pull.strain[pull.window]))
+        strain = float(np.nanmin(curve.strain[curve.window]))
         area, length = compute_area(test.setup.sizes), get_gauge_length(test.setup.sizes)
-        start_force = area * (pull.mean_stress + pull.slope * (strain - pull.mean_strain))
-        slope = pull.slope * area / length
+        start_force = area * (curve.mean_stress + curve.slope * (strain - curve.mean_strain))
+        slope = curve.slope * area / length
         yield FittedLine("elastic_modulus", slope, start_force, start, stop)
 
 
-def _read_slope(pull: Pull) -> float:
+def _get_slope(curve: TensileCurve) -> float:
     """Return the slope of the elastic line, Pa."""
-    return pull.slope
+    return curve.slope
 
 
 class ProofStress(TensionResult):
-    """``<name>`` (Pa): stress where the curve meets the elastic line shifted by a strain."""
+    """``<name>`` (Pa): stress at which the curve meets the elastic line shifted by a strain."""
 
     result: ClassVar = "proof-stress"
     outputs: ClassVar = (Output("{name}", "Pa"),)
@@ -517,31 +522,31 @@ class ProofStress(TensionResult):
     offset: Annotated[Fraction, "Plastic strain, such as 0.2 %"]
     name: Annotated[SnakeName, "Such as proof_stress_0_2"] = "proof_stress"
 
-    def list_quantities(self, test: ReducedTest, pull: Pull) -> Sequence[PullQuantity]:
+    def list_quantities(self, test: ReducedTest, curve: TensileCurve) -> Sequence[TensileQuantity]:
         """List the stress at which the curve falls below the shifted elastic line."""
         del test
 
-        def interpolate_stress(pull: Pull) -> float:
-            sample = _find_meeting_sample(pull, self.offset)
-            above, below = _compute_stress_above_line(pull, self.offset)[sample - 1 : sample + 1]
-            return float(np.interp(0.0, [below, above], pull.stress[[sample, sample - 1]]))
+        def interpolate_stress(curve: TensileCurve) -> float:
+            sample = _find_meeting_sample(curve, self.offset)
+            above, below = _compute_stress_above_line(curve, self.offset)[sample - 1 : sample + 1]
+            return float(np.interp(0.0, [below, above], curve.stress[[sample, sample - 1]]))
 
-        crossing = _find_meeting_sample(pull, self.offset)
-        doubts = _find_jump_doubts(pull, crossing)
-        return [PullQuantity(interpolate_stress, (pull.window.start, crossing), doubts=doubts)]
-
-
-def _compute_stress_above_line(pull: Pull, offset: float = 0.0) -> Floats:
-    """Compute the stress of every sample above the elastic line shifted by a strain, Pa."""
-    return pull.stress - pull.slope * (pull.strain - pull.toe - offset)
+        crossing = _find_meeting_sample(curve, self.offset)
+        doubts = _find_jump_doubts(curve, crossing)
+        return [TensileQuantity(interpolate_stress, (curve.window.start, crossing), doubts=doubts)]
 
 
-def _find_meeting_sample(pull: Pull, offset: float) -> int:
+def _compute_stress_above_line(curve: TensileCurve, offset: float = 0.0) -> Floats:
+    """Compute how far each stress is above the elastic line shifted by a strain, Pa."""
+    return curve.stress - curve.slope * (curve.strain - curve.toe - offset)
+
+
+def _find_meeting_sample(curve: TensileCurve, offset: float) -> int:
     """Find the first sample after the window that is on or below the line shifted by a strain."""
-    is_below = _compute_stress_above_line(pull, offset) <= 0.0
-    is_below[: pull.window.stop] = False
+    is_below = _compute_stress_above_line(curve, offset) <= 0.0
+    is_below[: curve.window.stop] = False
     if not is_below.any():
-        last = np.nanmax(pull.strain) - pull.toe
+        last = np.nanmax(curve.strain) - curve.toe
         raise UnavailableError.of("results.offset_not_reached", offset=offset, last=last)
     return int(np.argmax(is_below))
 
@@ -559,31 +564,31 @@ class YieldStress(TensionResult):
         "smallest stress until the upper yield stress is reached again, first trough left out",
     )
 
-    def list_quantities(self, test: ReducedTest, pull: Pull) -> Sequence[PullQuantity]:
+    def list_quantities(self, test: ReducedTest, curve: TensileCurve) -> Sequence[TensileQuantity]:
         """List the stress at the first fall, and the lowest stress while the specimen yields."""
         del test
         return [
-            PullQuantity(partial(_read_stress, sample=sample), (sample, sample), has_line=False)
-            for sample in _find_yield_samples(pull)
+            TensileQuantity(partial(_get_stress, sample=sample), (sample, sample), has_line=False)
+            for sample in _find_yield_samples(curve)
         ]
 
 
-def _read_stress(pull: Pull, sample: int) -> float:
+def _get_stress(curve: TensileCurve, sample: int) -> float:
     """Return the stress of a sample, Pa."""
-    return float(pull.stress[sample])
+    return float(curve.stress[sample])
 
 
-def _find_yield_samples(pull: Pull) -> tuple[int, int]:
+def _find_yield_samples(curve: TensileCurve) -> tuple[int, int]:
     """Find the samples of the upper and of the lower yield stress.
 
     The stress falls if it is below its largest value so far by more than six standard deviations of
-    noise and a thousandth of the peak. A fall that begins with much plastic strain is a serration
-    of later flow. After a slip of the grips or a pause, the stress before the fall is reached again
+    noise and more than a thousandth of the peak. A fall at a large plastic strain is a serration of
+    later flow. After a slip of the grips or a pause, the stress before the fall is reached again
     without more plastic strain. Any other fall is a yield.
     """
-    stress, peak, upper = pull.stress, pull.peak, pull.window.stop
-    clear_fall = max(_CLEAR_DEVIATIONS * pull.stress_noise, 1e-3 * float(stress[peak]))
-    plastic_strain = pull.strain - pull.toe - stress / pull.slope
+    stress, peak, upper = curve.stress, curve.peak, curve.window.stop
+    clear_fall = max(_CLEAR_DEVIATIONS * curve.stress_noise, 1e-3 * float(stress[peak]))
+    plastic_strain = curve.strain - curve.toe - stress / curve.slope
     while upper < peak:
         until_peak = stress[upper : peak + 1]
         is_fallen = np.fmax.accumulate(until_peak) - until_peak > clear_fall
@@ -592,7 +597,7 @@ def _find_yield_samples(pull: Pull) -> tuple[int, int]:
         upper += int(np.nanargmax(until_peak[: int(np.argmax(is_fallen))]))
         higher = np.flatnonzero(stress[upper + 1 : peak + 1] > stress[upper])
         stop = upper + 1 + int(higher[0]) if len(higher) else peak + 1
-        if plastic_strain[upper] > MAX_YIELD_ONSET:
+        if plastic_strain[upper] > MAX_YIELD_ONSET_STRAIN:
             break
         if not len(higher) or plastic_strain[stop] - plastic_strain[upper] > MIN_YIELD_STRAIN:
             return upper, upper + _find_trough(stress[upper:stop], clear_fall)
@@ -603,7 +608,7 @@ def _find_yield_samples(pull: Pull) -> tuple[int, int]:
 def _find_trough(plateau: Floats, clear_change: float) -> int:
     """Find the index of the lowest stress of a plateau, without a transient first trough.
 
-    A trough is transient if the stress rises clearly after it, and falls again.
+    A trough is transient if the stress rises by more than `clear_change` after it, and falls again.
     """
     is_risen = plateau - np.fmin.accumulate(plateau) > clear_change
     start = int(np.argmax(is_risen)) if is_risen.any() else 0
@@ -621,39 +626,39 @@ class TensileStrength(TensionResult):
     method: ClassVar = "largest force over the original area"
     needs_line: ClassVar = False
 
-    def list_quantities(self, test: ReducedTest, pull: Pull) -> Sequence[PullQuantity]:
+    def list_quantities(self, test: ReducedTest, curve: TensileCurve) -> Sequence[TensileQuantity]:
         """List the largest stress."""
-        strength, sample_range = partial(_read_stress, sample=pull.peak), (0, pull.peak)
-        doubts = _find_peak_doubts(test, pull)
-        return [PullQuantity(strength, sample_range, has_line=False, doubts=doubts)]
+        strength, sample_range = partial(_get_stress, sample=curve.peak), (0, curve.peak)
+        doubts = _find_peak_doubts(test, curve)
+        return [TensileQuantity(strength, sample_range, has_line=False, doubts=doubts)]
 
 
-def _find_peak_doubts(test: ReducedTest, pull: Pull) -> tuple[Reason, ...]:
+def _find_peak_doubts(test: ReducedTest, curve: TensileCurve) -> tuple[Reason, ...]:
     """Find a doubt if the record ends without a break, since the force may rise again."""
     if isinstance(test.failure, kinds.FailurePoint):
         return ()
-    stress = pull.stress[~np.isnan(pull.stress)]
+    stress = curve.stress[~np.isnan(curve.stress)]
     return (Reason.of("results.ends_at_peak", share=float(stress[-1] / stress.max())),)
 
 
-def _find_extensometer_doubts(test: ReducedTest, pull: Pull) -> tuple[Reason, ...]:
-    """Find a doubt if the strain stops before the peak while the machine moves on.
+def _find_extensometer_doubts(test: ReducedTest, curve: TensileCurve) -> tuple[Reason, ...]:
+    """Find a doubt if the strain stays constant before the peak while the machine moves.
 
     After the peak, a specimen may neck outside of the gauge length.
     """
     min_rate_ratio, last_fraction = 0.1, 0.1  # rate over the mean rate; last part of the travel
-    travel, stop = test.signals.raw.get("displacement"), pull.peak + 1
+    travel, stop = test.signals.raw.get("displacement"), curve.peak + 1
     if travel is None or "gauge_length" not in test.setup.sizes:
         return ()
-    path, strain = np.interp(pull.time[:stop], travel.time, travel.values), pull.strain[:stop]
+    path, strain = np.interp(curve.time[:stop], travel.time, travel.values), curve.strain[:stop]
     path = np.abs(path - path[0])
     is_last = (path >= (1.0 - last_fraction) * path[-1]) & ~np.isnan(strain)
     if path[is_last].size < MIN_ELASTIC_SAMPLES or not np.ptp(path[is_last]) > 0.0:
         return ()
     rate = float(np.polyfit(path[is_last], strain[is_last], 1)[0])
-    if rate >= min_rate_ratio * (np.nanmax(strain) - pull.toe) / path[-1]:
+    if rate >= min_rate_ratio * (np.nanmax(strain) - curve.toe) / path[-1]:
         return ()
-    return (Reason.of("results.extension_stops", last=float(strain[is_last][-1]) - pull.toe),)
+    return (Reason.of("results.extension_stops", last=float(strain[is_last][-1]) - curve.toe),)
 
 
 def _declare_elongations(event: str) -> tuple[Output, Output]:
@@ -675,47 +680,44 @@ class MaximumForceElongation(TensionResult):
         "strain from the toe to the sample of the largest force, less the stress over the modulus",
     )
 
-    def list_quantities(self, test: ReducedTest, pull: Pull) -> Sequence[PullQuantity]:
+    def list_quantities(self, test: ReducedTest, curve: TensileCurve) -> Sequence[TensileQuantity]:
         """List the total and the plastic strain at the largest force.
 
         Because of noise, the largest sample may be a neighbour of the sample at the true peak.
         """
-        noise = _estimate_noise(pull.stress[max(pull.peak - 50, 0) : pull.peak + 50])
-        is_near_peak = pull.stress >= pull.stress[pull.peak] - 2.0 * noise
+        noise = _estimate_noise(curve.stress[max(curve.peak - 50, 0) : curve.peak + 50])
+        is_near_peak = curve.stress >= curve.stress[curve.peak] - 2.0 * noise
         first, last = np.flatnonzero(is_near_peak)[[0, -1]].tolist()
-        if np.isnan(pull.strain[[first, last]]).any():
-            raise _make_extensometer_error(pull, "the largest force")
-        ends = pull.strain[[first, last]] - pull.strain[pull.peak]
-        # All strains between the ends are equally probable. The spread is the root of their second
+        if np.isnan(curve.strain[[first, last]]).any():
+            raise _make_extensometer_error(curve, "the largest force")
+        ends = curve.strain[[first, last]] - curve.strain[curve.peak]
+        # All strains between the ends are equally probable. Their spread is the root of the second
         # moment about the strain of the largest sample.
         spread = float(np.sqrt((ends @ ends + ends.prod()) / 3.0))
-        sample_range = pull.window.start, last + 1
-        doubts = _find_peak_doubts(test, pull) + _find_extensometer_doubts(test, pull)
-        return _list_elongations(pull.peak, sample_range, {causes.PEAK: spread}, doubts)
+        sample_range = curve.window.start, last + 1
+        doubts = _find_peak_doubts(test, curve) + _find_extensometer_doubts(test, curve)
+        return _list_elongations(curve.peak, sample_range, {causes.PEAK: spread}, doubts)
 
 
 def _list_elongations(
-    sample: int,
-    sample_range: tuple[int, int],
-    errors: Mapping[str, float],
-    doubts: tuple[Reason, ...] = (),
-) -> list[PullQuantity]:
+    sample: int, sample_range: tuple[int, int], errors: Errors, doubts: tuple[Reason, ...]
+) -> list[TensileQuantity]:
     """List the strain of a sample from the toe, with and without the elastic strain."""
 
-    def compute_strain(pull: Pull) -> float:
-        return float(pull.strain[sample]) - pull.toe
+    def compute_strain(curve: TensileCurve) -> float:
+        return float(curve.strain[sample]) - curve.toe
 
-    def compute_plastic_strain(pull: Pull) -> float:
-        return compute_strain(pull) - float(pull.stress[sample]) / pull.slope
+    def compute_plastic_strain(curve: TensileCurve) -> float:
+        return compute_strain(curve) - float(curve.stress[sample]) / curve.slope
 
     functions = compute_strain, compute_plastic_strain
-    return [PullQuantity(x, sample_range, errors=errors, doubts=doubts) for x in functions]
+    return [TensileQuantity(x, sample_range, errors=errors, doubts=doubts) for x in functions]
 
 
-def _make_extensometer_error(pull: Pull, what: str) -> UnavailableError:
+def _make_extensometer_error(curve: TensileCurve, event: str) -> UnavailableError:
     """Make the error for an extensometer that comes off before an event."""
-    last = float(np.nanmax(pull.strain)) - pull.toe
-    return UnavailableError.of("results.extensometer_off", what=what, last=last)
+    last = float(np.nanmax(curve.strain)) - curve.toe
+    return UnavailableError.of("results.extensometer_off", event=event, last=last)
 
 
 class BreakElongation(TensionResult):
@@ -729,14 +731,14 @@ class BreakElongation(TensionResult):
         "the modulus",
     )
 
-    def list_quantities(self, test: ReducedTest, pull: Pull) -> Sequence[PullQuantity]:
+    def list_quantities(self, test: ReducedTest, curve: TensileCurve) -> Sequence[TensileQuantity]:
         """List the total and the plastic strain at the last sample before the force is lost."""
         test.require(test.failure)
-        last = len(pull.stress) - 1
-        if np.isnan(pull.strain[last]):
-            raise _make_extensometer_error(pull, "the break")
+        last = len(curve.stress) - 1
+        if np.isnan(curve.strain[last]):
+            raise _make_extensometer_error(curve, "the break")
         # The break is equally probable anywhere between this sample and the next one. The step is
         # assumed to be as long as the last one.
-        error = abs(float(np.diff(pull.strain[-2:])[0])) / np.sqrt(3.0)
-        sample_range, doubts = (pull.window.start, last), _find_extensometer_doubts(test, pull)
+        error = abs(float(np.diff(curve.strain[-2:])[0])) / np.sqrt(3.0)
+        sample_range, doubts = (curve.window.start, last), _find_extensometer_doubts(test, curve)
         return _list_elongations(last, sample_range, {causes.STEP: error}, doubts)

@@ -20,7 +20,7 @@ from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats
 from labpipe.records.causes import IS_COMMON
 from labpipe.records.curve import Interval
-from labpipe.records.group import Decision, GroupNumber, MeanInterval, NestedMean
+from labpipe.records.group import AveragingDecision, GroupNumber, MeanInterval, NestedMean
 from labpipe.records.quality import Reason
 from labpipe.records.result import Contribution, Result
 
@@ -104,13 +104,13 @@ def compute_nested_mean(
     )
 
 
-def _describe_one_spool(n_samples: int) -> Decision:
+def _describe_one_spool(n_samples: int) -> AveragingDecision:
     """Return the decision for values of one spool, or for no values."""
     if not n_samples:
-        return Decision(format_sentence("statistics.no_values"))
+        return AveragingDecision(format_sentence("statistics.no_values"))
     samples_text = "1 sample" if n_samples == 1 else f"{n_samples} samples"
     summary = format_sentence("statistics.over_one_spool", samples=samples_text)
-    return Decision(summary, (format_sentence("statistics.one_spool"),))
+    return AveragingDecision(summary, (format_sentence("statistics.one_spool"),))
 
 
 def _describe_decision(
@@ -120,7 +120,7 @@ def _describe_decision(
     limits: PoolingLimits,
     *,
     is_pooled: bool,
-) -> Decision:
+) -> AveragingDecision:
     """Describe what was averaged, and on which results the decision is based."""
     counts = tuple(len(values) for values in spools)
     totals = {"samples": sum(counts), "spools": len(counts)}
@@ -130,7 +130,7 @@ def _describe_decision(
     grounds = (*_describe_spool_variance(scatter, limits), _describe_test(p, counts, limits))
     if max(counts) > 1 and np.ptp(np.concatenate(spools)) == 0.0:
         grounds = (format_sentence("statistics.values_equal"),)
-    return Decision(summary, grounds)
+    return AveragingDecision(summary, grounds)
 
 
 def _describe_spool_variance(scatter: SpoolScatter, limits: PoolingLimits) -> tuple[str, ...]:

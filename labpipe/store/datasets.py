@@ -319,8 +319,8 @@ class GroupWriter:
 
 def read_array(group: Any, name: str, spec: DatasetSpec) -> Any:
     """Read an array, or a tuple of texts, after checking unit, axes and type against the layout."""
-    dataset, file_type = _open_checked_dataset(group, name, spec)
-    values: NDArray[Any] = np.empty(dataset.shape, file_type.dtype)
+    dataset, file_type, shape = _open_checked_dataset(group, name, spec)
+    values: NDArray[Any] = np.empty(shape, file_type.dtype)
     if values.size:
         dataset.read(h5s.ALL, h5s.ALL, values, file_type)
     return tuple(cell.decode() for cell in values.tolist()) if spec.dtype == TEXT else values
@@ -334,29 +334,28 @@ def read_array_rows(group: Any, name: str, spec: DatasetSpec, rows: Ints) -> NDA
     group, name, spec : see `read_array`
     rows : indices along the first axis, strictly increasing
     """
-    values: NDArray[Any] = h5py.Dataset(_open_checked_dataset(group, name, spec)[0])[rows]
-    return values
+    return np.asarray(h5py.Dataset(_open_checked_dataset(group, name, spec)[0])[rows])
 
 
-def _open_checked_dataset(group: Any, name: str, spec: DatasetSpec) -> tuple[Any, Any]:
-    """Open a dataset, check its unit, axes, number type and storage, and return it with its type.
+def _open_checked_dataset(group: Any, name: str, spec: DatasetSpec) -> tuple[Any, Any, Any]:
+    """Open a dataset, and check its unit, axes, number type and storage.
 
-    Both are identifiers.
+    The identifier of the dataset is returned with that of its type, and with its shape.
     """
     dataset = h5d.open(group, name.encode())
-    file_type = dataset.get_type()
+    file_type, shape = dataset.get_type(), dataset.shape
     for label, expected in (("axes", ", ".join(spec.axes)), ("unit", spec.unit)):
         if expected is not None:
             _require_equal(dataset, label, expected, read_text(dataset, label))
-    if spec.dtype != TEXT:
+    if spec.dtype not in (TEXT, file_type.dtype):  # or only the order of the bytes differs
         _require_equal(dataset, "number type", spec.dtype, file_type.dtype.name)
-    _check_storage(dataset)
-    return dataset, file_type
+    _check_storage(dataset, shape)
+    return dataset, file_type, shape
 
 
-def _check_storage(dataset: Any) -> None:
+def _check_storage(dataset: Any, shape: tuple[int, ...]) -> None:
     """Raise StoreError for incomplete or external data, before memory is allocated for them."""
-    properties, shape = dataset.get_create_plist(), dataset.shape
+    properties = dataset.get_create_plist()
     if properties.get_layout() == h5d.CHUNKED:
         sizes = zip(shape, properties.get_chunk(), strict=True)
         n_chunks = prod(ceil(size / chunk) for size, chunk in sizes)

@@ -41,19 +41,19 @@ def estimate_long_run_variance(residuals: Floats, *, n_parameters: int) -> float
     at least half the ordinary variance, and about equal to the variance for white noise.
     """
     values = residuals[~np.isnan(residuals)]
-    count = len(values)
-    if count < n_parameters + 3:
+    n = len(values)
+    if n < n_parameters + 3:
         return float("nan")
     centred = values - values.mean()
-    max_lag = min(int(1.3 * np.sqrt(count)), count // 4)
-    variance = float(centred @ centred) / count
+    max_lag = min(int(1.3 * np.sqrt(n)), n // 4)
+    variance = float(centred @ centred) / n
     long_run = variance
     for lag in range(1, max_lag + 1):
-        covariance = float(centred[lag:] @ centred[:-lag]) / count
+        covariance = float(centred[lag:] @ centred[:-lag]) / n
         long_run += 2.0 * (1.0 - lag / (max_lag + 1.0)) * covariance
     # A fit removes low frequencies from its residuals, so the weighted sum is too small.
-    remaining_fraction = 1.0 - min(0.5, n_parameters * (max_lag + 1.0) / count)
-    return max(long_run / remaining_fraction, 0.5 * variance) * count / (count - n_parameters)
+    remaining_fraction = 1.0 - min(0.5, n_parameters * (max_lag + 1.0) / n)
+    return max(long_run / remaining_fraction, 0.5 * variance) * n / (n - n_parameters)
 
 
 def estimate_fast_noise(values: Floats) -> Floats:

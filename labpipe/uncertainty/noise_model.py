@@ -512,15 +512,15 @@ def _list_best_cuts(squares: Floats) -> Iterator[tuple[tuple[int, ...], float, t
     smallest, last_cuts = squares[:, 0], list[Ints]()
     for n_pieces in range(1, max_pieces + 1):
         for degree_indices in product(range(len(squares)), repeat=n_pieces):
-            ends = list[int]()
-            end = squares.shape[-1] - 1
+            cuts = list[int]()
+            cut = squares.shape[-1] - 1
             for depth in range(n_pieces - 1, 0, -1):
-                end = int(last_cuts[depth - 1][degree_indices[: depth + 1]][end])
-                ends.insert(0, end)
+                cut = int(last_cuts[depth - 1][degree_indices[: depth + 1]][cut])
+                cuts.insert(0, cut)
             yield (
                 tuple(index + 1 for index in degree_indices),
                 float(smallest[degree_indices][-1]),
-                tuple(ends),
+                tuple(cuts),
             )
         if n_pieces < max_pieces:
             total = smallest[..., None, :, None] + squares
@@ -534,15 +534,15 @@ def _compute_squares(values: Floats) -> Floats:
     The sums have the shape (3, n + 1, n + 1), and are infinite for too few samples.
     """
     max_degree = 3
-    count = len(values)
-    sums = np.full((max_degree, count + 1, count + 1), np.inf)
-    for length in range(2, count + 1):
+    n_samples = len(values)
+    sums = np.full((max_degree, n_samples + 1, n_samples + 1), np.inf)
+    for length in range(2, n_samples + 1):
         windows = np.lib.stride_tricks.sliding_window_view(values, length)
         windows = windows - windows.mean(axis=1, keepdims=True)
         degree = min(length - 1, max_degree)
         polynomials = build_polynomial_basis(length, degree + 1)
         explained = np.cumsum((windows @ polynomials[:, 1:]) ** 2, axis=1)
-        first = np.arange(count - length + 1)
+        first = np.arange(n_samples - length + 1)
         residual_squares = np.sum(windows**2, axis=1)[:, None] - explained
         sums[:degree, first, first + length] = np.maximum(residual_squares, 0.0).T
     return sums

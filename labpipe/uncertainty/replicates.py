@@ -222,7 +222,7 @@ class Input:
     ----------
     cause : name of the cause of the error, a key of `labpipe.records.causes.IS_COMMON`
     perturb : function that returns a trace with the input changed by a number of units. The unit is
-        the standard uncertainty, or a step for ``step`` and ``ends``
+        the standard uncertainty or, for ``step`` and ``ends``, a step
     distribution : distribution of the error
     moves_curve : whether a change of the input changes the curve; windows are then chosen again
     drawn_errors : shape (replicates,), errors in units of `perturb`; None to draw them from
@@ -414,9 +414,9 @@ def _is_constant(values: Floats, curve: Floats, n_parameters: int) -> bool:
     The criterion is the information criterion of Schwarz, Ann. Stat. 6 (1978) 461. A curve that
     follows the noise is highest at an end of the rest, and would raise a peak there.
     """
-    count = len(values)
+    n_samples = len(values)
     variance_about_mean, variance_about_curve = np.var(values), np.mean((values - curve) ** 2)
-    limit = np.exp((n_parameters - 1) * np.log(count) / count)
+    limit = np.exp((n_parameters - 1) * np.log(n_samples) / n_samples)
     return bool(variance_about_mean <= limit * variance_about_curve)
 
 

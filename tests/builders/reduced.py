@@ -128,7 +128,5 @@ def recorded(
     pull = clocks.interpolate(signals.filtered["force"], way.time)
     corrected = way.values - compliance * pull if compliance else way.values
     curve = Curve(way.time, corrected, pull, branches)
-    unfiltered = signals.raw["force"]
-    return ReducedTest(
-        signals, clocks, curve=curve, unfiltered=unfiltered, compliance=compliance, **more
-    )
+    more |= {"unfiltered_force": signals.raw["force"]}
+    return ReducedTest(signals, clocks, curve=curve, compliance=compliance, **more)

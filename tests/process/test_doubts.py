@@ -187,6 +187,8 @@ RECORDS = {
         zero, lambda time: np.where(np.abs(time - 8.0) < 0.02, -2e-3, 0.0)
     ),
     "a crosshead zeroed late": looped(zero, lambda time: np.where(time < 1.0, 0.05, 0.0)),
+    "a force zeroed in loading": with_force(lambda time, f: f - np.where(time > 4.0, 0.4, 0.0)),
+    "a force that falls for good": with_force(lambda time, f: f - np.where(time > 4.0, 0.05, 0.0)),
     "a specimen that slides far": with_force(
         lambda time, force: force - np.where(time > 4.0, 0.3, 0.0)
     ).up_to(6.5),
@@ -205,10 +207,7 @@ ZEROED = {
         changed(up_and_down(rest=0.0, cycles=1).up_to(4.9), force=0.3, path=0.7),
         LINES,
     ),
-    "the same, but it ends where it began": (
-        changed(up_and_down(rest=0.0), force=0.3, path=0.7),
-        LINES,
-    ),
+    "the same, ended at its start": (changed(up_and_down(rest=0.0), force=0.3, path=0.7), LINES),
     "a preload": (with_preload(), LINES),
     "a force that jumps after its zero": (
         with_force(lambda time, force: force + 0.05 * (time > 1.2)),

@@ -164,10 +164,8 @@ def test_positions_may_touch_and_give_way_a_little(scale: float) -> None:
     places = bundle_of(wires=SEVEN, positions=positions).positions
     assert places[1] == pytest.approx((scale * 1e-3, 0.0))
     assert len(places) == 7
-    sort_by_likeness = min(
-        (x - u) ** 2 + (y - v) ** 2 for (x, y), (u, v) in combinations(places, 2)
-    )
-    assert sort_by_likeness == pytest.approx((scale * 1e-3) ** 2, rel=1e-5)
+    nearest_square = min((x - u) ** 2 + (y - v) ** 2 for (x, y), (u, v) in combinations(places, 2))
+    assert nearest_square == pytest.approx((scale * 1e-3) ** 2, rel=1e-5)
 
 
 @pytest.mark.parametrize("wires", [SEVEN, {"B1": 70}, {"B1": {"number": 1, "diameter": "4.45 mm"}}])

@@ -56,7 +56,7 @@ def test_what_a_kind_of_result_is_called_and_rests_on() -> None:
 
 def test_a_step_knows_its_place_which_is_no_setting() -> None:
     step = Zero(channel="force", over=2.0)
-    third = step.with_number(2)
+    third = step.with_index(2)
     assert (step.key, third.key) == ("steps.0", "steps.2")
     assert third == step
 

@@ -47,7 +47,7 @@ def evidence(time: Floats, path: Floats, force: Floats, *branches: Branch) -> Re
     for name, values, unit in (("force", force, "N"), ("displacement", path, "m")):
         signals = signals.add_signal(name, Signal(time, values, unit, "force"))
     curve = Curve(time, path, force, branches)
-    test = ReducedTest(signals, curve=curve, unfiltered=signals.raw["force"])
+    test = ReducedTest(signals, curve=curve, unfiltered_force=signals.raw["force"])
     return replace(test, replicates=replicate_curves(test))
 
 
@@ -64,7 +64,7 @@ def test_a_peak_between_samples_is_one_of_the_force_and_not_of_the_coarser_curve
     for step in (1.0, 0.25):
         fine = np.arange(0.0, 39.1, step)
         signal = Signal(fine, np.interp(fine, time, force), "N", "force")
-        test = ReducedTest(Signals().add_signal("force", signal), unfiltered=signal)
+        test = ReducedTest(Signals().add_signal("force", signal), unfiltered_force=signal)
         trace = Trace(time, path, force, branches, steps_to_event=1.0)
         numbers.append(float(choose_peak_sample(test, trace, 1).compute_numbers(trace)[0]))
     assert numbers == pytest.approx([57.0 + 0.6, 57.0 + 0.6 / 4])

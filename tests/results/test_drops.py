@@ -18,9 +18,9 @@ from labpipe.results.failures import (
     measure_earlier_loss,
 )
 from labpipe.results.slack_and_slips import (
+    BlockCurve,
     LoadDrop,
-    LoadingCurve,
-    _choose_block_size,
+    _choose_block_width,
     _estimate_correlation,
     _Window,
     find_slips,
@@ -233,8 +233,8 @@ def test_a_slip_is_at_most_a_fiftieth_of_the_travel_and_a_millimetre_long(
     travel: float, longest: float
 ) -> None:
     d = np.linspace(0.0, travel, 20_001)
-    size, blocks = _choose_block_size(d)
-    assert size * blocks * d[1] == pytest.approx(longest, rel=0.15)
+    width, blocks = _choose_block_width(d)
+    assert width * blocks * d[1] == pytest.approx(longest, rel=0.15)
 
 
 COUNT, STEP = 400, 1e-4
@@ -250,9 +250,9 @@ def noise_of_drops(seed: int, memory: float, deviation: float = 0.04) -> Floats:
     return deviation * slow
 
 
-def pull(begin: float, length: float, drop: float, extra: Floats) -> LoadingCurve:
+def pull(begin: float, length: float, drop: float, extra: Floats) -> BlockCurve:
     lost = drop * np.clip((NUMBER - begin) / length, 0.0, 1.0)
-    return LoadingCurve(STEP * NUMBER, 0.1 * NUMBER - lost + extra, longest_drop=10, block_margin=0)
+    return BlockCurve(STEP * NUMBER, 0.1 * NUMBER - lost + extra, longest_drop=10, block_margin=0)
 
 
 @pytest.mark.slow
@@ -322,5 +322,5 @@ def test_what_is_no_fall() -> None:
     assert fit_load_drop(whole, 3) is fit_load_drop(whole, COUNT - 3) is None
     force = 1.2 * np.round(0.1 * NUMBER / 1.2)
     force[150:260] = force[150]
-    curve = LoadingCurve(STEP * NUMBER, force, longest_drop=10, block_margin=0)
+    curve = BlockCurve(STEP * NUMBER, force, longest_drop=10, block_margin=0)
     assert fit_load_drop(curve, 205) is None

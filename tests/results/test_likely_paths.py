@@ -520,7 +520,7 @@ def test_a_zero_from_a_rest_on_the_clock_of_the_force() -> None:
     fit = ClockFit(1.0, 0.0, sure, sure, 0.0, events, events + 1.0, errors, "by hand")
     raw = replace(test.signals.raw["force"], clock="force", time=test.required_curve.time + 1.0)
     signals = replace(test.signals.add_signal("force", raw), zero_stretches={"force": (2.5, 3.5)})
-    test = replace(test, signals=signals, clocks=Clocks("one", fit), unfiltered=raw)
+    test = replace(test, signals=signals, clocks=Clocks("one", fit), unfiltered_force=raw)
     trace = curves(test).smooth_trace
     for quantity in modes(test):
         assert quantity.perturb(trace, 1.0).force[200] == pytest.approx(trace.force[200], abs=1e-9)
@@ -562,7 +562,7 @@ def evidence(force: Floats, *, rate: float = SINGLE, filters: bool = True) -> Re
     signals = Signals(raw={"force": signal}, filtered={"force": signal}, filters=act)
     same, at = Interval(0.0, 0.0), np.array([TURN])
     joined = ClockFit(0.0, 0.0, same, same, 0.0, at, at, 0.01 * at, "by turns")
-    return ReducedTest(signals, Clocks("cameras", joined), unfiltered=signal)
+    return ReducedTest(signals, Clocks("cameras", joined), unfiltered_force=signal)
 
 
 def curve() -> Trace:

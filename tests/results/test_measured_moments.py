@@ -75,7 +75,7 @@ def notes(test: ReducedTest, code: str) -> list[str]:
 def check_weight(test: ReducedTest, result: Result) -> None:
     """1 g/m on 85 mm is 35 uN m: 1 % of 3.5 mN m; this wire has 4.8 mN m at 1 1/m."""
     (note,) = notes(test, "weight_not_stated")
-    assert note.startswith("specimen.mass_per_length is not stated: moments leave out the spec")
+    assert note.startswith("specimen.mass_per_length is not stated: moments do not include the")
     assert "weight_not_stated" not in result.codes
     assert isinstance(test.bending, Bending)
     law = test.bending.law

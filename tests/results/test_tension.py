@@ -21,7 +21,7 @@ from labpipe.records.result import Result, Status
 from labpipe.records.signals import Signals
 from labpipe.results.kinds import ReducedTest, Setup
 from labpipe.results.stiffness import compute_area
-from labpipe.results.tension import Pull, _list_line_doubts, get_gauge_length
+from labpipe.results.tension import TensileCurve, _list_line_doubts, get_gauge_length
 
 MODULUS, PROOF, GAUGE, AREA = 200e9, 400e6, 25e-3, 20e-6
 PROTOCOL = """\
@@ -144,7 +144,7 @@ def test_a_curve_above_its_elastic_line_by_six_times_the_noise_is_doubtful(
     """One sample beyond a line up to 200 MPa, of which 1 % are less than six times 1 MPa."""
     strain = np.linspace(0.0, 0.002, 201)
     stress = MODULUS * strain + above * (np.arange(201) == 150)
-    pull = Pull(strain, strain, stress, slice(0, 101), True, 1e6, 0.0)
+    pull = TensileCurve(strain, strain, stress, slice(0, 101), True, 1e6, 0.0)
     line = replace(pull, slope=MODULUS, mean_strain=0.0005, mean_stress=MODULUS * 0.0005)
     test = ReducedTest(Signals(), setup=Setup(sizes={"gauge_length": GAUGE}))
     doubts = _list_line_doubts(test, line, lambda pull: pull.slope)

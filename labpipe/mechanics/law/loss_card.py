@@ -133,10 +133,10 @@ def fit_dahl(curvature: Floats, moment: Floats) -> DahlLaw:
     for _ in range(n_grids):
         grid = np.linspace(ends[:, 0], ends[:, 1], n_values)
         ratio, decay = np.exp(grid).T
-        slider_part = -decay[:, None] * np.expm1(-curvature / decay[:, None]) / moment
-        # Axes: stiffness ratio, decay, curvature. The moment is that of a spring with EI = 1.
-        moment_ratio = compliance + ratio[:, None, None] * slider_part
-        min_ratio, max_ratio = moment_ratio.min(axis=2), moment_ratio.max(axis=2)
+        slider_part = -decay * np.expm1(-curvature[:, None] / decay) / moment[:, None]
+        # Axes: curvature, stiffness ratio, decay. The moment is that of a spring with EI = 1.
+        moment_ratio = compliance[:, None, None] + ratio[:, None] * slider_part[:, None]
+        min_ratio, max_ratio = moment_ratio.min(axis=0), moment_ratio.max(axis=0)
         errors = (max_ratio - min_ratio) / (max_ratio + min_ratio)
         row, column = np.unravel_index(np.argmin(errors), errors.shape)
         best_point = np.array([[grid[row, 0]], [grid[column, 1]]])

@@ -291,7 +291,7 @@ class BentWire:
         if np.any(force.force_by_x):
             bending_by_x = self.lever_arms @ force.force_by_x[:, :, None]
             jacobian[:, :m, :m] -= bending_by_x * tip_by_moment[:, :1]
-        jacobian[:, range(m), range(m)] += 1.0
+        np.einsum("nii->ni", jacobian[:, :m, :m])[...] += 1.0  # a view of the diagonals
         jacobian[:, :m, m] = -(self.lever_arms @ force.force_by_load[:, :, None])[:, :, 0]
         jacobian[:, m, :m] = (force.residual_by_tip[:, None, :] @ tip_by_moment)[:, 0]
         jacobian[:, m, m] = force.residual_by_load

@@ -480,10 +480,7 @@ def _parse_preamble(rows: Rows) -> dict[str, object]:
         if cells and not _SEPARATOR_CELL.fullmatch(cells[0]):
             key, value = _parse_key_and_value(cells)
             entries.setdefault(key, []).append(value)
-    return {
-        key: values[0] if len(values) == 1 and key != "lines" else values
-        for key, values in entries.items()
-    }
+    return {key: x[0] if len(x) == 1 and key != "lines" else x for key, x in entries.items()}
 
 
 def _parse_key_and_value(cells: Sequence[str]) -> tuple[str, str]:
@@ -509,8 +506,7 @@ def _read_blocks(text: str, decimal: str, card: Card) -> Export:
         if split_head(lines, card.separators) is not None:
             header = find_header(lines, card, line_number)
             # If blanks separate the numbers, they separate words and not cells in the preamble.
-            joins_cells = header.separator == " "
-            preamble += [[" ".join(row)] if joins_cells else row for row in header.preamble]
+            preamble += [[" ".join(x)] if header.separator == " " else x for x in header.preamble]
             body, columns, block_notes = _read_rows(block.encode(), header, card, decimal=decimal)
             notes += block_notes
             table = Table("", header.names, header.units, columns, first_line=body.first_line)
@@ -558,15 +554,19 @@ def _find_summaries(blocks: Sequence[Table], card: Card) -> list[Table]:
     """Find the blocks that are summaries.
 
     If some blocks have a column of time, the others are summaries. If none has, the summaries are
-    the blocks of two rows, maximum and minimum, in which no value of the second row is larger.
+    the blocks of two rows, maximum and minimum, between which all values of the longest block lie.
     """
     untimed_blocks = [block for block in blocks if not _has_time(block, card)]
     if len(untimed_blocks) < len(blocks):
         return untimed_blocks
+    longest = max(blocks, key=lambda block: block.n_rows).columns
     return [
         block
         for block in blocks
-        if all(len(column) == 2 and column[0] >= column[1] for column in block.columns.values())
+        if all(
+            len(x) == 2 and not np.any((longest.get(i, x) > x[0]) | (longest.get(i, x) < x[1]))
+            for i, x in block.columns.items()
+        )
     ]
 
 

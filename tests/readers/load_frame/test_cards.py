@@ -49,11 +49,8 @@ def test_the_keys_and_the_example_of_the_documentation(
     travel, force = recording.channels
     assert (travel.name, travel.unit_in_file) == ("Weg", "mm")
     np.testing.assert_array_equal(travel.values, [0.0, 0.125, np.nan])
-    assert (force.name, force.unit_in_file, force.values.tolist()) == (
-        "Kraft",
-        "kN",
-        [0.5, 1.25, 2.0],
-    )
+    kraft = ("Kraft", "kN", [0.5, 1.25, 2.0])
+    assert (force.name, force.unit_in_file, force.values.tolist()) == kraft
     assert recording.clocks[0].time.tolist() == [0.0, 0.5, 1.0]
     assert recording.metadata["Prüfer"] == "lab"
     (tmp_path / "dialects" / "acme.toml").write_bytes("about = 'Prüfung'".encode("cp1252"))
@@ -147,10 +144,8 @@ def test_the_wrong_dialect(tmp_path: Path) -> None:
 )
 def test_units_of_channels_may_be_left_to_the_protocol(tmp_path: Path, text: str) -> None:
     recording = load_frame.read(written(tmp_path / "a.txt", text))
-    assert [(c.name, c.unit_in_file) for c in recording.channels] == [
-        ("Extension", ""),
-        ("Load", ""),
-    ]
+    expected = [("Extension", ""), ("Load", "")]
+    assert [(c.name, c.unit_in_file) for c in recording.channels] == expected
     assert recording.clocks[0].time.tolist() == [0.0, 1.0]
     assert {"dialect_generic", "units_not_stated"} <= {note.code for note in recording.notes}
 

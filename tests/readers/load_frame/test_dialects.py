@@ -182,13 +182,18 @@ def test_two_specimens_side_by_side(write: Written) -> None:
 
 
 def test_nothing_but_extremes_leaves_no_samples(write: Written) -> None:
+    first, head = "MTS793|MPT|DEU|1|2|,|.|:|49|1|1|A", frames.EXTREMES[:2]
     block = frames.mts_block("Datenerfassung", frames.EXTREMES, ",")
-    recording = read_export(write(f"MTS793|MPT|DEU|1|2|,|.|:|49|1|1|A\r\n\r\n{block}".encode()))
+    recording = read_export(write(f"{first}\r\n\r\n{block}".encode()))
     assert (recording.clocks, recording.channels) == ((), ())
     assert codes(recording) == {"summary_rows_left_out", "no_samples"}
-    assert recording.metadata["summaries"] == [
-        {"Ch 1 Kraft": [0.131, -0.0021], "Ch 1 Weg": [1.75, -0.26]}
-    ]
+    summary = {"Ch 1 Kraft": [0.131, -0.0021], "Ch 1 Weg": [1.75, -0.26]}
+    assert recording.metadata["summaries"] == [summary]
+    # of an unloading without time, two last rows are samples
+    falls: list[list[frames.Row]] = [[[2, 9]] * 3, [[1, 8], [0, 7]]]
+    blocks = [frames.mts_block("", [*head, *rows], ",") for rows in falls]
+    recording = read_export(write("\r\n\r\n".join([first, *blocks]).encode()))
+    assert codes(recording) == {"blocks_joined", "few_samples", "no_time"}
 
 
 def test_the_last_row_of_microtest_is_left_out_and_said(write: Written) -> None:

@@ -28,10 +28,8 @@ def test_one_specimen(tmp_path: Path) -> None:
         "Values A-1": specimen_sheet("A-1"),
     }
     recording = load_frame.read(workbook(tmp_path / "a.dat", sheets))
-    assert [(c.path, c.unit_in_file) for c in recording.channels] == [
-        ("Strain", "mm"),
-        ("Standard force", "N"),
-    ]
+    written = [("Strain", "mm"), ("Standard force", "N")]
+    assert [(c.path, c.unit_in_file) for c in recording.channels] == written
     np.testing.assert_array_equal(recording.channels[1].values, FORCE)
     assert recording.clocks[0].name == "time"
     assert recording.metadata["sheets"] == {
