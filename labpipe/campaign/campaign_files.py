@@ -410,7 +410,7 @@ class InputReader:
     ) -> HashedInputs:
         """Read the sheet and the protocol of a test, and hash its new and changed files."""
         # Reports need names of campaigns, but not the imports of all of processing.
-        from labpipe.process.reading import fingerprint_dialect_cards, list_named_exports
+        from labpipe.process.reading import fingerprint_dialect_cards
         from labpipe.process.run import make_input_key
 
         folder, facts, protocol_name = sheet_path.parent, dict[str, str](), ""
@@ -436,7 +436,7 @@ class InputReader:
             file_hashes = [[name, stamp.sha256] for name, stamp in stamps.items()]
             key = hash_text(json.dumps(["unfit", file_hashes, *dependencies[1:]]))
             return HashedInputs(key, stamps=stamps, dependencies=dependencies, facts=facts)
-        exports = list_named_exports(sheet, protocol)
+        exports = [(str(role), name) for role in protocol.sources for name in sheet.files[role]]
         files = [(role, name, stamps[name].sha256) for role, name in exports]
         files += [(card.role, card.file, card.sha256) for card in cards]
         return HashedInputs(

@@ -137,12 +137,12 @@ def _copy_tracks(tracks: MarkerTracks, names: Sequence[str]) -> Floats:
 
 def _fill_linearly(path: Floats, time: Floats) -> Floats:
     """Interpolate gaps in the path of the clamp linearly, and hold the first and last position."""
-    is_seen = np.isfinite(path).all(axis=1)
-    if not is_seen.any():
+    is_visible = np.isfinite(path).all(axis=1)
+    if not is_visible.any():
         raise ValueError(format_sentence("markers.no_clamp"))
-    if is_seen.all():
+    if is_visible.all():
         return path
-    return np.column_stack([np.interp(time, time[is_seen], axis[is_seen]) for axis in path.T])
+    return np.column_stack([np.interp(time, time[is_visible], x[is_visible]) for x in path.T])
 
 
 def _assemble_markers(
@@ -160,8 +160,7 @@ def _assemble_markers(
             column, successor = tracklets.column[tracklet], links.successor[tracklet]
             frames = slice(tracklets.start[tracklet], tracklets.stop[tracklet])
             positions[frames, marker] = measured[frames, column]
-            has_own_label = column == label
-            flags[frames, marker] = PointFlag.MEASURED if has_own_label else PointFlag.RELABELLED
+            flags[frames, marker] = PointFlag.MEASURED if column == label else PointFlag.RELABELLED
             if successor >= 0:
                 flags[frames.stop : tracklets.start[successor], marker] = PointFlag.FILLED
     return positions, flags
@@ -176,10 +175,11 @@ def _fill_gaps(positions: Floats, flags: NDArray[np.uint8], origin: Floats, time
     """Fill the gaps in place by cubics in the positions relative to `origin`."""
     is_gap = flags == PointFlag.FILLED
     for marker in np.flatnonzero(is_gap.any(axis=0)):
-        measured = np.flatnonzero(~is_gap[:, marker] & (flags[:, marker] != PointFlag.MISSING))
-        path = positions[measured, marker] - origin[measured]
-        gap = np.flatnonzero(is_gap[:, marker])
-        positions[gap, marker] = origin[gap] + _bridge_path(time[measured], path, time[gap])
+        is_measured = ~is_gap[:, marker] & (flags[:, marker] != PointFlag.MISSING)
+        gap_frames = np.flatnonzero(is_gap[:, marker])
+        path = positions[is_measured, marker] - origin[is_measured]
+        relative = _bridge_path(time[is_measured], path, time[gap_frames])
+        positions[gap_frames, marker] = origin[gap_frames] + relative
 
 
 def _bridge_path(time: Floats, path: Floats, gap_times: Floats) -> Floats:
@@ -206,8 +206,7 @@ def _bridge_path(time: Floats, path: Floats, gap_times: Floats) -> Floats:
 def _compute_velocity(time: Floats, path: Floats, start: Ints, stop: Ints) -> Floats:
     """Compute mean velocities between two samples, (n, 3), m/s; 0 if both are the same sample."""
     duration = np.where(stop > start, time[stop] - time[start], 1.0)
-    velocity: Floats = (path[stop] - path[start]) / duration[:, None]
-    return velocity
+    return np.asarray((path[stop] - path[start]) / duration[:, None], dtype=np.float64)
 
 
 _MAX_NOTES = 10
@@ -432,17 +431,17 @@ def compute_ring_centres(
     nearest complete frames. For a ring that is never complete, the centre is the mean of the
     visible markers.
     """
-    known_names = set(repaired.names)
     tracks, flags, notes = [], [], list(repaired.notes)
     for ring, members in groups.items():
-        if not members or not known_names.issuperset(members):
+        if not members or not set(repaired.names).issuperset(members):
             message = f"ring {ring}={list(members)}: expected markers out of {repaired.names}"
             raise ValueError(message)
         columns = [repaired.names.index(name) for name in members]
-        track, flag = _compute_centre(repaired.positions[:, columns], repaired.flags[:, columns])
-        tracks.append(track)
-        flags.append(flag)
-        notes.extend(_make_ring_notes(ring, members, repaired.flags[:, columns]))
+        ring_flags = repaired.flags[:, columns]
+        centre, centre_flags = _compute_centre(repaired.positions[:, columns], ring_flags)
+        tracks.append(centre)
+        flags.append(centre_flags)
+        notes.extend(_make_ring_notes(ring, members, ring_flags))
     return RepairedTracks(
         tuple(groups), np.stack(tracks, axis=1), np.stack(flags, axis=1), tuple(notes)
     )
@@ -499,7 +498,7 @@ def _compute_visible_centre(
 def _fit_rotations(template: Floats, points: Floats) -> Floats:
     """Fit the rotation of the centred template to the centred points of each frame (Kabsch)."""
     u, _, vt = np.linalg.svd(np.einsum("fmi,fmj->fij", points, template))
-    signs = np.ones((len(template), 3))  # with them, the matrix is no reflection
+    signs = np.ones((len(template), 3))  # a sign of -1 prevents a reflection
     signs[:, 2] = np.sign(np.linalg.det(u @ vt))
     return np.asarray((u * signs[:, None]) @ vt, dtype=np.float64)
 

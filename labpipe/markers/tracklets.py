@@ -231,7 +231,7 @@ def _find_candidates(
     first = np.searchsorted(start_times, end_times, side="right")
     # A tenth of a period is the tolerance for uneven frame times.
     stop = np.searchsorted(start_times, end_times + max_gap + 1.1 * period, side="right")
-    counts = np.maximum(stop - first, 0)  # number of successors from `first` on
+    counts = np.maximum(stop - first, 0)  # number of possible successors, from `first` on
     end = np.repeat(np.arange(len(tracklets)), counts)
     start = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts) + first[end]
     gap = start_times[start] - end_times[end]
@@ -255,10 +255,10 @@ def _compute_distances(
     inside_end = np.maximum(first, last - velocity_frames)
     inside_start = np.minimum(last, first + velocity_frames)
 
-    def compute_velocity(a: Ints, b: Ints) -> Floats:
-        """Compute the mean velocity of each tracklet between the frames a and b, m/s."""
-        duration = np.where(b > a, time[b] - time[a], 1.0)
-        return np.asarray((relative[b, column] - relative[a, column]) / duration[:, None])
+    def compute_velocity(before: Ints, after: Ints) -> Floats:
+        """Compute the mean velocity of each tracklet between two frames, m/s."""
+        duration = np.where(after > before, time[after] - time[before], 1.0)
+        return np.asarray((relative[after, column] - relative[before, column]) / duration[:, None])
 
     end_velocity = compute_velocity(inside_end, last)
     start_velocity = compute_velocity(first, inside_start)
@@ -280,9 +280,9 @@ def _choose_pairs(pairs: _Pairs, *, unlinked_cost: float) -> list[int]:
     starts, column = np.unique(pairs.start, return_inverse=True)
     # Each end may also be matched with a column of its own, and is then unlinked. The same amount
     # is added to all weights, because an edge cannot have the weight 0.
-    own_row = np.arange(len(ends))
+    unlinked_row = np.arange(len(ends))
     weights = unlinked_cost + np.append(pairs.cost, np.full(len(ends), unlinked_cost))
-    cells = np.append(row, own_row), np.append(column, len(starts) + own_row)
+    cells = np.append(row, unlinked_row), np.append(column, len(starts) + unlinked_row)
     graph = coo_array((weights, cells), shape=(len(ends), len(starts) + len(ends))).tocsr()
     pair_by_cell = {x: i for i, x in enumerate(zip(row.tolist(), column.tolist(), strict=True))}
     matches = zip(*(x.tolist() for x in min_weight_full_bipartite_matching(graph)), strict=True)
@@ -422,13 +422,13 @@ def assign_chains(
     long_chains = [x for x in rejected_chains if time[x.stop - 1] - time[x.start] >= min_label_time]
     candidates = [chain for chain in long_chains if chain not in copies]
     unassigned = [chain for chain in rejected_chains if chain not in candidates]
-    eliminations, doubtful = _assign_by_elimination(markers, candidates)
+    eliminations, doubtful_chains = _assign_by_elimination(markers, candidates)
     unassigned += [chain for chain in chains if chain.label < 0]
     if has_no_labels:
         unassigned += _remove_short_markers(markers)
     get_start = attrgetter("start")
     by_label = {label: tuple(sorted(markers[label], key=get_start)) for label in sorted(markers)}
-    return ChainAssignment(by_label, tuple(eliminations), tuple(doubtful), tuple(unassigned))
+    return ChainAssignment(by_label, tuple(eliminations), tuple(doubtful_chains), tuple(unassigned))
 
 
 def _collect_chains(
@@ -482,7 +482,7 @@ def _assign_by_elimination(
     Return the label of this marker with each assigned chain, and the other chains.
     """
     eliminations: list[tuple[int, Chain]] = []
-    doubtful: list[Chain] = []
+    doubtful_chains: list[Chain] = []
     for chain in sorted(rejected_chains, key=attrgetter("start")):
         free_labels = [x for x, chains in markers.items() if not any(map(chain.overlaps, chains))]
         rivals = [x for x in rejected_chains if x is not chain and chain.overlaps(x)]
@@ -490,13 +490,13 @@ def _assign_by_elimination(
             markers[free_labels[0]].append(chain)
             eliminations.append((free_labels[0], chain))
         else:
-            doubtful.append(chain)
-    return eliminations, doubtful
+            doubtful_chains.append(chain)
+    return eliminations, doubtful_chains
 
 
 def _remove_short_markers(markers: dict[int, list[Chain]]) -> list[Chain]:
     """Remove markers with less than half the frames of the longest marker; return their chains."""
     n_frames = {label: sum(chain.n_frames for chain in chains) for label, chains in markers.items()}
-    largest = max(n_frames.values(), default=0)
-    short_labels = [label for label, count in n_frames.items() if 2 * count < largest]
+    max_frames = max(n_frames.values(), default=0)
+    short_labels = [label for label, count in n_frames.items() if 2 * count < max_frames]
     return [chain for label in short_labels for chain in markers.pop(label)]

@@ -53,7 +53,7 @@ MarkerStep: TypeAlias = (
 )
 StepOutcome: TypeAlias = tuple[PreparedTest, list[Finding]]
 """The test after a step, and the findings of the step."""
-T = TypeVar("T")
+_T = TypeVar("_T")
 
 
 def run_marker_step(
@@ -90,8 +90,8 @@ def run_marker_step(
             return fit_three_point_shape(prepared, step, settings, span)
 
 
-def _require(value: T | None) -> T:
-    """Return a value that an export or an earlier step must give; None raises a ValueError."""
+def _require(value: _T | None) -> _T:
+    """Return a value that a step needs; raise a ValueError if the value is None."""
     if value is None:
         raise ValueError(format_sentence("process.needs_markers"))
     return value
@@ -107,15 +107,16 @@ def repair_marker_tracks(
     clamp_path, findings = _read_clamp_path(tracks, settings, step, take.role)
     track_names, body_findings = _select_specimen_tracks(tracks, settings, take.role)
     limits = {"max_gap": step.max_gap, "max_jump": step.max_jump, "frozen_time": step.frozen}
-    repaired = repair_tracks(tracks, track_names=track_names, clamp=clamp_path, **limits)
+    repaired_tracks = repair_tracks(tracks, track_names=track_names, clamp=clamp_path, **limits)
     if settings.rings == "by-body":
-        rings = group_rings(repaired.names)
+        rings = group_rings(repaired_tracks.names)
         if len(rings) < min_rings:
-            facts = {"count": len(rings), "markers": len(repaired.names), "names": ", ".join(rings)}
+            facts: dict[str, Any] = {"count": len(rings), "names": ", ".join(rings)}
+            facts |= {"markers": len(repaired_tracks.names)}
             raise ValueError(format_sentence("process.few_rings", **facts))
-        repaired = compute_ring_centres(repaired, rings)
-    findings += [*body_findings, *_make_shape_findings(repaired.notes, take.role)]
-    take = replace(take, clamp_positions=clamp_path, repaired_tracks=repaired)
+        repaired_tracks = compute_ring_centres(repaired_tracks, rings)
+    findings += [*body_findings, *_make_shape_findings(repaired_tracks.notes, take.role)]
+    take = replace(take, clamp_positions=clamp_path, repaired_tracks=repaired_tracks)
     return replace(prepared, take=take), findings
 
 
@@ -148,7 +149,7 @@ def find_specimen_axes(prepared: PreparedTest, step: declarations.SpecimenFrame)
 
 def _flag_before_motion(time: Floats, frame: SpecimenFrame, clamp_path: Floats | None) -> Flags:
     """Flag the frames before the first stroke of the clamp; without a stroke, flag all frames."""
-    min_stroke_fraction = 0.1  # of the range of the clamp; smaller movements are ignored
+    min_stroke_fraction = 0.1  # of the travel of the clamp; smaller movements are ignored
     if clamp_path is None:
         return np.ones(len(time), dtype=np.bool_)
     travel = frame.to_specimen(clamp_path)[:, 1]
@@ -163,14 +164,14 @@ def fit_specimen_shapes(
     """Run ``fit-shape``: fit the shape, and add the signal ``deflection`` if there is a clamp."""
     misfit_factor, misfit_offset = 3.0, 1e-2  # multiple of the rms deviation at rest; mm
     take, signals, role = prepared.take, prepared.signals, prepared.take.role
-    tracks, repaired = _require(take.tracks), _require(take.repaired_tracks)
+    tracks, repaired_tracks = _require(take.tracks), _require(take.repaired_tracks)
     frame, is_at_rest = _require(take.frame), _require(take.is_at_rest)
     order, grip_error = list(frame.marker_order), settings.offset_uncertainty
     has_clamp = take.clamp_positions is not None
     fit = fit_shape(
-        frame.to_specimen(repaired.positions[:, order]),
-        repaired.flags[:, order],
-        [repaired.names[index] for index in order],
+        frame.to_specimen(repaired_tracks.positions[:, order]),
+        repaired_tracks.flags[:, order],
+        [repaired_tracks.names[index] for index in order],
         tracks.time,
         clamp_specimen=frame.to_specimen(_require(take.clamp_positions)) if has_clamp else None,
         rotation_lab_to_specimen=frame.rotation_lab_to_specimen,
@@ -199,8 +200,8 @@ def _make_deflection_signal(fit: ShapeFit, is_at_rest: Flags, take: Take) -> Sig
     """Make the signal of the deflection of the pull point, with its perturbed signals.
 
     The offsets and the shape are perturbed. A shape with one more term changes the deflection. This
-    change is the half-width of a rectangular distribution, so that the perturbation is 1 / sqrt(3)
-    of it.
+    change is the half-width of a rectangular distribution. The perturbation is therefore the change
+    divided by sqrt(3).
     """
     values = compute_deflection(fit.shape, rest_frames=is_at_rest)
     _, zero_error = average_level(drop_missing(values[is_at_rest]), values[~is_at_rest])
@@ -274,9 +275,9 @@ def _repair_clamp_path(
 def _select_specimen_tracks(
     tracks: MarkerTracks, settings: Markers, role: str
 ) -> tuple[list[str], list[Finding]]:
-    """Select the names of the tracks along the specimen, including those of unlabelled markers.
+    """Select the names of the tracks along the specimen, including unlabelled markers.
 
-    A finding lists the other rigid bodies, whose markers are left out.
+    The finding lists the rigid bodies whose markers are left out, if any.
     """
     min_tracks = 3  # visible tracks, which the shape needs
     patterns = ("*",) if settings.along == "all" else settings.along
@@ -320,16 +321,16 @@ def fit_three_point_shape(
     The test with the bent axis, the shape and the signal, or with the reason why there are none,
     and one finding.
     """
-    # Fraction of the largest deflection above which the axis is bent; number of frames at rest,
-    # which the variance needs.
+    # Fraction of the largest deflection above which the axis is bent; frames at rest, from which
+    # the variance is estimated.
     bent_fraction, min_rest_frames = 0.5, 4
     take = prepared.take
-    time, repaired = _require(take.tracks).time, _require(take.repaired_tracks)
+    time, repaired_tracks = _require(take.tracks).time, _require(take.repaired_tracks)
     if span is None:
         return _reject_span(prepared, Failure.of("process.no_span"))
     is_at_rest = np.asarray(time <= time[0] + step.over)
     try:
-        sections = find_sections(repaired.positions, is_at_rest, min_distance=step.section)
+        sections = find_sections(repaired_tracks.positions, is_at_rest, min_distance=step.section)
         deflections = np.abs(sections.markers[..., 1] - sections.rest_xyz[:, 1])
         max_deflections = np.max(np.nan_to_num(deflections), axis=1)  # of each frame
         is_bent = np.asarray(max_deflections > bent_fraction * max_deflections.max())
@@ -347,12 +348,12 @@ def fit_three_point_shape(
     mid_span = take.make_signal(time, deflection - rest_values.mean())
     mid_span = replace(mid_span, zero_error=float(np.sqrt(variance)))
     signals = prepared.signals.add_signal("mid_span", mid_span)
-    span_shape = _make_span_shape(sections, shape, time, repaired.flags)
-    bend = SpanBend(shape, time, is_at_rest)
+    span_shape = _make_span_shape(sections, shape, time, repaired_tracks.flags)
     n_around, noise = int((shape.lever_arm > 0.0).sum()), 1e6 * shape.axis.noise
     facts: dict[str, Any] = {"count": sections.n_sections, "n_around": n_around, "noise": noise}
     finding = Finding.of("process.three_point_shape", take.role, **facts)
-    return replace(prepared, signals=signals, shape=span_shape, span=bend), [finding]
+    span_bend = SpanBend(shape, time, is_at_rest)
+    return replace(prepared, signals=signals, shape=span_shape, span=span_bend), [finding]
 
 
 def _reject_span(prepared: PreparedTest, reason: Failure) -> StepOutcome:
@@ -364,12 +365,12 @@ def _reject_span(prepared: PreparedTest, reason: Failure) -> StepOutcome:
 def _make_span_shape(
     sections: Sections, shape: SpanShape, time: Floats, flags: NDArray[np.uint8]
 ) -> Shape:
-    """Make the shape from the section centres, with a power series of the axis for figures."""
+    """Make the shape from the section centres, and fit a power series to the axis for figures."""
     degree, n_fitted = 9, 61  # degree of the power series; number of points to which it is fitted
     section_flags = flags[:, sections.marker_columns]
     is_finite = np.isfinite(shape.centres).all(axis=2)
     masks = [sections.section_index == index for index in range(sections.n_sections)]  # of markers
-    flags_of_sections = np.stack([section_flags[:, mask].max(axis=1) for mask in masks], axis=1)
+    worst_flags = np.stack([section_flags[:, mask].max(axis=1) for mask in masks], axis=1)
     x = sections.x - shape.mid_span
     relative_x = np.linspace(0.0, 1.0, n_fitted)
     y = shape.axis.compute_y(x[0] + relative_x * (x[-1] - x[0]))
@@ -382,7 +383,7 @@ def _make_span_shape(
         time=time,
         positions=shape.centres,
         names=tuple(f"section {k + 1}" for k in range(sections.n_sections)),
-        flags=np.where(is_finite, flags_of_sections, PointFlag.MISSING).astype(np.uint8),
+        flags=np.where(is_finite, worst_flags, PointFlag.MISSING).astype(np.uint8),
         arc_length=x - x[0],
         coefficients=coefficients,
         length=float(x[-1] - x[0]),
@@ -403,9 +404,9 @@ def align_cameras(
 
     Returns
     -------
-    prepared : test with its shape on the clock of the motion. If no turn of mid-span matches one of
-        the motion, the reason replaces the bent axis. The test is unchanged without ``mid_span``,
-        or if ``mid_span`` and the motion are on one clock
+    prepared : test with its shape on the clock of the motion. If no turn of mid-span matches a turn
+        of the motion, the bent axis is replaced by the reason. The test is unchanged without
+        ``mid_span``, or if ``mid_span`` and the motion are on one clock
     fits : relation of the clocks, keyed by the clock of the cameras; empty if it is not fitted
     findings : findings of the fit
     """

@@ -11,7 +11,7 @@ from typing import TypeVar
 
 from labpipe.errors import LabpipeError, ProcessingError, ProtocolError, ReadError, sort_by_likeness
 from labpipe.process.output_paths import list_files_below
-from labpipe.process.reading import join_exports, read_role
+from labpipe.process.reading import join_exports, read_role_export
 from labpipe.process.steps import PreparedTest, calibrate, run_step
 from labpipe.protocol.load import (
     find_export_error,
@@ -24,7 +24,7 @@ from labpipe.protocol.load import (
     resolve_protocol,
 )
 from labpipe.protocol.schema import Markers, Protocol
-from labpipe.protocol.sheet_grammar import SHEET_NAME, TestSheet
+from labpipe.protocol.sheet_grammar import PLAN_NAME, SHEET_NAME, TestSheet
 from labpipe.protocol.yaml_text import parse_yaml, read_text
 from labpipe.readers import recognise_export
 from labpipe.records.declarations import Decimate, LowPass, Smooth, Zero
@@ -33,14 +33,14 @@ from labpipe.results.bending import BendingStiffness, MidSpan, Twist
 from labpipe.results.tension import TensionResult
 
 _YAML_SUFFIXES = (".yaml", ".yml")
-SIZES = {
+_SIZE_EXAMPLES = {
     "span": ("the distance between the supports", "span: 152.4 mm"),
     "gauge_length": ("the gauge length", "gauge_length: 50 mm"),
     "section.area": ("the area of the cross-section", "section: {area: 20 mm^2}"),
 }
 """Meaning of each size that results need, and an example of its entry in the sheet."""
-AREA_SIZES = (["section.width", "section.thickness"], ["section.outer_diameter"])
-"""Sets of sizes, each of which replaces ``section.area``, because it determines the area."""
+_AREA_SIZES = (["section.width", "section.thickness"], ["section.outer_diameter"])
+"""Sets of sizes. Each set can replace ``section.area``, because it determines the area."""
 _T = TypeVar("_T")
 
 
@@ -51,7 +51,7 @@ class CheckReport:
     Parameters
     ----------
     protocols, tests : paths of the checked protocols and test sheets
-    plans : paths of the other checked files: calibration plans, campaign plans, harnesses
+    plans : paths of the checked calibration plans, campaign plans and harness files
     faults : messages with file, place, expected and found content, and remedy
     """
 
@@ -66,7 +66,7 @@ class CheckReport:
         Parameters
         ----------
         function : function without arguments, such as one that loads a file
-        place : prefix of the message of a `ProcessingError`, which does not name the file
+        place : prefix for the message of a `ProcessingError`, which does not name the file
 
         Returns
         -------
@@ -102,14 +102,12 @@ def check_paths(paths: Sequence[Path] = (), *, follow_links: bool = False) -> Ch
     default_paths = [path for path in (Path("protocols"), Path("raw")) if path.is_dir()]
     for path in paths or default_paths or [Path("protocols")]:
         candidates = list_files_below(path) if path.is_dir() else [path]
-        yaml_files = [
-            file for file in candidates if file.suffix in _YAML_SUFFIXES and file.is_file()
-        ]
+        yaml_files = [x for x in candidates if x.suffix in _YAML_SUFFIXES and x.is_file()]
         files |= dict.fromkeys(yaml_files)
         if not yaml_files:
             content = "a folder without YAML files" if path.is_dir() else "a file of another kind"
-            path_content = content if path.exists() else "nothing of that name"
-            report.add(ProtocolError.about("process.nothing_to_check", path, found=path_content))
+            content = content if path.exists() else "nothing of that name"
+            report.add(ProtocolError.about("process.nothing_to_check", path, found=content))
     for file in files:
         load = _select_loader(file)
         if file.name == SHEET_NAME:
@@ -132,7 +130,6 @@ def check_paths(paths: Sequence[Path] = (), *, follow_links: bool = False) -> Ch
 def _select_loader(path: Path) -> Callable[[Path], object] | None:
     """Select the loader of a plan or harness file; None for any other file."""
     from labpipe.protocol.model_files import CalibrationPlan, HarnessFile
-    from labpipe.protocol.sheet_grammar import PLAN_NAME
 
     if path.name == PLAN_NAME:
         return load_campaign_plan
@@ -153,7 +150,7 @@ def _check_test(path: Path, report: CheckReport, *, follow_links: bool) -> TestS
 
     Returns
     -------
-    The sheet; None if it is not valid.
+    The sheet; None if the sheet is not valid.
     """
     sheet = report.attempt(partial(load_test_sheet, path))
     if sheet is None:
@@ -161,7 +158,7 @@ def _check_test(path: Path, report: CheckReport, *, follow_links: bool) -> TestS
     protocol = report.attempt(partial(resolve_protocol, sheet, path, follow_links=follow_links))
     missing_sizes = find_missing_sizes(protocol) if protocol is not None else {}
     for size, results in missing_sizes.items():
-        meaning, example = SIZES[size]
+        meaning, example = _SIZE_EXAMPLES[size]
         facts = {"meaning": meaning, "results": ", ".join(results), "example": example}
         report.add(ProtocolError.about("process.size_missing", path, f"specimen.{size}", **facts))
     n_faults_before = len(report.faults)
@@ -172,7 +169,7 @@ def _check_test(path: Path, report: CheckReport, *, follow_links: bool) -> TestS
             if protocol is None:
                 report.attempt(partial(recognise_export, file))
                 continue
-            recording = report.attempt(partial(read_role, file, protocol.sources[role]))
+            recording = report.attempt(partial(read_role_export, file, protocol.sources[role]))
             if recording is not None:
                 recordings_by_role[role].append(recording)
                 report.add(*_find_missing_markers(recording.markers, protocol.markers, file))
@@ -209,7 +206,7 @@ def _check_steps(
 
 
 def find_missing_sizes(protocol: Protocol, sizes: Collection[str] = ()) -> dict[str, list[str]]:
-    """Find the sizes of the specimen that results need and that are not stated.
+    """Find the sizes of the specimen that results need but neither protocol nor sheet states.
 
     Parameters
     ----------
@@ -232,9 +229,9 @@ def find_missing_sizes(protocol: Protocol, sizes: Collection[str] = ()) -> dict[
             results_by_size.setdefault("gauge_length", []).append(entry.result)
             results_by_size.setdefault("section.area", []).append(entry.result)
     channel = protocol.curve and protocol.channels.get(protocol.curve.displacement)
-    is_extension = bool(channel and channel.is_extension)  # of the gauge length, by an extensometer
+    is_extension = bool(channel and channel.is_extension)  # measured by an extensometer
     length_sizes: list[list[str]] = [] if is_extension else [["length"]]
-    alternatives = {"gauge_length": length_sizes, "section.area": AREA_SIZES}
+    alternatives = {"gauge_length": length_sizes, "section.area": _AREA_SIZES}
     return {
         size: results
         for size, results in results_by_size.items()
@@ -251,10 +248,10 @@ def _find_missing_markers(
     bodies, names = [body.name for body in tracks.bodies], list(tracks.names)
     patterns = () if markers.along == "all" else markers.along
     unmatched = [pattern for pattern in patterns if not fnmatch.filter(names, pattern)]
-    missing = [("markers", "markers.along", pattern) for pattern in unmatched]
+    missing_names = [("markers", "markers.along", pattern) for pattern in unmatched]
     if markers.clamp is not None and markers.clamp not in bodies:
-        missing.insert(0, ("rigid body", "markers.clamp", markers.clamp))
-    for kind, key, name in missing:
+        missing_names.insert(0, ("rigid body", "markers.clamp", markers.clamp))
+    for kind, key, name in missing_names:
         similar_names = sort_by_likeness(name, bodies if kind == "rigid body" else names)
         similar, place = ", ".join(map(repr, similar_names)) or "none", f"{kind} {name!r}"
         yield ReadError.about(
@@ -263,7 +260,7 @@ def _find_missing_markers(
 
 
 def _find_duplicate_names(sheets: Mapping[Path, TestSheet]) -> Iterator[ProtocolError]:
-    """Yield an error for each test with the name of another test of its campaign."""
+    """Yield an error for each test with the name of an earlier test of its campaign."""
     first_paths: dict[tuple[Path, str], Path] = {}
     for path, sheet in sheets.items():
         campaign, name = path.resolve().parent.parent, sheet.test

@@ -35,15 +35,16 @@ N_COMPARED_DISPLACEMENTS = 40
 MIN_PATH_POINTS = 5
 """Smallest number of points of a branch path that is compared."""
 MIN_CHANGE_ERROR_RATIO, MIN_REST_ERROR_RATIO = 8.0, 6.0
-"""Smallest reported change of the force in the motion or between cycles, and smallest reported
-level or change at rest, both divided by their standard errors."""
+"""Smallest reported change of the force divided by its standard error.
+
+The first applies in the motion and between cycles, the second to levels and changes at rest."""
 TURN_REACH = 3
-"""Number of samples on each side of a turn that belong to it."""
+"""Number of samples on each side of a turn that belong to the turn."""
 
 Quantity: TypeAlias = Literal["force", "displacement"]
 QUANTITIES: tuple[Quantity, Quantity] = ("displacement", "force")
-"""Quantities of a curve. Both are doubtful if the displacement is wrong, because it separates the
-branches."""
+"""Quantities of a curve. Both are doubtful if the displacement is wrong, because the displacement
+separates the branches."""
 BranchPath: TypeAlias = tuple[Floats, Floats]
 """Block means of displacement (m, increasing) and force (N) of a branch."""
 
@@ -103,9 +104,9 @@ class CheckedRecord:
 
     @cached_property
     def turns(self) -> list[tuple[Branch, Branch, float]]:
-        """Return the branches before and after each turn, and a sign for the force.
+        """Return the branches before and after each turn, and the sign of the force.
 
-        The force times this sign increases up to the turn.
+        The product of force and sign increases up to the turn.
         """
         sign = self.loading_sign
         return [
@@ -132,7 +133,7 @@ class CheckedRecord:
     def cycle_changes(self) -> list[tuple[str, float, Cycle, Cycle]]:
         """Return the changes between consecutive cycles.
 
-        Each entry has the kind and the size of a change, which `_find_cycle_change` describes, the
+        An entry consists of the kind and the size of the change (see `_find_cycle_change`), the
         earlier cycle and the later cycle.
         """
         changes = [(_find_cycle_change(self, *pair), pair) for pair in pairwise(self.cycles)]
@@ -169,7 +170,7 @@ class CheckedRecord:
     def compute_min_change(
         self, min_fraction: float, error: float, min_error_ratio: float = MIN_CHANGE_ERROR_RATIO
     ) -> float:
-        """Compute the smallest change of the force that is reported, N.
+        """Compute the smallest change of the force (N) that is reported.
 
         Parameters
         ----------
@@ -181,7 +182,7 @@ class CheckedRecord:
 
     def report(
         self,
-        message: str,
+        template: str,
         *quantities: str,
         channel: Quantity = "force",
         at: int | None = None,
@@ -192,11 +193,12 @@ class CheckedRecord:
 
         Parameters
         ----------
-        message, facts : name and facts of the message, see `labpipe.messages.format_sentence`
+        template, facts : name of the message template, and values of its fields, see
+            `labpipe.messages.format_sentence`
         quantities : doubtful quantities
         channel : quantity whose channel the note names
-        at : index of the sample whose time, or number if the export has no time, becomes the fact
-            ``at`` of the message; None if the message has no such fact
+        at : index of the sample of the fact ``at``, which is its time, or its number if the export
+            has no time; None if the message has no such fact
         segment : indices of the first and last doubtful sample; -1 is the last sample of the
             record; None for all samples
         """
@@ -206,7 +208,7 @@ class CheckedRecord:
             facts["at"] = f"{time[at]:.3f} s" if is_timed else f"sample {at + 1}"
         period = None if segment is None else (float(time[segment[0]]), float(time[segment[1]]))
         channel_name = getattr(self.signals, channel)
-        return Finding.of(message, channel_name, *quantities, period=period, **facts)
+        return Finding.of(template, channel_name, *quantities, period=period, **facts)
 
 
 def check_consistency(record: CheckedRecord) -> Iterator[Finding]:
@@ -228,9 +230,9 @@ def check_consistency(record: CheckedRecord) -> Iterator[Finding]:
 
 
 def _make_path(curve: Curve, branch: Branch) -> BranchPath:
-    """Average a branch over blocks, and sort the means by displacement.
+    """Average a branch over at least 400 blocks, and sort the means by displacement.
 
-    There are at least 400 blocks; a shorter branch is only sorted. Samples with a NaN are left out.
+    A branch with fewer samples is only sorted. Samples with a NaN are left out.
     """
     min_blocks = 400
     rows = slice(branch.start, branch.stop)
@@ -250,17 +252,17 @@ def _interpolate_common_forces(*paths: BranchPath) -> list[Floats]:
     min_common_fraction = 0.5  # common range as a fraction of the combined range
     if min(len(force) for _, force in paths) < MIN_PATH_POINTS:
         return []
-    starts, ends = [path[0][0] for path in paths], [path[0][-1] for path in paths]
-    if not min(ends) - max(starts) > min_common_fraction * (max(ends) - min(starts)):
+    lowest, highest = [path[0][0] for path in paths], [path[0][-1] for path in paths]
+    if not min(highest) - max(lowest) > min_common_fraction * (max(highest) - min(lowest)):
         return []
-    displacements = np.linspace(max(starts), min(ends), N_COMPARED_DISPLACEMENTS + 2)[1:-1]
+    displacements = np.linspace(max(lowest), min(highest), N_COMPARED_DISPLACEMENTS + 2)[1:-1]
     return [np.interp(displacements, *path) for path in paths]
 
 
 def _check_displacement_jumps(record: CheckedRecord) -> Iterator[Finding]:
     """Report the largest jump or outlier of the displacement, except a single one at a break."""
     min_break_drop = 0.3  # drop of the force at a break as a fraction of the largest force
-    min_outlier = 0.02  # fraction of the range of the displacement
+    min_outlier = 0.02  # smallest outlier as a fraction of the range of the displacement
     displacement, force = record.curve.displacement, record.curve.force
     deviations = displacement - bridge_spikes(displacement, find_spikes(displacement))
     outliers = np.flatnonzero(np.abs(deviations) > min_outlier * record.displacement_range)
@@ -272,7 +274,7 @@ def _check_displacement_jumps(record: CheckedRecord) -> Iterator[Finding]:
     drop = abs(force[sample - 1]) - abs(force[sample])
     is_break = drop > min_break_drop * record.largest_force
     if len(jumps) > 1 or not is_break:
-        facts: dict[str, Any] = {"at": sample, "mm": 1e3 * size, "count": len(jumps)}
+        facts: dict[str, Any] = {"at": sample, "size": 1e3 * size, "count": len(jumps)}
         yield record.report("process.zero_jump", *QUANTITIES, channel="displacement", **facts)
 
 
@@ -280,23 +282,24 @@ def _check_rest_levels(record: CheckedRecord) -> Iterator[Finding]:
     """Report a force or a displacement that differs from zero before the motion.
 
     A displacement that a step zeroes is not checked. A force that a step zeroes is reported if it
-    leaves its zero before the motion.
+    differs from this zero before the motion.
     """
     min_samples = 8
-    min_level, min_displacement = 1e-4, 0.02  # fractions of largest force and displacement range
+    # Fractions of the largest force and of the range of the displacement.
+    min_force_fraction, min_displacement_fraction = 1e-4, 0.02
     signals, curve, start = record.signals, record.curve, record.curve.branches[0].start
     is_zeroed = signals.is_zeroed(signals.force)
     jumps = find_level_jumps(curve.time[:start], curve.force[:start])
-    # A zero is taken at the beginning of the rest, so that the force may have left it later.
+    # A zero is taken at the beginning of the rest, and the force may change after it.
     rest_start = jumps[-1][0] if jumps else (start // 2 if is_zeroed else 0)
     rest_forces = drop_missing(curve.force[rest_start:start])
-    level, count = median(rest_forces), max(1, len(rest_forces))
-    ratio, error = abs(level) / record.largest_force, record.force_noise / sqrt(count)
-    limit = record.compute_min_change(min_level, error, MIN_REST_ERROR_RATIO)
-    if count >= min_samples and abs(level) > limit:
+    rest_force, count = median(rest_forces), max(1, len(rest_forces))
+    ratio, error = abs(rest_force) / record.largest_force, record.force_noise / sqrt(count)
+    min_force = record.compute_min_change(min_force_fraction, error, MIN_REST_ERROR_RATIO)
+    if count >= min_samples and abs(rest_force) > min_force:
         max_zero_error = 2.0 * signals.raw[signals.force].zero_drift
         is_small = ratio <= max(record.limits.rest_force, max_zero_error)
-        facts: dict[str, Any] = {"level": level, "ratio": ratio}
+        facts: dict[str, Any] = {"level": rest_force, "ratio": ratio}
         if is_small and not is_zeroed:
             yield record.report("process.rest_force", **facts)
         elif not is_zeroed:
@@ -304,14 +307,14 @@ def _check_rest_levels(record: CheckedRecord) -> Iterator[Finding]:
         elif not is_small:
             yield record.report("process.rest_force_left", "force_zero", at=rest_start, **facts)
     displacement = float(curve.displacement[start])
-    is_displaced = abs(displacement) > min_displacement * record.displacement_range
+    is_displaced = abs(displacement) > min_displacement_fraction * record.displacement_range
     if is_displaced and not signals.is_zeroed(signals.displacement):
-        facts = {"mm": 1e3 * displacement, "channel": "displacement"}
+        facts = {"level": 1e3 * displacement, "channel": "displacement"}
         yield record.report("process.rest_displacement", **facts)
 
 
 def _check_early_force(record: CheckedRecord) -> Iterator[Finding]:
-    """Report a force that changes before the motion, because its clock is wrong or its zero jumps.
+    """Report a force that changes before the motion, as with a wrong clock or a jump of its zero.
 
     The mean force of the last 0.2 s before the motion is compared with earlier means. Nothing is
     reported if force and displacement have one clock.
@@ -325,19 +328,20 @@ def _check_early_force(record: CheckedRecord) -> Iterator[Finding]:
     if has_one_clock or start < (min_means + 1) * n_samples or not n_samples:
         return
     blocks = curve.force[start % n_samples : start].reshape(-1, n_samples)
-    means = drop_missing(blocks.mean(axis=1))
-    if len(means) <= min_means:
+    mean_forces = drop_missing(blocks.mean(axis=1))
+    if len(mean_forces) <= min_means:
         return
-    level = median(means[:-1])
-    spread = 1.4826 * median(np.abs(means[:-1] - level))
-    error, change = max(spread, record.force_noise / sqrt(n_samples)), float(means[-1] - level)
+    rest_force = median(mean_forces[:-1])
+    spread = 1.4826 * median(np.abs(mean_forces[:-1] - rest_force))  # standard deviation
+    error = max(spread, record.force_noise / sqrt(n_samples))
+    change = float(mean_forces[-1] - rest_force)
     if abs(change) > record.compute_min_change(min_change_fraction, error):
         facts: dict[str, Any] = {"change": change, "ratio": abs(change) / record.largest_force}
         yield record.report("process.force_early", "clock", "force_zero", **facts)
 
 
 def _check_force_level(record: CheckedRecord) -> Iterator[Finding]:
-    """Report a jump of the force that a specimen cannot cause or, without one, a drift of the zero.
+    """Report a jump of the force that no specimen causes; without such a jump, a drift of the zero.
 
     Such a jump is a rise in loading, a fall in loading to zero from where the force rises again, or
     any jump in unloading. If a converter overflows, the force jumps over the whole range of the
@@ -345,26 +349,26 @@ def _check_force_level(record: CheckedRecord) -> Iterator[Finding]:
     force.
     """
     max_jumps = 2  # more jumps are attributed to the specimen, or are overflows
-    min_overflow = 0.9  # jump as a fraction of the range of the force
-    max_asymmetry = 0.1  # difference between the final force and half the jump, over the jump
+    min_overflow_fraction = 0.9  # jump divided by the range of the force
+    max_asymmetry = 0.1  # difference of the final force and half the jump, divided by the jump
     force, branches = record.curve.force, record.curve.branches
     all_jumps = record.jumps["force"]
-    min_size = min_overflow * np.ptp(drop_missing(force))
-    overflows = [(sample, size) for sample, size in all_jumps if abs(size) > min_size]
+    min_overflow = min_overflow_fraction * np.ptp(drop_missing(force))
+    overflows = [jump for jump in all_jumps if abs(jump[1]) > min_overflow]
     if len(overflows) <= max_jumps:
         overflows = [x for x in overflows if abs(force[x[0]] / x[1] - 0.5) < max_asymmetry]
-    # Each branch extends to the start of the next one, because it includes the rest after it.
-    ends = [*(branch.start for branch in branches[1:]), branches[-1].stop]
+    # Each branch is extended to the start of the next one, and then includes the rest after it.
+    rest_ends = [*(branch.start for branch in branches[1:]), branches[-1].stop]
     jumps = [
         (sample, size)
-        for branch, end in zip(branches, ends, strict=True)
+        for branch, rest_end in zip(branches, rest_ends, strict=True)
         for sample, size in all_jumps
-        if branch.start + TURN_REACH < sample < end - TURN_REACH
+        if branch.start + TURN_REACH < sample < rest_end - TURN_REACH
         and abs(sample - branch.stop) > TURN_REACH
         and (
             branch.direction is Direction.UNLOADING
             or record.loading_sign * size > 0.0
-            or _is_zeroed(force[sample:end], size, record.force_noise)
+            or _is_zeroed(force[sample:rest_end], size, record.force_noise)
         )
     ]
     if overflows:
@@ -395,7 +399,7 @@ def _check_zero_drift(record: CheckedRecord) -> Iterator[Finding]:
     direction of loading is therefore a drift only if the level also changes between cycles, or if
     the force has jumped by as much.
     """
-    # Distance from the initial position as a fraction of the range of the displacement.
+    # Distance from the initial position, as a fraction of the range of the displacement; samples.
     max_distance, min_rest_samples = 0.02, 3
     curve, first, last = record.curve, record.curve.branches[0], record.curve.branches[-1]
     rests = curve.force[: first.start], curve.force[last.stop :]
@@ -406,45 +410,47 @@ def _check_zero_drift(record: CheckedRecord) -> Iterator[Finding]:
     if last.direction is Direction.LOADING or not has_returned or count < min_rest_samples:
         return
     # Only the last samples of a long final rest are used, because specimens relax.
-    level, end_level = median(initial_forces), median(final_forces[-len(initial_forces) :])
-    branch_forces = curve.force[first.start : last.stop]
-    change = compute_loading_sign(branch_forces) * (end_level - level)
+    initial_force = median(initial_forces)
+    final_force = median(final_forces[-len(initial_forces) :])
+    moving_forces = curve.force[first.start : last.stop]
+    change = compute_loading_sign(moving_forces) * (final_force - initial_force)
     error = record.force_noise * sqrt(2.0 / count)
     # The size of a jump has the error of two samples.
     max_misfit = MIN_REST_ERROR_RATIO * record.force_noise * sqrt(2.0 / count + 2.0)
     jump = sum(size for _, size in record.jumps["force"])
-    has_jumped = abs(end_level - level - jump) < max_misfit < abs(jump)
+    has_jumped = abs(final_force - initial_force - jump) < max_misfit < abs(jump)
     if has_jumped or any(kind == "level" for kind, *_ in record.cycle_changes):
         change = abs(change)
-    largest_force = float(np.nanmax(np.abs(branch_forces - level)))
+    largest_force = float(np.nanmax(np.abs(moving_forces - initial_force)))
     if change >= max(record.limits.rest_force_drift * largest_force, MIN_REST_ERROR_RATIO * error):
-        facts: dict[str, Any] = {"level": level, "end": end_level}
+        facts: dict[str, Any] = {"initial": initial_force, "final": final_force}
         facts |= {"ratio": abs(change) / largest_force}
         yield record.report("process.zero_drift", "force", **facts)
 
 
 def check_force_after_break(record: CheckedRecord, failure: object) -> Iterator[Finding]:
-    """Report a force below zero, which is opposite to the loading, after the specimen broke.
+    """Report a force opposite to the loading after the specimen broke.
 
     Parameters
     ----------
     record : record of a test with its corrected curve
-    failure : failure point of the test; an object of another type gives no finding
+    failure : failure point of the test; without a failure point nothing is reported
 
     Notes
     -----
-    A force above zero is allowed, because unbroken wires may still carry a load. A rebound of a few
-    samples is also allowed.
+    A force in the direction of the loading is allowed, because unbroken wires may still carry a
+    load. A rebound of a few samples is also allowed.
     """
-    min_tail_samples = 10  # fewer samples may be a rebound
+    min_samples = 10  # after the break; fewer samples may be a rebound
     if not isinstance(failure, FailurePoint):
         return
-    force = record.curve.force
-    tail = drop_missing(force[failure.sample + 1 :])
-    if len(tail) < min_tail_samples:
+    force, first_sample = record.curve.force, failure.sample + 1
+    later_force = drop_missing(force[first_sample:])
+    count = len(later_force)
+    if count < min_samples:
         return
-    level, error = median(tail[len(tail) // 2 :]), record.force_noise * sqrt(2.0 / len(tail))
-    reversed_force = -compute_loading_sign(force[: failure.sample + 1]) * level
+    level, error = median(later_force[count // 2 :]), record.force_noise * sqrt(2.0 / count)
+    reversed_force = -compute_loading_sign(force[:first_sample]) * level
     min_drift = record.limits.rest_force_drift
     if reversed_force >= record.compute_min_change(min_drift, error, MIN_REST_ERROR_RATIO):
         facts: dict[str, Any] = {"level": level, "ratio": reversed_force / record.largest_force}
@@ -453,8 +459,10 @@ def check_force_after_break(record: CheckedRecord, failure: object) -> Iterator[
 
 def _check_partial_breaks(record: CheckedRecord) -> Iterator[Finding]:
     """Report sudden losses of force in loading that are larger than slips but are no breaks."""
-    min_loss = 0.2  # fraction of the largest force before the loss or, if larger, of the next force
-    min_reference_force = 0.5  # fraction of the largest force of the record
+    min_loss = 0.2  # fraction of the reference force
+    # The reference force is the largest force before the loss, but at least this fraction of the
+    # largest force of the record.
+    min_reference_force = 0.5
     min_later = 0.5  # largest force after the loss as a fraction of that before it
     min_recovery = 0.25  # fraction of the loss; after a break the force does not recover
     max_duration = 0.05  # s
@@ -490,9 +498,9 @@ def _check_cycle_changes(record: CheckedRecord) -> Iterator[Finding]:
     """Report changes of scale, level or travel between cycles that an instrument caused.
 
     Such a change is the same in loading and unloading, whereas conditioning, hardening, fatigue
-    and permanent set change the two differently. Unloading is also compared alone, because a first
-    loading differs from all others. An offset of the displacement looks like one of the force, but
-    it also shifts the turns.
+    and permanent set change the two differently. Unloading is also compared alone, because the
+    first loading differs from all later ones. An offset of the displacement changes the forces like
+    an offset of the force, but it also shifts the turns.
     """
     for kind, size, old_cycle, new_cycle in record.cycle_changes:
         old_travel, new_travel = (cycle.paths[1][0] for cycle in (old_cycle, new_cycle))
@@ -515,9 +523,9 @@ def _find_cycle_change(
 ) -> tuple[str, float] | None:
     """Find kind and size of a change between two cycles; None without a change.
 
-    The size of a ``level`` is the difference of the forces, N. The size of a ``scale`` is the ratio
-    of the later force to the earlier one, that of a ``travel`` the ratio of the displacements at
-    the turns.
+    The size of a change of ``level`` is the difference of the forces, N. The size of a change of
+    ``scale`` is the ratio of the later force to the earlier one. The size of a change of ``travel``
+    is the ratio of the displacements at the turns.
     """
     # Each limit applies to the misfit of the cycles as recorded divided by their misfit after a
     # change of scale or level has been removed. In 246 pairs of real and simulated cycles, in which
@@ -529,17 +537,17 @@ def _find_cycle_change(
         (slice(None), min_cycle_ratio, min_cycle_ratio),
         (unloading, min_unloading_scale_ratio, min_unloading_level_ratio),
     )
-    max_stroke_change = 0.05  # relative; a cycle of another length unloads along another path
+    max_stroke_change = 0.05  # relative; a cycle of another stroke unloads along another path
     max_change_ratio = 0.25  # relative change of the force at the turn over that of the travel
     min_change = record.limits.cycle_change
     forces = _interpolate_common_forces(*old_cycle.paths, *new_cycle.paths)
     if not forces:
         return None
-    all_old, all_new = np.concatenate(forces[:2]), np.concatenate(forces[2:])
+    old_curve, new_curve = np.concatenate(forces[:2]), np.concatenate(forces[2:])
     (old_travel, old_force), (new_travel, new_force) = old_cycle.paths[1], new_cycle.paths[1]
-    is_length_changed = abs(np.ptp(new_travel) / np.ptp(old_travel) - 1.0) > max_stroke_change
-    for points, min_scale_ratio, min_level_ratio in () if is_length_changed else comparisons:
-        old, new = all_old[points], all_new[points]
+    is_stroke_changed = abs(np.ptp(new_travel) / np.ptp(old_travel) - 1.0) > max_stroke_change
+    for points, min_scale_ratio, min_level_ratio in () if is_stroke_changed else comparisons:
+        old, new = old_curve[points], new_curve[points]
         scale, level = float(old @ new / (old @ old)), float(np.mean(new - old))
         misfit, scale_misfit = compute_rms(new - old), compute_rms(new - scale * old)
         level_misfit = compute_rms(new - level - old)
@@ -550,21 +558,22 @@ def _find_cycle_change(
         if is_shifted and misfit > min_level_ratio * level_misfit:
             return "level", level
     travel_ratio = float(new_travel[-1] / old_travel[-1]) if old_travel[-1] > 0.0 else 1.0
-    # Another scale of the travel does not change the force at the turn; another stroke does.
+    # A change of the scale of the travel does not change the force at the turn; a change of the
+    # stroke does.
     travel_change = abs(travel_ratio - 1.0)
     force_change = abs(float(new_force[-1] / old_force[-1]) - 1.0)
-    is_stroke_changed = force_change > max(min_change, max_change_ratio * travel_change)
-    if travel_change < min_change or travel_ratio <= 0.0 or is_stroke_changed:
+    is_force_changed = force_change > max(min_change, max_change_ratio * travel_change)
+    if travel_change < min_change or travel_ratio <= 0.0 or is_force_changed:
         return None
     rescaled_path = new_travel / travel_ratio, new_force
     rescaled_forces = _interpolate_common_forces(old_cycle.paths[1], rescaled_path)
     rescaled_misfit = compute_rms(np.diff(rescaled_forces, axis=0)) if rescaled_forces else inf
-    misfit = compute_rms(all_new[unloading] - all_old[unloading])
+    misfit = compute_rms(new_curve[unloading] - old_curve[unloading])
     return ("travel", travel_ratio) if misfit >= min_cycle_ratio * rescaled_misfit else None
 
 
 def _check_loading_directions(record: CheckedRecord) -> Iterator[Finding]:
-    """Report the first loading branch at whose end the force is far below that at its start.
+    """Report the first loading branch in which the force falls by half of the largest force.
 
     A record with large forces of both signs is not checked.
     """
@@ -574,8 +583,8 @@ def _check_loading_directions(record: CheckedRecord) -> Iterator[Finding]:
         return
     for previous, branch in pairwise(record.curve.branches):
         branch_force = drop_missing(force[branch.start : branch.stop])
-        n_end = max(1, len(branch_force) // 10)
-        fall = median(branch_force[:n_end]) - median(branch_force[-n_end:])
+        n_end_samples = max(1, len(branch_force) // 10)
+        fall = median(branch_force[:n_end_samples]) - median(branch_force[-n_end_samples:])
         if branch.direction is Direction.LOADING and fall > min_fall * record.largest_force:
             facts: dict[str, Any] = {"cycle": branch.cycle, "ratio": fall / record.largest_force}
             facts |= {"at": branch.start, "segment": (previous.start, -1)}
@@ -585,7 +594,7 @@ def _check_loading_directions(record: CheckedRecord) -> Iterator[Finding]:
 
 
 def _check_turns(record: CheckedRecord) -> Iterator[Finding]:
-    """Report a force that still grows after turns of the motion, because it is late or jumps."""
+    """Report a force that still grows after turns of the motion, as if it is late or jumps."""
     limits, min_samples = record.limits, 3
     growths = []
     for branch, next_branch, sign in record.turns:
@@ -601,7 +610,7 @@ def _check_turns(record: CheckedRecord) -> Iterator[Finding]:
             float(np.convolve(forces, np.ones(n_averaged) / n_averaged, "valid").max())
             for forces in (last_forces, first_forces)
         )
-        # The turn lies between two samples, so that the force may grow by its mean step.
+        # The turn is between two samples. The force may therefore grow by its mean step.
         mean_step = max(0.0, float(last_forces[-1] - last_forces[0])) / (len(last_forces) - 1)
         growths.append((largest_after - largest_before - mean_step, next_branch))
     if not growths:
@@ -619,23 +628,23 @@ def _check_turns(record: CheckedRecord) -> Iterator[Finding]:
 
 
 def _check_skipped_turns(record: CheckedRecord) -> Iterator[Finding]:
-    """Report turns at which the force jumps, unlike at others, as the recording was interrupted."""
+    """Report turns at which alone the force jumps, as after an interrupted recording."""
     min_step_ratio = 5.0  # largest step of the force at a turn divided by that at the other turns
     curve, jumps = record.curve, dict(record.jumps["force"])
     for direction in Direction:
-        turns = [
+        ranges = [
             range(max(second.start - TURN_REACH, 0), second.start + TURN_REACH + 1)
             for _, second, _ in record.turns
             if second.direction is direction
         ]
-        turn_forces = [curve.force[turn.start : turn.stop] for turn in turns]
+        turn_forces = [curve.force[samples.start : samples.stop] for samples in ranges]
         steps = [np.fmax.reduce(np.abs(np.diff(force)), initial=0.0) for force in turn_forces]
-        for index, turn in enumerate(turns):
+        for index, samples in enumerate(ranges):
             other_steps = [*steps[:index], *steps[index + 1 :]]
-            sample = next((sample for sample in turn if sample in jumps), None)
+            sample = next((sample for sample in samples if sample in jumps), None)
             is_interrupted = steps[index] > min_step_ratio * max(other_steps, default=inf)
             if sample is not None and is_interrupted:
-                segment = turn.start, min(turn.stop, len(curve.time)) - 1
+                segment = samples.start, min(samples.stop, len(curve.time)) - 1
                 facts: dict[str, Any] = {"at": sample, "size": jumps[sample]}
                 facts |= {"segment": segment, "channel": "displacement"}
                 yield record.report("process.turn_skipped", *QUANTITIES, **facts)
@@ -649,22 +658,25 @@ def _check_force_clipping(record: CheckedRecord) -> Iterator[Finding]:
     turns.
     """
     turn_reaches = 0.1, 0.05, 0.03  # displacements on each side as fractions of that of the branch
-    min_level, max_error = 0.5, 0.1  # fractions of the largest force, the error per unit of reach
+    # Smallest constant force as a fraction of the largest force; largest error as a fraction of the
+    # largest force, divided by the reach.
+    min_level_fraction, max_error_ratio = 0.5, 0.1
     n_standard_errors, min_piece_samples = 4.0, 8
     for cycle in record.cycles:
-        turn = record.curve.displacement[cycle.unloading.start]
+        turn_position = record.curve.displacement[cycle.unloading.start]
         for reach in turn_reaches:
             pieces = list[Floats]()
             for displacement, force in cycle.paths:
-                is_near = np.abs(displacement - turn) < reach * np.ptp(displacement)
+                is_near = np.abs(displacement - turn_position) < reach * np.ptp(displacement)
                 pieces += np.array_split(force[is_near], 2)
             if min(map(len, pieces)) < min_piece_samples:
                 break
             error = n_standard_errors * max(piece.std() / sqrt(len(piece)) for piece in pieces)
             levels = [float(piece.mean()) for piece in pieces]
             level, is_level = float(np.mean(levels)), np.ptp(levels) < error
-            is_precise = error < max_error * reach * record.largest_force
-            if is_level and is_precise and abs(level) > min_level * record.largest_force:
+            min_level = min_level_fraction * record.largest_force
+            is_precise = error < max_error_ratio * reach * record.largest_force
+            if is_level and is_precise and abs(level) > min_level:
                 facts: dict[str, Any] = {"cycle": cycle.loading.cycle, "level": level}
                 segment = cycle.loading.start, cycle.unloading.stop - 1
                 yield record.report("process.force_limited", "force", segment=segment, **facts)
@@ -676,14 +688,15 @@ def _check_held_turns(record: CheckedRecord) -> Iterator[Finding]:
     min_growth = 0.05  # fraction of the largest force
     curve = record.curve
     for first, second, _ in record.turns:
-        # A damper reverses its force at a turn, so that each branch has a sign of its own.
+        # The force of a damper reverses at a turn. The sign is therefore that of one branch alone.
         sign = record.compute_sign(first) * (1 if first.direction is Direction.LOADING else -1)
-        turn = first.stop - 1
-        force = drop_missing(sign * curve.force[turn : second.start + 1])
+        turn_sample = first.stop - 1
+        force = drop_missing(sign * curve.force[turn_sample : second.start + 1])
         growth = float(force.max() - max(force[0], force[-1])) if len(force) else 0.0
         if growth > record.compute_min_change(min_growth, record.force_noise):
-            facts: dict[str, Any] = {"growth": growth, "position": 1e3 * curve.displacement[turn]}
-            facts |= {"at": turn, "segment": (first.start, second.stop - 1)}
+            position = 1e3 * curve.displacement[turn_sample]  # mm
+            facts: dict[str, Any] = {"growth": growth, "position": position, "at": turn_sample}
+            facts |= {"segment": (first.start, second.stop - 1)}
             quantity: Quantity = "displacement"
             yield record.report("process.displacement_limited", quantity, channel=quantity, **facts)
 
@@ -707,9 +720,9 @@ def _check_jump_to_peak(record: CheckedRecord) -> Iterator[Finding]:
     if len(steps) < 2 * reach or not len(forces_after):
         return
     jump, largest_step = float(steps[reach:].max()), np.abs(steps[:reach]).max()
-    limit = record.compute_min_change(min_jump, record.force_noise)
+    min_change = record.compute_min_change(min_jump, record.force_noise)
     is_lost = float(np.min(forces_after)) < max_remaining_force * force[peak]
-    if is_lost and jump > max(limit, min_step_ratio * float(largest_step)):
+    if is_lost and jump > max(min_change, min_step_ratio * float(largest_step)):
         segment = peak - reach, peak
         yield record.report("process.last_rise", "force", at=peak, segment=segment, size=jump)
 
@@ -717,8 +730,8 @@ def _check_jump_to_peak(record: CheckedRecord) -> Iterator[Finding]:
 def _check_gaps_at_peaks(record: CheckedRecord) -> Iterator[Finding]:
     """Report a gap in the times at a turn or at the largest force, where a peak may be missing."""
     min_step_ratio, step_quantile = 5.0, 0.98  # gap over this quantile of the time steps
-    # Just before the gap, in a time as long as the gap, the displacement must change by more than
-    # this fraction of its range, and by more than this multiple of its noise.
+    # In a time as long as the gap, just before it, the displacement must change by more than this
+    # fraction of its range, and by more than this multiple of its noise.
     min_travel, min_noise_ratio = 0.005, 6.0
     peak_reach = 5  # samples between gap and peak, because noise shifts the largest sample
     time, displacement = record.curve.time, record.curve.displacement

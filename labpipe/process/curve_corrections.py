@@ -1,7 +1,7 @@
 """Build the force-displacement curve of a test and correct it for compliance, slips and slack.
 
-The curve consists of the force and the displacement at the same times. It is corrected after the
-split into branches, in the order of the keys of ``curve`` in the protocol. The aligned signals are
+The curve consists of the force and the displacement at the same times. After the split into
+branches it is corrected for the compliance, then for slips, then for slack. The aligned signals are
 not changed.
 """
 
@@ -90,7 +90,7 @@ def build_curve(
         return None, [Finding.of("process.no_overlap", "align", is_blocking=True, **facts)]
     branches, motion_time = motion.branches, motion.signal.time
     if len(motion_time) != len(time):
-        # The branches count the samples of another channel with the same clock.
+        # The sample indices of the branches refer to another channel with the same clock.
         last_samples = [min(branch.stop, len(motion_time)) - 1 for branch in branches]
         starts = np.searchsorted(time, motion_time[[branch.start for branch in branches]]).tolist()
         stops = np.searchsorted(time, motion_time[last_samples]).tolist()
@@ -133,7 +133,7 @@ def correct_curve(test: ReducedTest, settings: CurveBlock) -> CorrectionOutcome:
     if settings.elastic_line is not None:
         window = ElasticWindow(**dict(settings.elastic_line))
         test = replace(test, tensile_curve=fit_tensile_curve(test, window))
-    # Slips are reported last, because the slack changes their positions.
+    # Slips are reported last, because the slack correction changes their positions.
     return test, [*findings, *(_report_slip(test.signals.force, slip) for slip in test.slips)]
 
 
@@ -156,16 +156,16 @@ def bridge_outliers(signals: Signals) -> tuple[Signal, list[Finding]]:
 
     Returns
     -------
-    The raw force without outliers, and a note if there are any.
+    The raw force without outliers, and a note if there are outliers.
     """
     raw_force = signals.raw[signals.force]
     outliers = find_spikes(raw_force.values)
     if not len(outliers):
         return raw_force, []
     sample = int(outliers[0])
-    time, value = raw_force.time[sample], float(raw_force.values[sample])
+    time, first_outlier = raw_force.time[sample], float(raw_force.values[sample])
     place = f"at {time:.3f} s" if raw_force.has_time else f"in sample {sample + 1}"
-    facts: dict[str, Any] = {"count": len(outliers), "first": value, "at": place}
+    facts: dict[str, Any] = {"count": len(outliers), "first": first_outlier, "at": place}
     finding = Finding.of("process.stray_samples", signals.force, **facts)
     return replace(raw_force, values=bridge_spikes(raw_force.values, outliers)), [finding]
 
@@ -173,8 +173,8 @@ def bridge_outliers(signals: Signals) -> tuple[Signal, list[Finding]]:
 def _subtract_compliance(test: ReducedTest, settings: MachineCompliance) -> CorrectionOutcome:
     """Subtract the deformation of the machine from the displacement.
 
-    The displacement corrected by the compliance plus its uncertainty is added to the perturbed
-    signals. The compliance is negative if force and displacement have opposite signs in loading.
+    A perturbed displacement is corrected by the compliance plus its uncertainty. The compliance is
+    negative if force and displacement have opposite signs in loading.
     """
     curve = test.required_curve
     sign = find_loading_sign(curve, curve.displacement) * find_loading_sign(curve, curve.force)
@@ -185,9 +185,9 @@ def _subtract_compliance(test: ReducedTest, settings: MachineCompliance) -> Corr
         higher_compliance = compliance * (1.0 + settings.uncertainty)
         perturbed_values = {COMPLIANCE: curve.displacement - higher_compliance * force}
         corrected = replace(corrected, variants={**corrected.variants, **perturbed_values})
-    size = 1e6 * settings.value  # um/N
-    largest, channel = size * float(np.nanmax(np.abs(force))), test.signals.displacement
-    finding = Finding.of("process.compliance_removed", channel, size=size, largest=largest)
+    facts: dict[str, Any] = {"compliance": 1e6 * settings.value}  # um/N
+    facts |= {"largest": facts["compliance"] * float(np.nanmax(np.abs(force)))}  # um
+    finding = Finding.of("process.compliance_removed", test.signals.displacement, **facts)
     return replace(_replace_displacement(test, corrected), compliance=compliance), [finding]
 
 
@@ -207,14 +207,15 @@ def _check_compliance(
     branch, sign = test.first_loading, find_loading_sign(curve, curve.displacement)
     if branch is None:
         return
-    force = find_loading_sign(curve, curve.force) * curve.force[branch.start : branch.stop]
-    peak = branch.start + int(np.nanargmax(force))
-    corrected = sign * corrected_displacement[branch.start : peak + 1]
-    blocks = np.array_split(corrected, min(max_blocks, len(corrected)))
+    start = branch.start
+    force = find_loading_sign(curve, curve.force) * curve.force[start : branch.stop]
+    peak = start + int(np.nanargmax(force))
+    displacement = sign * corrected_displacement[start : peak + 1]
+    blocks = np.array_split(displacement, min(max_blocks, len(displacement)))
     if np.all(np.diff([np.nanmean(block) for block in blocks]) > 0.0):
         return
-    changes = [values[peak] - values[branch.start] for values in (curve.displacement, curve.force)]
-    facts = {"limit": 1e6 * abs(float(changes[0] / changes[1])), "stated": 1e6 * compliance}
+    travel, force_change = (x[peak] - x[start] for x in (curve.displacement, curve.force))
+    facts = {"limit": 1e6 * abs(float(travel / force_change)), "stated": 1e6 * compliance}
     raise ProcessingError.about("process.too_compliant", "curve.compliance", **facts)
 
 
@@ -271,7 +272,7 @@ def _find_failure(
 
 
 def _filter_branches(test: ReducedTest, loss_start: int | Failure | None) -> ReducedTest:
-    """Filter the unfiltered force and displacement separately in each branch, and around a loss.
+    """Filter force and displacement separately in each branch.
 
     A branch with a loss of force is filtered separately before and after the start of the loss.
     """
@@ -296,9 +297,9 @@ def _filter_branches(test: ReducedTest, loss_start: int | Failure | None) -> Red
 
 
 def _correct_slips(test: ReducedTest, settings: SlipsBlock) -> CorrectionOutcome:
-    """Find the slips of the first loading, and treat them as the protocol decides.
+    """Find the slips of the first loading, and treat them as the protocol states.
 
-    The slips are marked, their drops are added back, or the curve is cut at the first slip.
+    The slips are marked, the lost force is added back, or the curve is cut at the first slip.
     """
     curve, loading = test.required_curve, select_first_loading(make_trace(test))
     start = loading.start
@@ -328,7 +329,7 @@ def _correct_slips(test: ReducedTest, settings: SlipsBlock) -> CorrectionOutcome
 
 
 def _cut_curve(curve: Curve, stop: int) -> Curve:
-    """Replace the force by NaN from sample `stop` on, and end the branches there."""
+    """Replace the force by NaN from sample `stop` on, and end the branches at this sample."""
     force = np.where(np.arange(len(curve.force)) < stop, curve.force, np.nan)
     stop_time = float(curve.time[stop - 1])
     branches = tuple(
@@ -365,16 +366,16 @@ def measure_slack(test: ReducedTest, read_slack: Choice) -> MeasuredNumber | Fai
     Parameters
     ----------
     test : test with a curve
-    read_slack : function that finds the linear region of a curve, and the displacement at which the
-        line through it meets zero force
+    read_slack : function that fits a line to the linear region of a curve, and finds the
+        displacement at which this line meets zero force
 
     Returns
     -------
     The slack (m), or a failure with the code ``not_rising``, ``no_toe`` or one of `read_slack`.
     """
     max_falling_fraction = 0.025  # fraction of the replicate curves that do not rise
-    # The line of a taut specimen may meet zero force before the curve begins, by this fraction of
-    # the travel.
+    # The line of a taut specimen may meet zero force before the curve begins, by at most this
+    # fraction of the travel.
     taut_fraction = 1e-3
     slack, trace = return_failure(test.measure_number)(read_slack), make_trace(test)
     if isinstance(slack, Failure):
@@ -396,7 +397,8 @@ def _is_preloaded(slack: MeasuredNumber, read_slack: Choice, trace: Trace, start
     The force at the first sample is subtracted from the curve, and the slack of this shifted curve
     is measured. If the curve is straight from its first sample, as after a preload, the slack of
     the shifted curve is near the first displacement. If the curve is steepest at its first sample,
-    the slack of the shifted curve is near the measured slack. The limit is halfway between the two.
+    the slack of the shifted curve is near the measured slack. The limit is halfway between these
+    two displacements.
     """
     first_displacement = float(trace.displacement[start])
     if slack.interval.upper >= first_displacement:

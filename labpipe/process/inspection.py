@@ -28,7 +28,7 @@ _DISPLAYED_UNITS = ("s", "m", "N", "Pa", "V", "1", "N m", "m/s", "Hz", "K", "kg"
 _ANGLE_UNITS = frozenset({"rad", "mrad", "deg", "degree", "degrees", "°"})
 """Units of angles, which have the dimension of a pure number."""
 _TABLE_NOTE_CODES = frozenset({"marker_gaps", "body_gaps"})
-"""Codes of notes that only repeat what the table of rigid bodies and markers shows."""
+"""Codes of notes that only repeat the content of the table of rigid bodies and markers."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,7 +65,7 @@ def inspect_export(path: Path) -> Inspection:
 
 
 def make_inspection_record(inspection: Inspection) -> dict[str, Any]:
-    """Convert an inspection to the data that `labpipe inspect --json` prints.
+    """Convert an inspection to the data of `labpipe inspect --json`.
 
     Parameters
     ----------
@@ -73,8 +73,9 @@ def make_inspection_record(inspection: Inspection) -> dict[str, Any]:
 
     Returns
     -------
-    Data for JSON. Values are in SI units if the export states the unit; otherwise they are those of
-    the file, and ``unit`` is None. A missing value is None. Frames of gaps are counted from 0.
+    Data for JSON. Values are in SI units if the export states the unit. Otherwise they are the
+    values of the file, and ``unit`` is None. A missing value is None. Frames of gaps are counted
+    from 0.
     """
     recording = inspection.recording
     return {
@@ -151,7 +152,7 @@ def _choose_unit(channel: Channel) -> tuple[str | None, float]:
 def _reduce_finite(
     values: Floats | Sequence[float], reduce: Callable[[Any], Any] = np.min
 ) -> float | None:
-    """Reduce values to one, such as the largest; None without values, or if it is not finite."""
+    """Reduce values to one number; None without values, or if the number is not finite."""
     value = reduce(values) if len(values) else np.nan
     return float(value) if np.isfinite(value) else None
 
@@ -176,7 +177,7 @@ def _describe_markers(tracks: MarkerTracks) -> dict[str, Any]:
 
 def _describe_track(track: Floats) -> dict[str, Any]:
     """Describe the missing and the unchanged frames of a marker or rigid body."""
-    max_listed = 100  # gaps; the count includes those that are not listed
+    max_listed = 100  # gaps; the count includes all gaps
     is_missing, is_unchanged = find_blank_frames(track), find_unchanged_steps(track)
     gaps = find_runs(is_missing)
     ranges = [[start, stop - 1] for start, stop in gaps[:max_listed]]
@@ -212,16 +213,16 @@ def format_inspection(inspection: Inspection) -> str:
     -------
     Lines without a newline at the end.
     """
-    facts = make_inspection_record(inspection)
-    program = f"{facts['program']} {facts['version']}".strip() or "unknown program"
-    lines = [facts["file"], f"  {program}, read by {facts['reader']}"]
-    for stream in facts["streams"]:
+    record = make_inspection_record(inspection)
+    program = f"{record['program']} {record['version']}".strip() or "unknown program"
+    lines = [record["file"], f"  {program}, read by {record['reader']}"]
+    for stream in record["streams"]:
         lines += ["", *_format_stream(stream)]
-    if facts["markers"] is not None:
-        lines += ["", *_format_markers(facts["markers"])]
+    if record["markers"] is not None:
+        lines += ["", *_format_markers(record["markers"])]
     notes = [
         f"  {note['severity']:7}  {note['where']}: {note['message']}"
-        for note in facts["notes"]
+        for note in record["notes"]
         if note["code"] not in _TABLE_NOTE_CODES
     ]
     return "\n".join([*lines, *(["", "Notes"] if notes else []), *notes])
@@ -240,17 +241,17 @@ def _format_stream(stream: dict[str, Any]) -> list[str]:
     return [heading, *_format_table(rows)]
 
 
-def _format_markers(facts: dict[str, Any]) -> list[str]:
+def _format_markers(markers: dict[str, Any]) -> list[str]:
     """Format the clock of a camera recording, and the table of its rigid bodies and markers."""
-    times = _format_times(facts, "frames")
-    heading = f"Markers: {times}; lengths in {facts['unit_in_file'] or 'metres (assumed)'}"
+    times = _format_times(markers, "frames")
+    heading = f"Markers: {times}; lengths in {markers['unit_in_file'] or 'metres (assumed)'}"
     objects = [
         (body["name"], "rigid body", body["missing"], body["gaps"], body["frozen_steps"])
-        for body in facts["rigid_bodies"]
+        for body in markers["rigid_bodies"]
     ]
     objects += [
-        (name, "marker", facts["missing"][name], gaps, facts["frozen"][name]["steps"])
-        for name, gaps in facts["gaps"].items()
+        (name, "marker", markers["missing"][name], gaps, markers["frozen"][name]["steps"])
+        for name, gaps in markers["gaps"].items()
     ]
     if not objects:
         return [heading, "  no rigid body and no marker"]
@@ -260,9 +261,9 @@ def _format_markers(facts: dict[str, Any]) -> list[str]:
     return [heading, *_format_table(rows)]
 
 
-def _format_times(times: dict[str, Any], unit: str) -> str:
-    """Format count, start, end, rate and holes of samples or frames in one line."""
-    text = f"{times[unit]} {unit}"
+def _format_times(times: dict[str, Any], counted: str) -> str:
+    """Format count, start, end, rate and holes of ``samples`` or ``frames`` in one line."""
+    text = f"{times[counted]} {counted}"
     if times["start"] is not None:
         text += f", {_format_number(times['start'])} to {_format_number(times['end'])} s"
     step = times["step_median"]

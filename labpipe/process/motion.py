@@ -1,8 +1,9 @@
 """Find the turning points of the motion, and align the clock of the force with that of the motion.
 
 A stroke of the motion ends at a turn, which is a corner, or two corners with a dwell of the machine
-between them. At the same time the force has a peak with a corner. Such a pair of corners is an
-event. Offset and drift of the clock of the force are fitted to the events.
+between them. At the same time the force has a peak with a corner. A corner of the motion and the
+simultaneous corner of the force are an event. Offset and drift of the clock of the force are fitted
+to the events.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ CORNER_WIDTHS = (0.05, 0.25)
 """Widths of the stretches beside a turn in which deviations from straight lines are tested, s."""
 MAX_CORNER_CUT = 5e-6
 """Largest distance by which a motion may round a corner, m."""
-MAX_CORNER_ERROR = 0.1
+MAX_CORNER_TIME_ERROR = 0.1
 """Limit of the standard error of the time of a force corner that is used to align clocks, s."""
 
 
@@ -51,7 +52,7 @@ class Turn:
     Parameters
     ----------
     stroke_index : index of the stroke that ends at the turn
-    arrival, departure : corners at which the motion stops and starts again; the same object if
+    arrival, departure : corners at which the motion stops and starts again; the same corner if
         there is no dwell
     """
 
@@ -72,7 +73,7 @@ class Turn:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Motion:
-    """Motion of a test, at each stage from its strokes to its branches.
+    """Motion of a test; fields of later stages are empty until they are found.
 
     Parameters
     ----------
@@ -100,8 +101,8 @@ def find_motion_strokes(signal: Signal, settings: Branches) -> tuple[Motion, lis
 
     Returns
     -------
-    The motion with its strokes, and at most one finding, which blocks the curve. It reports that
-    there are no strokes, or that noise hides them.
+    The motion with its strokes, and at most one finding, which blocks the curve. The finding
+    reports that there are no strokes, or that noise hides them.
     """
     noise_factor = 5.0  # smallest allowed minimum stroke, in standard deviations of the noise
     time, values, min_stroke = signal.time, signal.values, settings.min_stroke
@@ -113,13 +114,13 @@ def find_motion_strokes(signal: Signal, settings: Branches) -> tuple[Motion, lis
     strokes = turning_points.find_strokes(time, values, min_stroke=min_stroke)
     if strokes:
         return Motion(signal, strokes=strokes), []
-    span = 1e3 * float(np.nanmax(values) - np.nanmin(values))
-    finding = Finding.of("process.no_motion", settings.channel, is_blocking=True, span=span)
+    facts = {"range": 1e3 * float(np.nanmax(values) - np.nanmin(values))}
+    finding = Finding.of("process.no_motion", settings.channel, is_blocking=True, **facts)
     return Motion(signal), [finding]
 
 
 def find_motion_turns(motion: Motion, *, window: float) -> tuple[Turn, ...]:
-    """Find the turns of a motion by fitting straight lines on both sides of each corner.
+    """Find the turns of a motion by fits of straight lines on both sides of each corner.
 
     Parameters
     ----------
@@ -146,11 +147,14 @@ def find_motion_turns(motion: Motion, *, window: float) -> tuple[Turn, ...]:
     signal, time = motion.signal, motion.signal.time
     candidates = []
     for index, (stroke, next_stroke) in enumerate(pairwise(motion.strokes)):
-        ends = time[[stroke.start, stroke.stop, next_stroke.start, next_stroke.stop]].tolist()
-        fit_width = min(window, 0.95 * min(ends[1] - ends[0], ends[3] - ends[2]))
-        for sharp_turn, dwell_turn in _fit_turn(signal, index, (ends[1], ends[2]), fit_width):
+        start, stop = time[[stroke.start, stroke.stop]].tolist()
+        next_start, next_stop = time[[next_stroke.start, next_stroke.stop]].tolist()
+        fit_width = min(window, 0.95 * min(stop - start, next_stop - next_start))
+        turn_fit = _fit_turn(signal, index, (stop, next_start), fit_width)
+        if turn_fit is not None:
+            dwell_turn = turn_fit[1]
             apparent_dwell = _estimate_apparent_dwell(signal, dwell_turn) if dwell_turn else 0.0
-            candidates.append((sharp_turn, dwell_turn, apparent_dwell))
+            candidates.append((*turn_fit, apparent_dwell))
     ratios = [
         turn.dwell / max(apparent_dwell, min_apparent_dwell) if turn else 0.0
         for _, turn, apparent_dwell in candidates
@@ -184,7 +188,7 @@ def orient_force(force: Signal) -> Signal:
 
 def _fit_turn(
     signal: Signal, stroke_index: int, turn_times: tuple[float, float], window: float
-) -> list[tuple[Turn | None, Turn | None]]:
+) -> tuple[Turn | None, Turn | None] | None:
     """Fit a turn as one corner, and as two corners with a dwell between them.
 
     Parameters
@@ -196,25 +200,25 @@ def _fit_turn(
 
     Returns
     -------
-    One pair with the turn of one corner and the turn with a dwell, each None if it is not found.
-    One corner is fitted only if the next stroke begins at the sample at which the stroke ends. The
-    list is empty if too many samples are missing at the turn, or if this fit fails.
+    The turn with one corner, and the turn with a dwell; each is None if it is not found. One corner
+    is fitted only if the next stroke begins at the sample at which the stroke ends. If this fit
+    fails, or too many samples are missing at the turn, the result is None.
     """
     half_width, max_missing_fraction = 0.5, 0.3  # s, on each side of a turn; of the samples there
     assumed_dwell = 0.2  # s, first guess if the next stroke begins at once
     for turn_time in turn_times:
         values_at_turn = signal.values[np.abs(signal.time - turn_time) <= half_width]
         if not np.isnan(values_at_turn).mean() <= max_missing_fraction:
-            return []
+            return None
     sharp_turn = None
     if turn_times[0] == turn_times[1]:
         corner = fit_corner(signal.time, signal.values, guess=turn_times[0], window=window)
         if corner is None or not np.isfinite(corner.time_error):
-            return []
+            return None
         sharp_turn = Turn(stroke_index, corner, corner)
         turn_times = corner.time - 0.5 * assumed_dwell, corner.time + 0.5 * assumed_dwell
     corners = fit_stop(signal.time, signal.values, guesses=turn_times, window=window)
-    return [(sharp_turn, None if corners is None else Turn(stroke_index, *corners))]
+    return sharp_turn, None if corners is None else Turn(stroke_index, *corners)
 
 
 def _estimate_apparent_dwell(signal: Signal, turn: Turn) -> float:
@@ -258,7 +262,7 @@ def check_turns(motion: Motion, *, is_clock_fitted: bool = True) -> Iterator[Fin
 
 
 def _find_rounded_corner(signal: Signal, turn: Turn) -> Finding | None:
-    """Report a turn that deviates from straight lines; None if noise explains the deviation."""
+    """Report a turn that deviates from straight lines by more than noise explains, or None."""
     noise_factor = 6.0  # standard errors of the mean of the deviations, and of their variance
     noise, speeds = estimate_noise_level(signal.values), _measure_speeds(signal, turn)
     time_from_arrival = signal.time - turn.arrival.time
@@ -293,7 +297,8 @@ def _find_rounded_corner(signal: Signal, turn: Turn) -> Finding | None:
 def _measure_speeds(signal: Signal, turn: Turn) -> tuple[float, float]:
     """Measure the speeds before arrival and after departure, m/s; NaN if samples are missing.
 
-    Each speed is computed from two mean positions over half a second, 0.5 s and 1 s from the turn.
+    Each speed is computed from two mean positions, each over half a second. The middles of these
+    stretches are 0.5 s and 1 s from the turn.
     """
     half_width, first_distance, last_distance = 0.25, 0.5, 1.0  # s
     samples = np.stack([signal.time, signal.values])[:, ~np.isnan(signal.values)]
@@ -323,7 +328,8 @@ def match_strokes(
 
     Returns
     -------
-    pairs : index of the stroke that ends at the turn, and rough time of the peak (s), of each pair
+    pairs : for each pair, the index of the stroke that ends at the turn, and the rough time of the
+        peak, s
     is_ambiguous : whether another pairing fits as well, or may fit because a record does not
         contain the whole test and the lag is longer than half a cycle
     peak_counts : text with the numbers of peaks of the motion and of the force
@@ -334,13 +340,13 @@ def match_strokes(
         for index, (stroke, next_stroke) in enumerate(pairwise(motion.strokes))
         if stroke.sign == sign
     }
-    stroke_indices, times = list(turn_times), np.array([*turn_times.values()])
+    stroke_indices, motion_times = list(turn_times), np.array([*turn_times.values()])
     peak_times = _find_peak_times(force)
-    matches, is_ambiguous = match_peaks(times, peak_times)
+    matches, is_ambiguous = match_peaks(motion_times, peak_times)
     are_complete = all(_begins_and_ends_at_rest(signal) for signal in (motion.signal, force))
-    if len(matches) and len(times) > 1 and not are_complete:
-        lag = float(np.median(peak_times[matches[:, 1]] - times[matches[:, 0]]))
-        is_ambiguous |= abs(lag) > 0.5 * float(np.diff(times).min())
+    if len(matches) and len(motion_times) > 1 and not are_complete:
+        lag = float(np.median(peak_times[matches[:, 1]] - motion_times[matches[:, 0]]))
+        is_ambiguous |= abs(lag) > 0.5 * float(np.diff(motion_times).min())
     pairs = [(stroke_indices[turn], float(peak_times[peak])) for turn, peak in matches.tolist()]
     peak_counts = f"{len(turn_times)} peaks of the motion, {len(peak_times)} of the force"
     return pairs, is_ambiguous, peak_counts
@@ -355,16 +361,16 @@ def _find_peak_times(force: Signal) -> Floats:
 def _begins_and_ends_at_rest(signal: Signal) -> bool:
     """Return whether both ends of a record are near its smallest value, far below its peaks."""
     max_rest_level = 0.2  # above the smallest value, as a fraction of the range
-    finite = drop_missing(signal.values)
-    n_end = max(1, len(finite) // 200)
-    end_levels = float(finite[:n_end].mean()), float(finite[-n_end:].mean())
-    return max(end_levels) < float(finite.min()) + max_rest_level * float(np.ptp(finite))
+    values = drop_missing(signal.values)
+    n_end_samples = max(1, len(values) // 200)
+    end_levels = float(values[:n_end_samples].mean()), float(values[-n_end_samples:].mean())
+    return max(end_levels) < float(values.min()) + max_rest_level * float(np.ptp(values))
 
 
 def find_turn_events(
     force: Signal, pairs: list[tuple[int, float]], motion: Motion, window: float
 ) -> Floats:
-    """Find the events at which a motion turns and its force has a corner.
+    """Find the events, at each of which the motion turns and the force has a corner.
 
     Parameters
     ----------
@@ -375,9 +381,10 @@ def find_turn_events(
 
     Returns
     -------
-    Shape (4, events), s. The rows are the times on the clocks of motion and force, the standard
-    error of their difference, and the error of the difference from the unknown shape of the force
-    after the corner. The last error is common to all events of a specimen and does not average out.
+    Shape (4, events), s. The rows are the time on the clock of the motion, the time on the clock of
+    the force, the standard error of their difference, and the component of this error from the
+    unknown shape of the force after the corner. This component is common to all events of a
+    specimen and does not average out.
 
     Notes
     -----
@@ -400,12 +407,12 @@ def _fit_corners(force: Signal, turn: Turn, rough_time: float, window: float) ->
     """Fit the corners of a force at a turn of the motion, shape (corners, 5), s.
 
     The columns are the times on the clocks of motion and force, their standard errors, and the
-    error of the force time from the unknown shape of the force. A dwell longer than two windows has
-    two rows, one for each of its corners.
+    component of the latter error from the unknown shape of the force. A dwell longer than two
+    windows has two rows, one for each of its corners.
     """
-    search_reach = 1.0  # s, on each side of the rough turn of the force
+    search_reach = 1.0  # s, on each side of the rough time of the peak
     arrival, departure, dwell = turn.arrival, turn.departure, turn.dwell
-    reach = dwell + search_reach  # because the rough turn may be at either corner
+    reach = dwell + search_reach  # because the rough time may be that of either corner
     first_corner_time = turning_points.find_dwell_turn(
         force.time, force.values, middle=rough_time, reach=reach, width=window, dwell=dwell
     )
@@ -416,17 +423,17 @@ def _fit_corners(force: Signal, turn: Turn, rough_time: float, window: float) ->
     if dwell > 2.0 * window:
         guesses = [(arrival.time, arrival.time_error, first_corner_time, 0.0)]
         guesses.append((departure.time, departure.time_error, first_corner_time + dwell, 0.0))
-    rows = []
-    for time, error, guess, fitted_dwell in guesses:
-        record = force.time, force.values
+    record, rows = (force.time, force.values), []
+    for motion_time, motion_error, guess, fitted_dwell in guesses:
         corner = fit_reversal(*record, guess=guess, window=window, dwell=fitted_dwell)
-        if corner is not None and corner.time_error < MAX_CORNER_ERROR:
-            rows.append([time, corner.time, error, corner.time_error, corner.shape_error])
+        if corner is not None and corner.time_error < MAX_CORNER_TIME_ERROR:
+            errors = motion_error, corner.time_error, corner.shape_error
+            rows.append([motion_time, corner.time, *errors])
     return np.array(rows, dtype=np.float64).reshape(-1, 5)
 
 
 def _average_corners(corners: Floats) -> list[float]:
-    """Average the corners of a turn, weighted by their errors, to one event of 4 values, s."""
+    """Average the corners of a turn, weighted by their errors, to an event of four values, s."""
     lags, lag_errors = corners[:, 1] - corners[:, 0], np.hypot(corners[:, 2], corners[:, 3])
     weights = lag_errors**-2.0 / (lag_errors**-2.0).sum()
     error_factor = max(1.0, float(np.ptp(lags)) / float(np.linalg.norm(lag_errors)))
@@ -507,12 +514,12 @@ def fit_turning_points(
             return None, [Finding.of("process.no_common_peak", "align", is_blocking=True, **facts)]
         return None, [Finding.of("process.no_pair_of_peaks", "align", is_blocking=True, **facts)]
     if is_ambiguous:
-        facts |= {"state": format_overrides("align", "{method: stated, offset: ...}")}
+        facts |= {"override": format_overrides("align", "{method: stated, offset: ...}")}
         findings.append(Finding.of("process.alignment_ambiguous", "align", "clock", **facts))
     fit = _fit_events(events, None)
     if events.shape[1] > 2 and not _has_relaxation(force, motion, fit):
-        repeat, repeat_findings = _select_repeat(_measure_repeat(motion, force, fit), fit)
-        fit, findings = _fit_events(events, repeat), [*findings, *repeat_findings]
+        cycle_lag, lag_findings = _check_cycle_lag(_measure_cycle_lag(motion, force, fit), fit)
+        fit, findings = _fit_events(events, cycle_lag), [*findings, *lag_findings]
     return fit, [*findings, *_check_fit(fit, align)]
 
 
@@ -524,48 +531,42 @@ def _check_constant(force: Signal, channel: str) -> list[Finding]:
     return [Finding.of("process.constant_channel", channel, is_blocking=True, force=force, **facts)]
 
 
-def _measure_repeat(motion: Motion, force: Signal, fit: ClockFit) -> CycleLag | None:
-    """Measure the time from the second cycle to the last one on both clocks.
+def _measure_cycle_lag(motion: Motion, force: Signal, fit: ClockFit) -> CycleLag | None:
+    """Measure the lag from the second cycle to the last one on both clocks.
 
     The first cycle is not used, because it deforms the specimen for the first time. The result is
     None if there are fewer than three cycles or a lag cannot be fitted.
     """
-    trim, n_means = 1.0, 50_000  # s, omitted at both ends of a cycle; least number of force means
+    trim, min_blocks = 1.0, 50_000  # s, omitted at both ends of a cycle; blocks of the force
     travel = motion.signal
     turn_times = {turn.stroke_index: turn.middle_time for turn in motion.turns}
     cycles = [
-        (
-            float(travel.time[loading.start]) + trim,
-            turn_times[index],
-            float(travel.time[unloading.stop]) - trim,
-        )
+        (travel.time[loading.start] + trim, turn_times[index], travel.time[unloading.stop] - trim)
         for index, (loading, unloading) in enumerate(pairwise(motion.strokes))
         if loading.sign > 0 > unloading.sign and index in turn_times
     ]
     if len(cycles) < 3:
         return None
     start, turn, stop = cycle = cycles[1]
-    guess = cycles[-1][1] - turn
-    lag = clock_alignment.fit_lag(travel.time, travel.values, cycle, guess=guess, hysteresis=False)
+    fit_lag, guess = clock_alignment.fit_lag, cycles[-1][1] - turn
+    motion_lag = fit_lag(travel.time, travel.values, cycle, guess=guess, hysteresis=False)
     force_cycle = fit.to_force_time(start), fit.to_force_time(turn), fit.to_force_time(stop)
     force_guess = guess * (1.0 + fit.drift)
-    fit_force = partial(
-        clock_alignment.fit_lag, cycle=force_cycle, guess=force_guess, hysteresis=True
-    )
-    force_lag = fit_force(force.time, force.values)
-    if isinstance(lag, Failure) or isinstance(force_lag, Failure):
+    fit_force_lag = partial(fit_lag, cycle=force_cycle, guess=force_guess, hysteresis=True)
+    force_lag = fit_force_lag(force.time, force.values)
+    if isinstance(motion_lag, Failure) or isinstance(force_lag, Failure):
         return None
-    drift = force.zero_drift * float(np.nanmax(np.abs(force.values)))
-    time = average_blocks(force.time, n_means, has_remainder=False)
-    values = average_blocks(force.values, n_means, has_remainder=False)
-    drift_modes = compute_drift_modes(time - time[0], drift)
+    zero_drift = force.zero_drift * float(np.nanmax(np.abs(force.values)))  # N
+    time = average_blocks(force.time, min_blocks, has_remainder=False)
+    values = average_blocks(force.values, min_blocks, has_remainder=False)
+    drift_modes = compute_drift_modes(time - time[0], zero_drift)
     modes = [np.zeros(1), *drift_modes] if drift_modes else []
-    mode_fits = [fit_force(time, values + mode) for mode in modes]
+    mode_fits = [fit_force_lag(time, values + mode) for mode in modes]
     mode_lags = [x.value for x in mode_fits if not isinstance(x, Failure)]
     lag_changes = np.subtract(mode_lags[1:], mode_lags[0]) if mode_lags else np.zeros(0)
     drift_error = float(np.linalg.norm(lag_changes))
-    error = float(np.hypot(lag.error, force_lag.error))
-    return CycleLag(lag.value, force_lag.value, error, drift_error)
+    error = float(np.hypot(motion_lag.error, force_lag.error))
+    return CycleLag(motion_lag.value, force_lag.value, error, drift_error)
 
 
 def _has_relaxation(force: Signal, motion: Motion, fit: ClockFit) -> bool:
@@ -577,36 +578,37 @@ def _has_relaxation(force: Signal, motion: Motion, fit: ClockFit) -> bool:
     losses = [0.0]
     for turn in motion.turns:
         start, stop = map(fit.to_force_time, (turn.arrival.time, turn.departure.time))
-        ends = np.searchsorted(force.time, start + compared_stretches * (stop - start))
-        early_force, late_force = (force.values[slice(*pair)] for pair in ends)
+        samples = np.searchsorted(force.time, start + compared_stretches * (stop - start))
+        early_force, late_force = (force.values[slice(*stretch)] for stretch in samples)
         if np.isfinite(early_force).any() and np.isfinite(late_force).any():
             losses.append(abs(float(np.nanmean(early_force)) - float(np.nanmean(late_force))))
-    span = float(np.nanmax(force.values) - np.nanmin(force.values))
-    return max(losses) > max_loss_fraction * span
+    force_range = float(np.nanmax(force.values) - np.nanmin(force.values))
+    return max(losses) > max_loss_fraction * force_range
 
 
-def _select_repeat(repeat: CycleLag | None, fit: ClockFit) -> tuple[CycleLag | None, list[Finding]]:
+def _check_cycle_lag(lag: CycleLag | None, fit: ClockFit) -> tuple[CycleLag | None, list[Finding]]:
     """Return the lag of the repeated cycle, or report that it contradicts the turning points."""
     max_lag_difference = 4.0  # in standard errors
-    if repeat is None:
+    if lag is None:
         return None, []
-    lag, expected = repeat.force_lag, (1.0 + fit.drift) * repeat.motion_lag
-    error = float(np.hypot(repeat.error, fit.drift_interval.standard_error * repeat.motion_lag))
-    if abs(lag - expected) <= max_lag_difference * error:
-        return repeat, []
-    return None, [Finding.of("process.cycles_not_alike", "align", lag=lag, expected=expected)]
+    expected_lag = (1.0 + fit.drift) * lag.motion_lag
+    error = float(np.hypot(lag.error, fit.drift_interval.standard_error * lag.motion_lag))
+    if abs(lag.force_lag - expected_lag) <= max_lag_difference * error:
+        return lag, []
+    facts: dict[str, Any] = {"lag": lag.force_lag, "expected": expected_lag}
+    return None, [Finding.of("process.cycles_not_alike", "align", **facts)]
 
 
-def _fit_events(events: Floats, repeat: CycleLag | None) -> ClockFit:
+def _fit_events(events: Floats, cycle_lag: CycleLag | None) -> ClockFit:
     """Fit the relation of the clocks to events and to the lag of a repeated cycle, if any."""
     motion_times, force_times, errors, shape_errors = events
-    # The error from the shape of the force, which each of the n errors contains once, is common to
-    # all events. With n of its squares in each error, it does not average out.
+    # Each error contains the shape error once. The shape error is common to all n events, and with
+    # the factor sqrt(n - 1) it does not average out.
     errors = np.hypot(errors, sqrt(len(errors) - 1) * shape_errors)
     method = "turning points: lines through the travel, smooth pieces of the force"
-    method = method if repeat is None else f"{method}; lag of the repeated cycle"
+    method = method if cycle_lag is None else f"{method}; lag of the repeated cycle"
     return clock_alignment.fit_clocks(
-        motion_times, force_times, errors, method=method, cycle_lag=repeat
+        motion_times, force_times, errors, method=method, cycle_lag=cycle_lag
     )
 
 
@@ -617,16 +619,14 @@ def _check_fit(fit: ClockFit, align: schema.AlignTurningPoints) -> Iterator[Find
     residual_factor = 2.0
     noise_limit = residual_factor * float(np.sqrt(np.mean(fit.event_errors**2)))
     if fit.residual > max(align.max_residual, noise_limit):
-        facts: dict[str, Any] = {
-            "residual": 1e3 * fit.residual,
-            "allowed": 1e3 * align.max_residual,
-        }
+        facts: dict[str, Any] = {"residual": 1e3 * fit.residual}
+        facts |= {"allowed": 1e3 * align.max_residual}
         yield Finding.of("process.alignment_residual", "align", "clock", **facts)
     half_width = 0.5 * (fit.drift_interval.upper - fit.drift_interval.lower)
     if abs(fit.drift) - half_width > align.max_drift:
-        # The drift of clocks is a few parts per million. These may be recordings of two tests.
-        facts = {"drift": 1e6 * fit.drift, "allowed": 1e6 * align.max_drift}
-        facts |= {"half_width": 1e6 * half_width}
+        # Clocks drift by a few parts per million. A larger drift suggests recordings of two tests.
+        facts = {"drift": 1e6 * fit.drift, "half_width": 1e6 * half_width}
+        facts |= {"allowed": 1e6 * align.max_drift}
         quantities = "clock", "displacement", "force"
         yield Finding.of("process.alignment_drift", "align", *quantities, **facts)
     if len(fit.event_times_motion) == 1:
@@ -646,8 +646,8 @@ def make_stated_fit(
 
     Returns
     -------
-    The relation, with the stated offset as its only event, and the findings. They are a note on the
-    offset and, if the peaks of the force are not at the turns, a doubt.
+    The relation, with the stated offset as its only event, and the findings: a note on the offset
+    and, if the peaks of the force are not at the turns, a finding that the offset is doubtful.
 
     Notes
     -----
@@ -655,13 +655,13 @@ def make_stated_fit(
     The uncertainty of the drift is always 100 ppm / sqrt(3), a rectangular distribution (GUM, JCGM
     100:2008, sec. 4.3.7).
     """
-    max_rate_difference = 1e-4  # between two recorders that were never compared
+    max_drift = 1e-4  # of two recorders that were never compared
     error, error_basis = align.uncertainty, ""
     if error is None:
         error = max(compute_median_step(signal.time) for signal in (motion.signal, force))
         error_basis = " (one sample, as none is stated)"
     events = np.array([[0.0], [align.offset], [error]])
-    drift_error, method = max_rate_difference / sqrt(3.0), f"stated: {align.because}"
+    drift_error, method = max_drift / sqrt(3.0), f"stated: {align.because}"
     fit = make_clock_fit((align.offset, error), (align.drift, drift_error), events, method)
     facts: dict[str, Any] = {"error": error, "ppm": 1e6 * align.drift, "basis": error_basis}
     finding = Finding.of("process.clocks_stated", "align", align=align, **facts)
@@ -669,7 +669,7 @@ def make_stated_fit(
 
 
 def _check_stated_offset(force: Signal, fit: ClockFit, motion: Motion) -> Iterator[Finding]:
-    """Report a stated offset with which the force peaks long before or after the motion turns."""
+    """Report a stated offset with which the force peaks far from the turns of the motion."""
     max_peak_lag, lag_error_factor = 1.0, 3.0  # s, plus this many standard errors of the offset
     force, time = orient_force(force), motion.signal.time
     peak_times = _find_peak_times(force)
@@ -697,16 +697,17 @@ def fit_common_start(
 
     Returns
     -------
-    The fit and the findings. They mark clocks and force as doubtful if the recorders did not start
-    together, and block the curve if the force is constant.
+    The fit and the findings. The findings mark clocks and force as doubtful if the recorders did
+    not start together, and block the curve if the force is constant.
 
     Notes
     -----
     Offset and drift are fitted by weighted least squares to three kinds of equations. The first is
     offset = 0 with the standard uncertainty max_offset / sqrt(3) of a rectangular distribution. The
     second is drift = 0 with the standard uncertainty max_drift / sqrt(3) (GUM, JCGM 100:2008,
-    4.3.7). The others are the differences of times at the turns. If the turns contradict a start
-    within max_offset by more than their own 95 % interval, the first equation is left out.
+    4.3.7). The third kind is one equation for each turn, the difference of its times on the two
+    clocks. If the turns contradict a start within max_offset by more than their own 95 % interval,
+    the first equation is left out.
     """
     findings, force = _check_constant(force, align.channel), orient_force(force)
     pairs = _match_rough_turns(motion, force, align)
@@ -729,7 +730,7 @@ def fit_common_start(
 def _match_rough_turns(
     motion: Motion, force: Signal, align: schema.AlignCommonStart
 ) -> list[tuple[int, float]]:
-    """Pair the loading strokes with the rough times at which the force turns, s."""
+    """Pair the strokes in the direction of the first one with the rough times of peaks, s."""
     strokes = motion.strokes
     if sum(stroke.sign == strokes[0].sign for stroke in strokes[:-1]) == 1:
         turn_time = find_sharpest_turn(force.time, force.values, width=align.force_window)

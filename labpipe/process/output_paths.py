@@ -20,6 +20,9 @@ from labpipe.records.result import TestResult
 from labpipe.signal.turning_points import estimate_noise_level
 from labpipe.store.replace import TEMPORARY_FOLDERS, exists_or_is_staged
 
+RESULT_FILE, FIGURES_FOLDER = "result.h5", "figures"
+"""Names of the result file of a test and of the folder of its figures."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RecordingIdentity:
@@ -27,18 +30,19 @@ class RecordingIdentity:
 
     Parameters
     ----------
-    exports : key that is equal for two tests with identical exports and the same protocol,
-        channels, markers and parts, since one export may hold several specimens
-    group : key that is equal for two tests with the same protocol, markers and number of samples
-    samples : about 1000 displacements (m) and as many forces (N) of the curve; empty without a
+    export_key : key that is equal for two tests with identical exports and the same protocol,
+        channels, markers and parts, because one export may contain several specimens
+    group_key : key that is equal for two tests with the same protocol, markers and number of
+        samples
+    samples : at most 2000 displacements (m) and as many forces (N) of the curve; empty without a
         curve
     tolerances : largest root mean square difference of the displacements (m) and of the forces (N)
-        of one recording that was saved twice
-    mean_force : N, mean of the force samples; NaN without a curve
+        of one recording that was saved twice; empty without a curve
+    mean_force : mean of the force samples, N; NaN without a curve
     """
 
-    exports: Hashable
-    group: Hashable
+    export_key: Hashable
+    group_key: Hashable
     samples: tuple[Floats, ...] = ()
     tolerances: tuple[float, ...] = ()
     mean_force: float = float("nan")
@@ -48,12 +52,12 @@ class RecordingIdentity:
 
         Parameters
         ----------
-        other : recording of the same group
+        other : recording with the same `group_key`
         """
         columns = zip(self.samples, other.samples, self.tolerances, other.tolerances, strict=True)
         return bool(self.samples) and all(
-            sqrt(np.nanmean((own - their) ** 2)) <= min(tolerances)
-            for own, their, *tolerances in columns
+            sqrt(np.nanmean((values - other_values) ** 2)) <= min(tolerances)
+            for values, other_values, *tolerances in columns
         )
 
 
@@ -72,7 +76,7 @@ def identify_recording(result: TestResult, protocol: Protocol) -> RecordingIdent
     of a standard deviation, or by less than 2e-5 of their range. Its displacements differ by less
     than 1e-3 of their range.
     """
-    noise_factor, force_fraction, displacement_fraction, max_samples = 0.5, 2e-5, 1e-3, 1000
+    noise_factor, force_fraction, displacement_fraction, n_compared = 0.5, 2e-5, 1e-3, 1000
     exports = tuple(sorted((file.role, file.sha256) for file in result.inputs))
     channels = tuple(
         (role, source.part, *(channel.names for channel in source.all_channels.values()))
@@ -80,18 +84,19 @@ def identify_recording(result: TestResult, protocol: Protocol) -> RecordingIdent
     )
     markers, curve = protocol.markers, result.curve
     marker_names = None if markers is None else (markers.clamp, markers.along)
-    key = (result.protocol, exports, channels, marker_names)
+    export_key = (result.protocol, exports, channels, marker_names)
     columns = () if curve is None else (curve.displacement, curve.force)
     if not columns or not all(np.isfinite(values).any() for values in columns):
-        return RecordingIdentity(key, (result.protocol, marker_names, 0))
-    step = max(1, len(columns[0]) // max_samples)
+        return RecordingIdentity(export_key, (result.protocol, marker_names, 0))
+    stride = max(1, len(columns[0]) // n_compared)
     travel, force_range = (float(np.nanmax(values) - np.nanmin(values)) for values in columns)
     noise = estimate_noise_level(columns[1])
     force_tolerance = max(noise_factor * noise, force_fraction * force_range)
     tolerances = displacement_fraction * travel, force_tolerance
-    samples = tuple(values[::step].copy() for values in columns)
-    group = (result.protocol, marker_names, len(columns[0]))
-    return RecordingIdentity(key, group, samples, tolerances, float(np.nanmean(samples[1])))
+    samples = tuple(values[::stride].copy() for values in columns)
+    group_key = (result.protocol, marker_names, len(columns[0]))
+    mean_force = float(np.nanmean(samples[1]))
+    return RecordingIdentity(export_key, group_key, samples, tolerances, mean_force)
 
 
 def find_copies(recordings: Sequence[tuple[Path, RecordingIdentity]]) -> dict[str, str]:
@@ -110,22 +115,18 @@ def find_copies(recordings: Sequence[tuple[Path, RecordingIdentity]]) -> dict[st
     copies: dict[str, str] = {}
     for file, recording in recordings:
         # Mean forces differ by at most the root mean square of the differences of the samples.
-        others, mean = groups.setdefault(recording.group, []), recording.mean_force
+        group, mean_force = groups.setdefault(recording.group_key, []), recording.mean_force
         tolerance = recording.tolerances[1] if recording.tolerances else 0.0
-        first = bisect_left(others, mean - tolerance, key=itemgetter(0))
-        last = bisect_right(others, mean + tolerance, key=itemgetter(0))
-        same = (path for _, path, other in others[first:last] if recording.has_samples_of(other))
-        original = first_files.get(recording.exports) or next(same, None)
+        start = bisect_left(group, mean_force - tolerance, key=itemgetter(0))
+        stop = bisect_right(group, mean_force + tolerance, key=itemgetter(0))
+        equal_files = (path for _, path, x in group[start:stop] if recording.has_samples_of(x))
+        original = first_files.get(recording.export_key) or next(equal_files, None)
         if original is not None:
             copies[str(file)] = str(UsageError.about("process.copy", file, original=original))
             continue
-        first_files[recording.exports] = file
-        insort(others, (mean, file, recording), key=itemgetter(0))
+        first_files[recording.export_key] = file
+        insort(group, (mean_force, file, recording), key=itemgetter(0))
     return copies
-
-
-RESULT_FILE, FIGURES_FOLDER = "result.h5", "figures"
-"""Names of the result file of a test and of the folder of its figures."""
 
 
 def find_tests(targets: Sequence[Path]) -> list[Path]:
@@ -143,11 +144,11 @@ def find_tests(targets: Sequence[Path]) -> list[Path]:
     Raises
     ------
     UsageError
-        If a path does not exist, holds no test, or is in a folder that labpipe was writing.
+        If a path does not exist, contains no test, or is in a folder that labpipe was writing.
     """
     for target in targets:
         if target.is_file() and target.suffix not in {".yaml", ".yml", ".h5"}:
-            kind = target.suffix or "nameless"
+            kind = f"a {target.suffix} file" if target.suffix else "a file without a suffix"
             raise UsageError.about("process.export_for_a_test", target, kind=kind)
     return _find_files(targets, SHEET_NAME)
 
@@ -166,7 +167,7 @@ def find_results(targets: Sequence[Path]) -> list[Path]:
     Raises
     ------
     UsageError
-        If a path does not exist, holds no processed test, or is in a folder that labpipe was
+        If a path does not exist, contains no processed test, or is in a folder that labpipe was
         writing.
     """
     return _find_files(targets, RESULT_FILE)
@@ -193,7 +194,8 @@ def list_files_below(folder: Path, name: str = "") -> list[Path]:
 
     Returns
     -------
-    The files in sorted order. Unfinished results of a killed process are in hidden folders.
+    The files in sorted order. A file of a replacement that a killed process left unfinished is
+    listed under its final path.
     """
     paths: list[Path] = []
     for parent, folders, files in os.walk(folder):
@@ -205,7 +207,7 @@ def list_files_below(folder: Path, name: str = "") -> list[Path]:
 
 
 def refuse_duplicates(names: Iterable[tuple[str, Path]], kind: str) -> None:
-    """Raise an error if two tests have the same name or results folder, ignoring case.
+    """Raise an error if two tests have the same name or results folder, apart from case.
 
     Parameters
     ----------
@@ -222,7 +224,7 @@ def refuse_duplicates(names: Iterable[tuple[str, Path]], kind: str) -> None:
 
 
 def list_duplicates(names: Iterable[tuple[str, Path]], kind: str) -> list[str]:
-    """List a message for each repetition that `refuse_duplicates` refuses.
+    """List one message for each repetition that `refuse_duplicates` refuses.
 
     Parameters
     ----------
@@ -239,7 +241,7 @@ def list_duplicates(names: Iterable[tuple[str, Path]], kind: str) -> list[str]:
 
 
 def _find_files(targets: Sequence[Path], name: str) -> list[Path]:
-    """List the targets that are files, and the files of a name in the targets that are folders."""
+    """List the targets that are files, and in the targets that are folders the files of a name."""
     files: dict[Path, Path] = {}
     for target in targets:
         if set(target.resolve().parts) & set(TEMPORARY_FOLDERS):

@@ -35,70 +35,67 @@ _UNIT_SPELLINGS = MappingProxyType(
     {unit.casefold(): unit for unit in ("N", "kN", "lbf", "kgf", "mm", "cm", "um", "in")}
     | {"newton": "N", "kilonewton": "kN", "lb": "lbf", "pound": "lbf", "inch": "in"}
 )
-"""Unit of each spelling that the unit parser does not know, in lower case without a plural s."""
+"""Unit of each spelling that `labpipe.units` does not accept, in lower case without a plural s."""
 
 
-def _check_unit(channel: Channel, source: ChannelSource, path: Path) -> None:
+def _check_unit(channel: Channel, channel_source: ChannelSource, path: Path) -> None:
     """Raise a `ReadError` for a channel whose unit is not certain.
 
-    The unit is not certain if neither export nor protocol states a unit, if only the export states
-    one, which is unknown or of another quantity, or if the unit of the protocol contradicts that of
-    the export, and `wrong_unit_in_file` does not name it.
+    The unit is not certain in three cases: Neither export nor protocol states a unit. Only the
+    export states a unit, and this unit is unknown or of another quantity. The unit of the protocol
+    contradicts that of the export, and is not confirmed by `wrong_unit_in_file`.
     """
-    file_unit, key, place = channel.unit_in_file, source.key, f"channel {channel.path!r}"
-    si_unit = _choose_si_unit(source, source.unit or file_unit)
-    likely_unit = file_unit
-    if not is_unit(file_unit):
-        spelling = file_unit.casefold()
-        likely_unit = _UNIT_SPELLINGS.get(spelling.removesuffix("s"), file_unit)
-        likely_unit = _UNIT_SPELLINGS.get(spelling, likely_unit)
+    file_unit, key, place = channel.unit_in_file, channel_source.key, f"channel {channel.path!r}"
+    si_unit = _choose_si_unit(channel_source, channel_source.unit or file_unit)
+    spelling = file_unit.casefold()
+    singular_unit = _UNIT_SPELLINGS.get(spelling.removesuffix("s"), file_unit)
+    likely_unit = file_unit if is_unit(file_unit) else _UNIT_SPELLINGS.get(spelling, singular_unit)
     is_known = file_unit not in _UNKNOWN_UNITS and is_unit(likely_unit)
-    has_dimension = _are_equal_units(likely_unit, likely_unit, si_unit)
+    has_dimension = has_dimension_of(likely_unit, si_unit)
     other_channel, unit_key = format_overrides(f"{key}.channel", "..."), f"{key}.unit"
-    if source.unit is not None:
-        is_same = _are_equal_units(likely_unit, source.unit, si_unit)
-        if is_same or not is_known or file_unit == source.wrong_unit_in_file:
+    if channel_source.unit is not None:
+        is_same_unit = _are_equal_units(likely_unit, channel_source.unit, si_unit)
+        if is_same_unit or not is_known or file_unit == channel_source.wrong_unit_in_file:
             return
         facts = {
             "file_unit": file_unit,
-            "key": f"{unit_key}: {source.unit}",
+            "key": f"{unit_key}: {channel_source.unit}",
             "correction": f"Name another channel with {other_channel}",
             "wrong": format_overrides(f"{key}.wrong_unit_in_file", file_unit),
         }
         facts |= {"correction": f"Write {likely_unit} there"} if has_dimension else {}
         raise ReadError.about("process.unit_contradicts", path, place, **facts)
     if not file_unit:
-        unit = format_overrides(unit_key, source.target_unit)
+        unit = format_overrides(unit_key, channel_source.target_unit)
         raise ReadError.about("process.no_unit", path, place, unit=unit)
     if has_dimension and likely_unit == file_unit:
         return
     calibration = f"{key}.calibration"
-    if source.target_unit == "N" and has_dimension_of(file_unit, "kg"):
+    if channel_source.target_unit == "N" and has_dimension_of(file_unit, "kg"):
         facts = {"file_unit": file_unit, "unit": format_overrides(unit_key, file_unit)}
         remedy = format_sentence("process.unit_of_mass", calibration=calibration, **facts)
     elif is_known and likely_unit == file_unit:
         facts = {"channel": other_channel, "calibration": calibration}
         remedy = format_sentence("process.unit_of_another_quantity", **facts)
     else:
-        is_likely = _are_equal_units(likely_unit, likely_unit, source.target_unit)
+        is_likely = has_dimension_of(likely_unit, channel_source.target_unit)
         unit = format_overrides(unit_key, likely_unit if is_likely else "...")
         remedy = format_sentence("process.unit_unknown", unit=unit)
     facts = {"si_unit": si_unit, "file_unit": file_unit, "remedy": remedy}
     raise ReadError.about("process.wrong_unit", path, place, **facts)
 
 
-def _choose_si_unit(source: ChannelSource, unit: str) -> str:
+def _choose_si_unit(channel_source: ChannelSource, unit: str) -> str:
     """Choose the SI unit of a channel, which is 1 for an extensometer that gives strain."""
-    is_strain = source.is_extension and _are_equal_units(unit, unit, "1")
-    return "1" if is_strain else source.channel_unit or source.target_unit
+    is_strain = channel_source.is_extension and has_dimension_of(unit, "1")
+    return "1" if is_strain else channel_source.channel_unit or channel_source.target_unit
 
 
 def _are_equal_units(unit: str, other_unit: str, si_unit: str) -> bool:
-    """Return whether two units are equal, and have the dimension of an SI unit."""
-    try:
-        factors = [get_conversion_factor(name, si_unit) for name in (unit, other_unit)]
-    except ValueError:
+    """Return whether two units are equal and have the dimension of an SI unit."""
+    if not (has_dimension_of(unit, si_unit) and has_dimension_of(other_unit, si_unit)):
         return False
+    factors = [get_conversion_factor(name, si_unit) for name in (unit, other_unit)]
     return isclose(*factors, rel_tol=1e-9)
 
 
@@ -124,33 +121,38 @@ def read_inputs(
     ReadError
         If a file is missing, is not of the format that the protocol names, or lacks a channel.
     """
-    files = list_named_exports(sheet, protocol)
     # Hashing takes as long as reading. It runs in a thread, because it releases the GIL.
     with ThreadPoolExecutor(max_workers=1) as executor:
-        fingerprints = [
-            executor.submit(fingerprint, folder / name, role, name) for role, name in files
-        ]
+        input_files = executor.submit(fingerprint_inputs, folder, sheet, protocol)
         recordings = dict[str, Recording]()
         for role, source in protocol.sources.items():
-            parts = [read_role(folder / name, source) for name in sheet.files[role]]
+            parts = [read_role_export(folder / name, source) for name in sheet.files[role]]
             recordings[role] = join_exports(parts, sheet.files[role], folder)
-        inputs = tuple(future.result() for future in fingerprints)
-    return recordings, (*inputs, *fingerprint_dialect_cards(protocol))
+        return recordings, input_files.result()
 
 
-def list_named_exports(sheet: TestSheet, protocol: Protocol) -> list[tuple[str, str]]:
-    """List the exports of a test in the order of its protocol.
+def fingerprint_inputs(folder: Path, sheet: TestSheet, protocol: Protocol) -> tuple[InputFile, ...]:
+    """Compute the SHA-256 of the inputs of a test.
 
     Parameters
     ----------
-    sheet : test sheet with the names of the exports
-    protocol : resolved protocol
+    folder, sheet, protocol : as for `read_inputs`
 
     Returns
     -------
-    Role and file name of each export.
+    The exports in the order of the protocol, then the dialect cards of the lab.
+
+    Raises
+    ------
+    ReadError
+        If an export or a card cannot be read.
     """
-    return [(role, name) for role in protocol.sources for name in sheet.files[role]]
+    fingerprints = [
+        fingerprint(folder / name, role, name)
+        for role in protocol.sources
+        for name in sheet.files[role]
+    ]
+    return (*fingerprints, *fingerprint_dialect_cards(protocol))
 
 
 def fingerprint_dialect_cards(protocol: Protocol) -> tuple[InputFile, ...]:
@@ -162,8 +164,8 @@ def fingerprint_dialect_cards(protocol: Protocol) -> tuple[InputFile, ...]:
 
     Returns
     -------
-    All cards as inputs of the role ``dialect`` if a source may be a load-frame export, since any of
-    them may fit it best; empty otherwise.
+    All cards as inputs of the role ``dialect`` if a source may be a load-frame export, because any
+    card may fit the export best; empty otherwise.
 
     Raises
     ------
@@ -176,7 +178,7 @@ def fingerprint_dialect_cards(protocol: Protocol) -> tuple[InputFile, ...]:
 
 
 def join_exports(parts: Sequence[Recording], names: Sequence[str], folder: Path) -> Recording:
-    """Join the parts of one recording in order of time.
+    """Join the parts of one recording, sorted by time.
 
     Parameters
     ----------
@@ -186,7 +188,7 @@ def join_exports(parts: Sequence[Recording], names: Sequence[str], folder: Path)
 
     Returns
     -------
-    One recording with the metadata of the first part with samples, and the notes of all parts.
+    One recording with the metadata of the earliest part with samples, and the notes of all parts.
 
     Raises
     ------
@@ -201,12 +203,12 @@ def join_exports(parts: Sequence[Recording], names: Sequence[str], folder: Path)
         raise ReadError.about("process.no_samples", folder / names[0], where=where)
     if len(parts_with_samples) > 1:
         for path, part in parts_with_samples:
-            _require_time(path, part)
+            _check_sortable(path, part)
         parts_with_samples.sort(key=lambda path_and_part: float(path_and_part[1].clocks[0].time[0]))
     for (path, part), (next_path, next_part) in pairwise(parts_with_samples):
-        end, start = float(part.clocks[0].time[-1]), float(next_part.clocks[0].time[0])
-        if start <= end:
-            facts = {"end": end, "part": path, "start": start}
+        part_end, next_start = float(part.clocks[0].time[-1]), float(next_part.clocks[0].time[0])
+        if next_start <= part_end:
+            facts = {"end": part_end, "part": path, "start": next_start}
             raise ReadError.about("process.parts_overlap", next_path, "time", **facts)
     ordered_parts = [part for _, part in parts_with_samples]
     notes = [note for part in (*ordered_parts, *filter(is_empty, parts)) for note in part.notes]
@@ -222,8 +224,8 @@ def join_exports(parts: Sequence[Recording], names: Sequence[str], folder: Path)
     return replace(recording, clocks=(Clock(clock, time),), channels=channels)
 
 
-def _require_time(path: Path, part: Recording) -> None:
-    """Raise an error for a part that cannot be put in order of time."""
+def _check_sortable(path: Path, part: Recording) -> None:
+    """Raise an error for a part that cannot be sorted by time."""
     if part.markers is not None or len(part.clocks) != 1:
         content = "marker tracks" if part.markers is not None else f"{len(part.clocks)} clocks"
         raise ReadError.about("process.part_of_no_recording", path, found=content)
@@ -232,22 +234,22 @@ def _require_time(path: Path, part: Recording) -> None:
 
 
 def is_empty(recording: Recording) -> bool:
-    """Return whether an export has neither samples nor marker tracks, as after an abort."""
+    """Return whether a recording has neither samples nor marker tracks, as after an abort."""
     return recording.markers is None and not any(len(clock.time) for clock in recording.clocks)
 
 
-def read_role(path: Path, source: Source) -> Recording:
+def read_role_export(path: Path, source: Source) -> Recording:
     """Read one export for one role of a protocol.
 
     Parameters
     ----------
     path : path of the export
-    source : source of the protocol
+    source : source of the protocol for the role
 
     Returns
     -------
-    The recording with the channels of the protocol, which have its names and SI units; a recording
-    without samples is unchanged.
+    The recording with the channels of the protocol, in SI units and under the names of the
+    protocol. A recording without samples is unchanged.
 
     Raises
     ------
@@ -255,18 +257,18 @@ def read_role(path: Path, source: Source) -> Recording:
         As in `read_inputs`; also if neither file nor protocol states a unit, or if they contradict
         each other.
     """
-    channel_names = [channel.names for channel in source.all_channels.values()]
+    channel_names = [channel_source.names for channel_source in source.all_channels.values()]
     try:
         recording = read_export(
             path, source.reader, channels=channel_names, dialect=source.dialect, part=source.part
         )
-        return recording if is_empty(recording) else name_channels(recording, source, path)
+        return recording if is_empty(recording) else convert_channels(recording, source, path)
     except NoChannelError as error:
         raise ReadError(_describe_channel_fault(error, source, path), code=error.code) from error
 
 
 def _describe_channel_fault(error: NoChannelError, source: Source, path: Path) -> str:
-    """Describe an error, with the override that selects the channel or the part of the export."""
+    """Describe a missing channel or several parts, and the override that selects the right one."""
     max_listed = 8  # parts of the export
     if error.parts:
         names, count = ", ".join(map(repr, error.parts[:max_listed])), len(error.parts)
@@ -274,18 +276,18 @@ def _describe_channel_fault(error: NoChannelError, source: Source, path: Path) -
         part = format_overrides(f"{source.key}.part", error.parts[0])
         fault = ReadError.about("process.several_parts", path, count=count, names=names, part=part)
         return str(fault)
-    keys = [channel.key for channel in source.all_channels.values() if channel.names == error.names]
-    name = format_overrides(f"{keys[0]}.channel", "...") if keys else ""
-    return f"{error} Name the right one with {name}." if keys else str(error)
+    keys = [x.key for x in source.all_channels.values() if x.names == error.names]
+    override = format_overrides(f"{keys[0]}.channel", "...") if keys else ""
+    return f"{error} Name the right one with {override}." if keys else str(error)
 
 
-def name_channels(recording: Recording, source: Source, path: Path) -> Recording:
-    """Select the channels of a protocol, and convert them to its names and to SI units.
+def convert_channels(recording: Recording, source: Source, path: Path) -> Recording:
+    """Convert the channels of a protocol to its names and to SI units.
 
     Parameters
     ----------
     recording : recording as a reader returns it
-    source : source of the protocol
+    source : source of the protocol for the role of the recording
     path : path of the export, for messages
 
     Returns
@@ -301,24 +303,24 @@ def name_channels(recording: Recording, source: Source, path: Path) -> Recording
     if recording.markers is not None:
         tracks, remedy = recording.markers, format_sentence("process.size_of_markers")
         limit, place = LARGEST_VALUES["m"], (path, "markers")
-        stated_unit = tracks.unit_in_file
-        _check_size(tracks.positions, "m", limit, place, stated=stated_unit, remedy=remedy)
+        raw_unit = tracks.unit_in_file
+        _check_magnitude(tracks.positions, "m", limit, place, raw_unit=raw_unit, remedy=remedy)
     channels, notes, faults = list[Channel](), list[QualityNote](), list[str]()
     code = ""
-    for name, spec in source.all_channels.items():
+    for name, channel_source in source.all_channels.items():
         try:
-            channel = select_channel(recording, spec.names, path)
-            _check_unit(channel, spec, path)
-            converted = _convert_to_si(channel, name, spec)
-            _check_channel_size(converted, spec, path)
+            channel = select_channel(recording, channel_source.names, path)
+            _check_unit(channel, channel_source, path)
+            converted_channel = _convert_to_si(channel, name, channel_source)
+            _check_channel_magnitude(converted_channel, channel_source, path)
         except NoChannelError as error:
             faults.append(_describe_channel_fault(error, source, path))
             code = error.code
         except ReadError as error:
             faults.append(str(error))
         else:
-            channels.append(converted)
-            notes += _make_naming_notes(channel, name, spec)
+            channels.append(converted_channel)
+            notes += _make_notes(channel, name, channel_source)
     if faults:
         raise ReadError("\n".join(dict.fromkeys(faults)), code=code)
     used_clocks = {channel.clock for channel in channels}
@@ -330,58 +332,65 @@ def name_channels(recording: Recording, source: Source, path: Path) -> Recording
     )
 
 
-def _check_channel_size(channel: Channel, source: ChannelSource, path: Path) -> None:
+def _check_channel_magnitude(channel: Channel, channel_source: ChannelSource, path: Path) -> None:
     """Raise an error for values above both the largest value of the unit and the plausible peak."""
-    stated_unit, key = source.unit or channel.unit_in_file, source.key
-    keys = format_overrides(f"{key}.unit", "...", **{f"{key}.wrong_unit_in_file": stated_unit})
+    raw_unit, key = channel_source.unit or channel.unit_in_file, channel_source.key
+    keys = format_overrides(f"{key}.unit", "...", **{f"{key}.wrong_unit_in_file": raw_unit})
     remedy = format_sentence("process.size_of_channel", unit=keys, peak=f"'{key}.plausible_peak'")
-    values, unit = source.gain * channel.values + source.offset, source.target_unit
-    limit = max(LARGEST_VALUES.get(unit, np.inf), *(source.peak_range or (0.0, 0.0)))
-    place = path, f"channel {channel.path!r}"
-    _check_size(values, unit, limit, place, stated=stated_unit, remedy=remedy)
+    values = channel_source.gain * channel.values + channel_source.offset
+    unit, place = channel_source.target_unit, (path, f"channel {channel.path!r}")
+    limit = max(LARGEST_VALUES.get(unit, np.inf), *(channel_source.peak_range or (0.0, 0.0)))
+    _check_magnitude(values, unit, limit, place, raw_unit=raw_unit, remedy=remedy)
 
 
-def _check_size(
-    values: Floats, unit: str, limit: float, place: tuple[Path, str], *, stated: str, remedy: str
+def _check_magnitude(
+    values: Floats, unit: str, limit: float, place: tuple[Path, str], *, raw_unit: str, remedy: str
 ) -> None:
-    """Raise an error if a tenth of the values is too large; fewer ones are damaged samples."""
+    """Raise an error if a tenth of the values exceeds a limit; a smaller part may be damaged.
+
+    The message states `raw_unit`, which is the unit before the conversion to `unit`.
+    """
     quantile = 0.9
     if max(np.nanmax(values, initial=0.0), -np.nanmin(values, initial=0.0)) <= limit:
         return
     value = float(np.nanquantile(np.abs(values), quantile))
     if value > limit:
         facts = {"limit": f"{limit:g} {unit}", "found": f"{value:.3g} {unit}", "remedy": remedy}
-        raise ReadError.about("process.implausible_size", *place, stated=repr(stated), **facts)
+        raise ReadError.about("process.implausible_size", *place, stated=repr(raw_unit), **facts)
 
 
-def _make_naming_notes(channel: Channel, name: str, spec: ChannelSource) -> Iterator[QualityNote]:
-    """Yield a note on a unit that the protocol overrides, and on a name with another spelling."""
-    unit, file_unit = spec.unit, channel.unit_in_file
-    if unit and file_unit and not _are_equal_units(unit, file_unit, _choose_si_unit(spec, unit)):
+def _make_notes(
+    channel: Channel, name: str, channel_source: ChannelSource
+) -> Iterator[QualityNote]:
+    """Yield a note on a unit that the protocol overrides, and one on a name spelt differently."""
+    unit, file_unit, names = channel_source.unit or "", channel.unit_in_file, channel_source.names
+    si_unit = _choose_si_unit(channel_source, unit)
+    if unit and file_unit and not _are_equal_units(unit, file_unit, si_unit):
         yield QualityNote.of("process.unit_overridden", name, file_unit=file_unit, unit=unit)
-    if not is_exact_name(spec.names, channel):
+    if not is_exact_name(names, channel):
         max_listed, path = 3, channel.path
-        names = " or ".join(map(repr, spec.names[:max_listed]))
-        names += " ..." if len(spec.names) > max_listed else ""
-        yield QualityNote.of("process.channel_spelt_otherwise", name, names=names, path=path)
+        name_list = " or ".join(map(repr, names[:max_listed]))
+        name_list += " ..." if len(names) > max_listed else ""
+        yield QualityNote.of("process.channel_spelt_otherwise", name, names=name_list, path=path)
 
 
-def _convert_to_si(channel: Channel, name: str, source: ChannelSource) -> Channel:
+def _convert_to_si(channel: Channel, name: str, channel_source: ChannelSource) -> Channel:
     """Rename a channel, and convert its values to SI units."""
-    unit = _choose_si_unit(source, source.unit or channel.unit_in_file)
-    factor = get_conversion_factor(source.unit or channel.unit_in_file, unit)
-    calibration = source.calibration.gain if source.calibration is not None else ""
+    stated_unit = channel_source.unit or channel.unit_in_file
+    unit = _choose_si_unit(channel_source, stated_unit)
+    factor = get_conversion_factor(stated_unit, unit)
+    gain = "" if channel_source.calibration is None else channel_source.calibration.gain
     values = channel.values if factor == 1.0 else factor * channel.values
-    return replace(channel, name=name, values=values, unit=unit, calibration=calibration)
+    return replace(channel, name=name, values=values, unit=unit, calibration=gain)
 
 
 def fingerprint(path: Path, role: str, name: str) -> InputFile:
-    """Compute the SHA-256 of an input file.
+    """Compute the SHA-256 and the size of an input file.
 
     Parameters
     ----------
     path : path of the file
-    role, name : see `InputFile`
+    role, name : role and name under which the file is listed, see `InputFile`
 
     Raises
     ------

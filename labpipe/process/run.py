@@ -22,12 +22,7 @@ from labpipe.errors import (
     describe_system_error,
 )
 from labpipe.process.output_paths import FIGURES_FOLDER, RESULT_FILE
-from labpipe.process.reading import (
-    fingerprint,
-    fingerprint_dialect_cards,
-    list_named_exports,
-    read_inputs,
-)
+from labpipe.process.reading import fingerprint_inputs, read_inputs
 from labpipe.process.sanity_checks import list_certified_instruments
 from labpipe.process.story import reduce_recordings
 from labpipe.protocol.grammar import is_test_name
@@ -54,7 +49,7 @@ from labpipe.store.summaries import (
     write_summary,
 )
 
-_DAY_KEYS = ("date", "start_time", "Capture Start Time")
+_DATE_KEYS = ("date", "start_time", "Capture Start Time")
 """Metadata keys whose values begin with an ISO 8601 date."""
 _FIGURE_FILES = [
     f"{FIGURES_FOLDER}/{name}.{kind}" for name in FIGURE_NEEDS for kind in ("svg", "png")
@@ -63,7 +58,7 @@ _FIGURE_FILES = [
 PROCESSING_VERSION = 3
 """Version of the processing.
 
-It is incremented whenever the same exports, sheet and protocol give different numbers.
+The version is incremented whenever the same exports, sheet and protocol give other numbers.
 """
 StageCallback = Callable[[str], None]
 """Function that is called with the name of each stage when the stage begins."""
@@ -78,8 +73,8 @@ class ProcessedTest:
     folder : folder with result.h5, summary.json and figures
     result : result of the test; `try_to_process` removes recordings, curve and shape from it
     figures : paths of the figures
-    has_completed_replacement : whether a replacement of files was completed that a killed process
-        had left unfinished
+    has_completed_replacement : whether a replacement of files was completed that an earlier, killed
+        process had begun
     """
 
     folder: Path
@@ -104,7 +99,7 @@ class Task:
     figures : whether to draw figures as SVG
     png : whether to draw figures as PNG as well
     follow_links : whether exports may be links to files outside of the folder of the test
-    run : key of the inputs (`make_input_key`); empty if it is not known before they are read
+    run : key of the inputs (`make_input_key`); empty if it is not known before the inputs are read
     """
 
     source: Path
@@ -164,7 +159,7 @@ def process(task: Task, on_stage: StageCallback = lambda _: None) -> ProcessedTe
 
 
 def draw_figures(folder: Path) -> tuple[Path, ...]:
-    """Draw the figures of a processed test from its result, as `process` does.
+    """Draw the figures of a processed test again from its stored result.
 
     Parameters
     ----------
@@ -226,7 +221,7 @@ def read_source(source: Path, *, follow_links: bool = False) -> tuple[RawTest, P
 
 
 def reduce_test(raw_test: RawTest, protocol: Protocol) -> TestResult:
-    """Compute the results of a test without writing files.
+    """Compute the result of a test without writing files.
 
     Parameters
     ----------
@@ -235,23 +230,23 @@ def reduce_test(raw_test: RawTest, protocol: Protocol) -> TestResult:
 
     Returns
     -------
-    The result that `labpipe process` would store.
+    The result that `labpipe process` stores.
 
     Raises
     ------
     ProcessingError
         If a recording lacks data that a step needs.
     """
-    test_date, operator = find_day_and_operator(raw_test.test_yaml, raw_test.recordings)
+    test_date, operator = find_date_and_operator(raw_test.test_yaml, raw_test.recordings)
     input_hashes = [(file.role, file.sha256) for file in raw_test.inputs]
     try:
-        reduced = reduce_recordings(
+        reduction = reduce_recordings(
             raw_test.recordings, protocol, test_date=test_date, specimen=raw_test.specimen
         )
     except ProcessingError as error:
         message = f"{raw_test.test}, {error}"
         raise ProcessingError(message) from error
-    test = reduced.reduced_test
+    test = reduction.reduced_test
     return TestResult(
         test=raw_test.test,
         specimen=raw_test.specimen,
@@ -265,12 +260,12 @@ def reduce_test(raw_test: RawTest, protocol: Protocol) -> TestResult:
         curve=test.curve,
         shape=test.shape,
         bending=test.bending if isinstance(test.bending, Bending) else None,
-        results=reduced.results,
+        results=reduction.results,
         quality=test.findings.notes,
         display=dict(protocol.report.display),
         figures=protocol.report.figures,
         slips=test.slips,
-        lines=reduced.lines,
+        lines=reduction.lines,
         run=make_input_key(input_hashes, raw_test.test_yaml, raw_test.protocol_yaml),
         date=test_date,
         operator=operator,
@@ -278,30 +273,30 @@ def reduce_test(raw_test: RawTest, protocol: Protocol) -> TestResult:
     )
 
 
-def find_day_and_operator(
-    sheet: str, recordings: Mapping[str, Recording]
+def find_date_and_operator(
+    test_yaml: str, recordings: Mapping[str, Recording]
 ) -> tuple[date | None, str]:
-    """Find the day and the operator of a test.
+    """Find the date and the operator of a test.
 
     Parameters
     ----------
-    sheet : text of the test sheet, whose date has priority
+    test_yaml : text of the test sheet, whose date has priority
     recordings : recordings, keyed by role; the first recording with a date is used
 
     Returns
     -------
-    day : day of the test; None if neither the sheet nor a recording states it
-    operator : operator of the test; empty if the sheet does not name one
+    test_date : day of the test; None if neither the sheet nor a recording states it
+    operator : operator of the test; empty if the sheet names no operator
     """
-    data = parse_yaml(sheet, "test.yaml").data
+    data = parse_yaml(test_yaml, "test.yaml").data
     entries = data if isinstance(data, Mapping) else {}
     operator = entries.get("operator")
     operator = operator if isinstance(operator, str) else ""
-    days = [entries.get("date")]
-    days += [x.metadata.get(key) for x in recordings.values() for key in _DAY_KEYS]
-    for day in days:
+    dates = [entries.get("date")]
+    dates += [x.metadata.get(key) for x in recordings.values() for key in _DATE_KEYS]
+    for stated_date in dates:
         with suppress(ValueError):
-            return date.fromisoformat(str(day)[:10]), operator
+            return date.fromisoformat(str(stated_date)[:10]), operator
     return None, operator
 
 
@@ -347,11 +342,11 @@ def _read_stored_test(result_path: Path) -> tuple[RawTest, Protocol]:
     protocol = parse_protocol(raw_test.protocol_yaml, f"{result_path}, protocol_yaml")
     for role, source in protocol.sources.items():
         recording = raw_test.recordings.get(role, Recording(""))
-        names = [channel.name for channel in recording.channels]
-        missing_names = sorted(set(source.all_channels) - set(names))
+        channel_names = [channel.name for channel in recording.channels]
+        missing_names = sorted(set(source.all_channels) - set(channel_names))
         if missing_names or role not in raw_test.recordings:
             expected = " ".join(["the channels of its protocol,", *missing_names]).strip(", ")
-            facts = {"expected": expected, "found": ", ".join(map(repr, names)) or "none"}
+            facts = {"expected": expected, "found": ", ".join(map(repr, channel_names)) or "none"}
             raise StoreError.about("process.bad_result", result_path, f"raw/{role}", **facts)
     return raw_test, protocol
 
@@ -377,7 +372,7 @@ def choose_results_folder(source: Path, parent: Path | None, get_name: Callable[
     if source.suffix == ".h5":
         return source.parent
     folder = source.resolve().parent
-    raw_folders = [parent for parent in folder.parents if parent.name == "raw"]
+    raw_folders = [path for path in folder.parents if path.name == "raw"]
     if not raw_folders:
         return Path("processed") / get_name()
     return raw_folders[0].parent / "processed" / folder.relative_to(raw_folders[0])
@@ -475,14 +470,12 @@ def _add_inputs(failure: FailedTest, task: Task) -> FailedTest:
         failure = replace(failure, test=read_test_name(source))
         if source.suffix == ".h5":
             return failure
-        sheet, text = load_test_sheet(source), source.read_text(encoding="utf-8")
+        sheet, test_yaml = load_test_sheet(source), source.read_text(encoding="utf-8")
         protocol = resolve_protocol(sheet, source, follow_links=task.follow_links)
-        texts = {"sheet": text, "protocol": format_protocol(protocol)}
+        texts = {"sheet": test_yaml, "protocol": format_protocol(protocol)}
         hashes = {name: sha256(text.encode()).hexdigest() for name, text in texts.items()}
         failure = replace(failure, made_of=hashes)  # the hashes remain if an export cannot be read
-        named_exports, folder = list_named_exports(sheet, protocol), source.parent
-        exports = [fingerprint(folder / name, role, name) for role, name in named_exports]
-        inputs = (*exports, *fingerprint_dialect_cards(protocol))
+        inputs = fingerprint_inputs(source.parent, sheet, protocol)
         input_hashes = [(file.role, file.sha256) for file in inputs]
         run = failure.run or make_input_key(input_hashes, texts["sheet"], texts["protocol"])
         return replace(failure, inputs=inputs, run=run)
@@ -491,7 +484,7 @@ def _add_inputs(failure: FailedTest, task: Task) -> FailedTest:
 
 
 def _describe_fault(code: str, source: Path, error: Exception) -> str:
-    """Describe an error that is not a `LabpipeError`: a system error or a fault of labpipe."""
+    """Describe an error other than a `LabpipeError`, from the system or from labpipe itself."""
     if code == "system_refused":
         return f"{source}: {describe_system_error(error)}"
     if code == "out_of_memory":

@@ -40,7 +40,7 @@ from labpipe.units import GRAVITY
 def check_signals(
     prepared: PreparedTest, motion: Motion, protocol: Protocol, findings: Findings
 ) -> Findings:
-    """Run all checks that precede the curve, and add their findings.
+    """Run all checks of the signals, and add their findings.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ def check_signals(
         return findings
     reversed_signs = check_signs(prepared, motion, protocol)
     if any(finding.code == "force_reversed" for finding in reversed_signs):
-        findings = findings.remove_code("force_negative")  # the reversed sign explains that one
+        findings = findings.remove_code("force_negative")  # the reversed sign explains this finding
     return findings + reversed_signs
 
 
@@ -90,16 +90,16 @@ def check_rig(prepared: PreparedTest, motion: Motion, protocol: Protocol) -> Ite
 def _measure_speed(signal: Signal, branch: Branch) -> float:
     """Measure the speed of a motion in a branch, m/s, as the median over equal parts of the travel.
 
-    A pause does not change the median.
+    A pause hardly changes the median.
     """
     n_parts, min_duration = 20, 1e-9  # s, prevents a division by zero
     samples = slice(branch.start, branch.stop)
     is_valid = ~np.isnan(signal.values[samples])
     time, values = signal.time[samples][is_valid], signal.values[samples][is_valid]
     travel = np.maximum.accumulate(np.abs(values - values[0]))
-    levels = np.linspace(0.0, travel[-1], n_parts + 1)
-    durations = np.diff(np.interp(levels, travel, time))
-    return float(levels[1] / max(np.median(durations), min_duration))
+    distances = np.linspace(0.0, travel[-1], n_parts + 1)
+    durations = np.diff(np.interp(distances, travel, time))
+    return float(distances[1] / max(np.median(durations), min_duration))
 
 
 def check_lost_samples(
@@ -107,12 +107,12 @@ def check_lost_samples(
 ) -> Iterator[Finding]:
     """Report jumps of the motion or the force, if the two are recorded on two clocks.
 
-    A machine cannot jump, and a specimen in loading cannot gain much force at once. Such a jump
-    shows that samples were lost, and that the times after it are wrong. With one clock, lost
+    A machine cannot jump, and the force of a specimen in loading cannot rise much at once. Such a
+    jump shows that samples were lost, and that the times after it are wrong. With one clock, lost
     samples do not matter, because each displacement still has its force. Jumps are searched in
     medians over 0.1 s, which noise hardly changes.
     """
-    min_ratio, quantile = 1.5, 0.99  # jump divided by this quantile of the changes
+    min_ratio, quantile = 1.5, 0.99  # jump divided by this quantile of the changes between blocks
     duration = 0.1  # duration of a block, s
     signals, branches = prepared.signals, protocol.branches
     force = orient_force(signals.raw[signals.force])
@@ -125,29 +125,29 @@ def check_lost_samples(
         block_size = max(1, round(duration / compute_median_step(signal.time)))
         samples = drop_missing(signal.values)
         n_blocks = len(samples) // block_size
-        values = np.median(samples[: n_blocks * block_size].reshape(n_blocks, block_size), axis=1)
+        medians = np.median(samples[: n_blocks * block_size].reshape(n_blocks, block_size), axis=1)
         middle_samples = np.flatnonzero(~np.isnan(signal.values))[block_size // 2 :: block_size]
         time = signal.time[middle_samples[:n_blocks]]
-        usual_change = compute_step_quantile(values, quantile)
+        usual_change = compute_step_quantile(medians, quantile)
         jumps = [
-            (sample, size)
-            for sample, size in find_level_jumps(time, values, min_fraction=0.0)
+            (block, size)
+            for block, size in find_level_jumps(time, medians, min_fraction=0.0)
             if abs(size) > min_ratio * usual_change
-            and (quantity != "force" or (size > 0.0 and _is_rising(values, sample)))
+            and (quantity != "force" or (size > 0.0 and _is_rising(medians, block)))
         ]
         if jumps:
-            sample, size = max(jumps, key=lambda jump: abs(jump[1]))
+            block, size = max(jumps, key=lambda jump: abs(jump[1]))
             size_text = f"{1e3 * size:.4g} mm" if signal.unit == "m" else f"{size:.4g} N"
             facts: dict[str, Any] = {"channel": channel, "size": size_text, "duration": duration}
-            facts |= {"at": time[sample], "count": len(jumps), "ratio": abs(size) / usual_change}
+            facts |= {"at": time[block], "count": len(jumps), "ratio": abs(size) / usual_change}
             yield Finding.of("process.samples_lost", channel, quantity, "clock", **facts)
 
 
-def _is_rising(values: Floats, sample: int) -> bool:
-    """Return whether values rise both before and after a jump, whose end is at a sample."""
-    reach = 20  # samples on each side
-    first, last = max(sample - reach, 0), min(sample + reach, len(values) - 1)
-    return bool(values[first] < values[sample - 1] and values[sample] < values[last])
+def _is_rising(values: Floats, jump_end: int) -> bool:
+    """Return whether values rise both before and after a jump, which ends at an index."""
+    reach = 20  # number of values on each side
+    first, last = max(jump_end - reach, 0), min(jump_end + reach, len(values) - 1)
+    return bool(values[first] < values[jump_end - 1] and values[jump_end] < values[last])
 
 
 def _compute_range(values: Floats) -> float:
@@ -156,7 +156,7 @@ def _compute_range(values: Floats) -> float:
 
 
 def is_full_stroke(signal: Signal, rig_stroke: float | None) -> bool:
-    """Return whether the stroke of a motion is that of the rig; False if that is not stated.
+    """Return whether the stroke of a motion is that of the rig; False if the latter is not stated.
 
     Parameters
     ----------
@@ -170,9 +170,9 @@ def is_full_stroke(signal: Signal, rig_stroke: float | None) -> bool:
 
 
 def check_lowest_force(prepared: PreparedTest, _: Motion, protocol: Protocol) -> Iterator[Finding]:
-    """Report a force whose one-second means are below the lowest force that the load can cause."""
+    """Report a force whose one-second means are below the lowest possible force."""
     block_duration, mean_duration, noise_factor = 0.1, 1.0, 5.0  # s; s; standard deviations
-    weight_factor, force_margin = 1.2, 2e-3  # factor on the weight that the string carries; N
+    weight_factor, force_margin = 1.2, 2e-3  # factor of the weight that the string carries; N
     string, specimen = protocol.rig.string, protocol.specimen
     force = prepared.signals.filtered.get(prepared.signals.force)
     if force is None or (string is None and specimen.span is None):
@@ -191,9 +191,9 @@ def check_lowest_force(prepared: PreparedTest, _: Motion, protocol: Protocol) ->
     if specimen.span is not None and force.has_time:
         limit = -protocol.limits.pulling_force * float(np.nanmax(means))
         limits.append((limit, "a load that presses on a specimen cannot pull it"))
-    lowest, margin = float(np.nanmin(means)), noise_factor * estimate_noise_level(means)
+    lowest, noise_margin = float(np.nanmin(means)), noise_factor * estimate_noise_level(means)
     for limit, cause in limits:
-        if lowest < limit - margin:
+        if lowest < limit - noise_margin:
             yield Finding.of("process.force_negative", "force", "force", lowest=lowest, cause=cause)
 
 
@@ -225,8 +225,8 @@ def check_mid_span(
 
     Returns
     -------
-    The test, and at most one finding. It reports that the two differ, or that the cameras started
-    under load; the returned test then has no bent axis.
+    The test, and at most one finding. The finding reports that deflection and displacement differ,
+    or that the cameras started under load. In the latter case the returned test has no bent axis.
     """
     mid_span, span = prepared.signals.raw.get("mid_span"), prepared.span
     if mid_span is None or span is None or isinstance(span, Failure) or not motion.branches:
@@ -245,7 +245,7 @@ def check_mid_span(
 
 
 def check_signs(prepared: PreparedTest, motion: Motion, protocol: Protocol) -> list[Finding]:
-    """Report signals that fall while the specimen is loaded, unless the protocol allows it.
+    """Report signals that fall while the specimen is loaded, unless the protocol allows them to.
 
     Parameters
     ----------
@@ -262,7 +262,7 @@ def check_signs(prepared: PreparedTest, motion: Motion, protocol: Protocol) -> l
     more than a fifth of the largest force, has no wrong sign, and neither has its displacement.
     """
     max_opposite_fraction = 0.2  # opposite force as a fraction of the largest force
-    error_factor, n_blocks = 10.0, 200  # standard errors of a block mean; blocks of a record
+    error_factor, n_blocks = 10.0, 200  # standard errors of a block mean; blocks of the record
     signals, curve, branches = prepared.signals, protocol.curve, motion.branches
     displacement = signals.raw[signals.displacement]
     if curve is None or not branches:
@@ -271,23 +271,22 @@ def check_signs(prepared: PreparedTest, motion: Motion, protocol: Protocol) -> l
     force = motion.clocks.interpolate(force_signal, time)
     masks = [(time >= x.start_time) & (time <= x.stop_time) for x in branches]
     means = average_blocks(drop_missing(force), n_blocks)
-    absolute_means = [np.abs(average_blocks(drop_missing(force[x]), n_blocks)) for x in masks]
-    growths = [float(np.max(values - values[:1], initial=0.0)) for values in absolute_means]
+    branch_means = [np.abs(average_blocks(drop_missing(force[x]), n_blocks)) for x in masks]
+    growths = [float(np.max(values - values[:1], initial=0.0)) for values in branch_means]
     if len(means) < 2 or not max(growths) > 0.0:
         return []
-    noise = error_factor * estimate_noise_level(force) * np.sqrt(len(means) / len(force))
+    noise_margin = error_factor * estimate_noise_level(force) * np.sqrt(len(means) / len(force))
     largest_force = float(means[int(np.argmax(np.abs(means)))])  # with its sign
     opposite_force = float((-np.sign(largest_force) * means).max())
-    max_opposite_force = max_opposite_fraction * abs(largest_force) + noise
-    if np.ptp(means) <= noise or opposite_force > max_opposite_force:
+    max_opposite_force = max_opposite_fraction * abs(largest_force) + noise_margin
+    if np.ptp(means) <= noise_margin or opposite_force > max_opposite_force:
         return []
-    paths = [
-        drop_missing(displacement.values[mask]) for mask in (masks[np.argmax(growths)], masks[0])
-    ]
-    is_measured = signals.displacement in protocol.channels and all(map(len, paths))
+    loading_masks = masks[np.argmax(growths)], masks[0]
+    travels = [drop_missing(displacement.values[mask]) for mask in loading_masks]
+    is_measured = signals.displacement in protocol.channels and all(map(len, travels))
     is_falling = {
         "force": largest_force < 0.0,
-        "displacement": is_measured and all(path[-1] < path[0] for path in paths),
+        "displacement": is_measured and all(travel[-1] < travel[0] for travel in travels),
     }
     lowest = 1e3 * float(np.nanmin(displacement.values))
     lowest_values = {"force": f"{largest_force:.3g} N", "displacement": f"{lowest:.3g} mm"}
@@ -336,14 +335,15 @@ def check_start(signals: Signals, motion: Motion, *, has_slack: bool) -> Iterato
     the range of the force, and falls below half of its value in the first branch.
     """
     noise_factor = 5.0  # standard deviations of the force
-    # A force between the two limits (fractions of its range) is a load only if the displacement is
-    # above its limit (a fraction of its range). Otherwise it is an offset of the load cell.
-    min_load, certain_load, min_path = 0.02, 0.1, 0.01
-    branch_data = _read_first_branch(signals, motion) if motion.branches else None
-    if branch_data is None:
+    # A force between the first two limits (fractions of its range) is a load only if the
+    # displacement is above the third limit (a fraction of its range). Otherwise it is an offset of
+    # the load cell.
+    min_load, certain_load, min_travel = 0.02, 0.1, 0.01
+    oriented_record = _orient_record(signals, motion) if motion.branches else None
+    if oriented_record is None:
         return
-    time, force, path, is_in_branch = branch_data
-    branch_force, branch_path, where = force[is_in_branch], path[is_in_branch], signals.force
+    time, force, travel, is_in_branch = oriented_record
+    branch_force, where = force[is_in_branch], signals.force
     load, relative_load = float(branch_force[0]), float(branch_force[0] / np.ptp(force))
     if relative_load > 0.5 and branch_force[-1] < 0.5 * load:
         quantities = "force", "displacement", "start"
@@ -352,10 +352,10 @@ def check_start(signals: Signals, motion: Motion, *, has_slack: bool) -> Iterato
     end_forces = np.interp([branch.stop_time for branch in motion.branches[1::2]], time, force)
     returns_to_load = len(end_forces) > 0 and (np.abs(end_forces - load) <= 0.5 * load).all()
     is_zero = not load > noise_factor * estimate_noise_level(force)
-    is_displaced = branch_path[0] >= min_path * np.ptp(path)
+    is_displaced = travel[is_in_branch][0] >= min_travel * np.ptp(travel)
     is_loaded = relative_load >= (min_load if is_displaced else certain_load)
     if is_zero or returns_to_load or not is_loaded:
-        yield from _check_first_sample(signals.displacement, force, path)
+        yield from _check_first_sample(signals.displacement, force, travel)
         return
     zeroed_names = [name for name in signals.quantities if name in signals.moving_zero_stretches]
     zeroed_quantities = [signals.quantities[name] for name in zeroed_names]
@@ -364,54 +364,52 @@ def check_start(signals: Signals, motion: Motion, *, has_slack: bool) -> Iterato
     start_period = float(time[0]), max(float(time[0]), motion.branches[0].start_time)
     zeros = f"; {' and '.join(zeroed_names)} zeroed there" if zeroed_names else ""
     facts: dict[str, Any] = {"load": load, "relative_load": relative_load, "zeros": zeros}
-    facts |= {"position": 1e3 * float(path[0])}
-    for names, period in ((["start"], start_period), (zeroed_quantities, None)):
-        if names:
-            yield Finding.of("process.begins_under_load", where, *names, period=period, **facts)
+    facts |= {"position": 1e3 * float(travel[0])}
+    for affected, period in ((["start"], start_period), (zeroed_quantities, None)):
+        if affected:
+            yield Finding.of("process.begins_under_load", where, *affected, period=period, **facts)
 
 
-def _read_first_branch(
-    signals: Signals, motion: Motion
-) -> tuple[Floats, Floats, Floats, Flags] | None:
-    """Return time (s), force (N) and path (m), and flags of the samples in the first branch.
+def _orient_record(signals: Signals, motion: Motion) -> tuple[Floats, Floats, Floats, Flags] | None:
+    """Return time (s), force (N) and travel (m), and flag the samples in the first branch.
 
-    Force and path have the zeros of the export, and are positive in loading. The result is None if
-    force or path is constant, or if the record begins at rest.
+    Force and travel are positive in loading and have the zeros of the export. The result is None if
+    force or travel is constant, if the first branch is too short, or if the record begins at rest.
     """
     min_samples, max_rest_samples = 4, 3.0  # samples of the branch; samples before the branch
     time = signals.raw[signals.displacement].time
-    force, path = (
+    force, travel = (
         motion.clocks.interpolate(signals.raw[name], time)
         + signals.subtracted_levels.get(name, 0.0)
         for name in (signals.force, signals.displacement)
     )
-    is_finite = np.isfinite(force) & np.isfinite(path)
-    time, force, path = time[is_finite], force[is_finite], path[is_finite]
+    is_finite = np.isfinite(force) & np.isfinite(travel)
+    time, force, travel = time[is_finite], force[is_finite], travel[is_finite]
     start, stop = motion.branches[0].start_time, motion.branches[0].stop_time
     is_in_branch = (time >= start) & (time <= stop)
-    if is_in_branch.sum() < min_samples or not np.ptp(force) > 0.0 or not np.ptp(path) > 0.0:
+    if is_in_branch.sum() < min_samples or not np.ptp(force) > 0.0 or not np.ptp(travel) > 0.0:
         return None
     force = force * np.sign(force[int(np.argmax(np.abs(force)))])
-    path = path * (np.sign(path[is_in_branch][-1] - path[is_in_branch][0]) or 1.0)
+    travel = travel * (np.sign(travel[is_in_branch][-1] - travel[is_in_branch][0]) or 1.0)
     begins_at_rest = start - time[0] > max_rest_samples * (time[-1] - time[0]) / len(time)
-    return None if begins_at_rest else (time, force, path, is_in_branch)
+    return None if begins_at_rest else (time, force, travel, is_in_branch)
 
 
-def _check_first_sample(channel: str, force: Floats, path: Floats) -> Iterator[Finding]:
+def _check_first_sample(channel: str, force: Floats, travel: Floats) -> Iterator[Finding]:
     """Report a record that was zeroed in mid-stroke, so that the machine later moves below zero.
 
     Parameters
     ----------
     channel : name of the channel of the displacement
-    force, path : shape (n,), force (N) and displacement (m) with the zeros of the export
+    force, travel : shape (n,), force (N) and displacement (m) with the zeros of the export
     """
     max_zero_fraction = 0.01  # absolute value of the first sample as a fraction of the range
-    # Travel (or force) below zero divided by that above zero. A test that moves to both sides
-    # travels as far below as above.
+    # Travel (or force) below zero divided by travel (or force) above zero. A test that moves to
+    # both sides travels as far below as above.
     min_ratio, max_ratio = 0.05, 0.8
-    is_zeroed = all(abs(x[0]) <= max_zero_fraction * np.ptp(x) for x in (force, path))
+    is_zeroed = all(abs(x[0]) <= max_zero_fraction * np.ptp(x) for x in (force, travel))
     force_below, force_above = -force.min(), force.max()
-    travel_below, travel_above = -path.min(), path.max()
+    travel_below, travel_above = -travel.min(), travel.max()
     is_below = min_ratio * travel_above < travel_below < max_ratio * travel_above
     if is_zeroed and is_below and force_below > min_ratio * force_above:
         facts: dict[str, Any] = {"travel": 1e3 * travel_below, "force": force_below}
@@ -426,7 +424,7 @@ _CUT_FILE_CODES = {"truncated", "rows_differ"}
 def find_cut_ends(
     signals: Signals, motion: Motion, protocol: Protocol, findings: Findings
 ) -> dict[str, float]:
-    """Find the ends of a record that stops in the middle of a branch.
+    """Find the times at which the records of force and displacement stop within a branch.
 
     Parameters
     ----------
@@ -437,11 +435,11 @@ def find_cut_ends(
 
     Returns
     -------
-    Last time (s on the clock of the curve) of each quantity whose record is cut off; empty for a
-    complete record.
+    Last time (s on the clock of the curve) of each quantity whose record is cut off; empty if both
+    records are complete.
     """
-    max_missing_samples = 2.0  # number of samples that the force may lack at its end
-    signal, limits, ends = motion.signal, protocol.limits, dict[str, float]()
+    max_missing_samples = 2.0  # samples that may be missing at the end of the force
+    signal, limits, end_times = motion.signal, protocol.limits, dict[str, float]()
     if not motion.branches:
         return {}
     last_branch = motion.branches[-1]
@@ -452,7 +450,7 @@ def find_cut_ends(
         is_single, stroke = len(motion.branches) == 1, protocol.rig.stroke
         is_complete = is_full_stroke(signal, stroke) if is_single else _has_arrived(motion, limits)
         if not is_complete or any(note.code in _CUT_FILE_CODES for note in findings.notes):
-            ends = dict.fromkeys(("force", "displacement"), float(time[-1]))
+            end_times = dict.fromkeys(("force", "displacement"), float(time[-1]))
     force = signals.raw[signals.force]
     last_sample = int(np.flatnonzero(~np.isnan(force.values))[-1])
     force_end = motion.clocks.to_curve(float(force.time[last_sample]), force.clock)
@@ -460,7 +458,7 @@ def find_cut_ends(
     duration = last_branch.stop_time - last_branch.start_time
     max_missing_time = max(limits.force_shortfall * duration, max_missing_samples * time_step)
     is_cut = force_end < last_branch.stop_time - max_missing_time
-    return ends | {"force": force_end} if is_cut else ends
+    return end_times | {"force": force_end} if is_cut else end_times
 
 
 def _has_arrived(motion: Motion, limits: Limits) -> bool:
@@ -470,29 +468,31 @@ def _has_arrived(motion: Motion, limits: Limits) -> bool:
     """
     noise_factor = 5.0  # standard deviations of the motion
     values, branches, last_branch = motion.signal.values, motion.branches, motion.branches[-1]
-    start, end = float(values[last_branch.start]), float(drop_missing(values)[-1])
-    path = values if end > start else -values
+    travel = float(drop_missing(values)[-1] - values[last_branch.start])
+    rising_values = values if travel > 0.0 else -values  # rising in the last branch
     is_loading = last_branch.direction is Direction.LOADING
-    turn_positions = [] if is_loading else [float(path[branches[0].start])]
+    turn_positions = [] if is_loading else [float(rising_values[branches[0].start])]
     turn_positions += [
-        float(np.nanmax(path[branch.start : branch.stop + 1]))
+        float(np.nanmax(rising_values[branch.start : branch.stop + 1]))
         for branch in branches[:-1]
         if branch.direction is last_branch.direction
     ]
-    # The force is steep near the peak, and small at the end of unloading.
+    # Near the peak the force depends strongly on the displacement. At the end of unloading the
+    # force is small.
     shortfall = limits.loading_shortfall if is_loading else limits.unloading_shortfall
-    step = abs(end - start) / max(1, last_branch.stop - last_branch.start)
-    noise = noise_factor * estimate_noise_level(values)
-    tolerance = max(shortfall * _compute_range(values), step, noise)
-    return bool(turn_positions) and (end if end > start else -end) >= turn_positions[-1] - tolerance
+    step = abs(travel) / max(1, last_branch.stop - last_branch.start)  # mean per sample
+    noise_margin = noise_factor * estimate_noise_level(values)
+    tolerance = max(shortfall * _compute_range(values), step, noise_margin)
+    end_position = float(drop_missing(rising_values)[-1])
+    return bool(turn_positions) and end_position >= turn_positions[-1] - tolerance
 
 
 def check_holds(prepared: PreparedTest, motion: Motion, protocol: Protocol) -> Iterator[Finding]:
     """Report holds of the motion at its turns, and at its end away from the initial position.
 
-    Rests before the first branch, and at the initial position, are not holds.
+    Rests before the first branch and at the initial position are not holds.
     """
-    min_rows = 5.0  # least duration of a hold in rows, if the export has no times
+    min_rows = 5.0  # shortest hold in rows, if the export has no times
     max_return_distance, max_hold_motion = 0.1, 0.01  # fractions of the stroke
     signal, branches = motion.signal, motion.branches
     if not branches:
@@ -501,11 +501,11 @@ def check_holds(prepared: PreparedTest, motion: Motion, protocol: Protocol) -> I
     is_finite = ~np.isnan(signal.values)
     time, values = signal.time[is_finite], signal.values[is_finite]
     pauses = [(first.stop_time, second.start_time) for first, second in pairwise(branches)]
-    last_values, stroke = values[time >= branches[-1].stop_time], np.ptp(values)
+    final_values, stroke = values[time >= branches[-1].stop_time], np.ptp(values)
     is_away = abs(values[-1] - signal.values[branches[0].start]) > max_return_distance * stroke
-    if is_away and len(last_values) and np.ptp(last_values) <= max_hold_motion * stroke:
+    if is_away and len(final_values) and np.ptp(final_values) <= max_hold_motion * stroke:
         pauses.append((branches[-1].stop_time, float(time[-1])))
-    holds = [(start, stop) for start, stop in pauses if stop - start >= min_duration]
+    holds = [pause for pause in pauses if pause[1] - pause[0] >= min_duration]
     if holds:
         longest = max(stop - start for start, stop in holds)
         position = 1e3 * float(np.interp(sum(holds[0]) / 2.0, time, values))
@@ -562,7 +562,7 @@ def check_answers(protocol: Protocol, observed: Mapping[str, str]) -> Iterator[F
 
 
 def check_calibration_due(protocol: Protocol, test_date: date | None) -> Iterator[Finding]:
-    """Report instruments whose calibration had expired before the test.
+    """Report instruments whose calibration expired before the test.
 
     Parameters
     ----------

@@ -18,7 +18,7 @@ from typing import TypeAlias
 from labpipe.errors import LabpipeError, ReadError
 from labpipe.messages import format_sentence
 from labpipe.process.checking import find_missing_sizes
-from labpipe.process.reading import is_empty, join_exports, name_channels
+from labpipe.process.reading import convert_channels, is_empty, join_exports
 from labpipe.protocol.grammar import (
     MAX_NAME_BYTES,
     has_control_characters,
@@ -36,33 +36,36 @@ FOLDER_NAME_SOURCE = "the name of the folder"
 """Source of a value that is inferred from the name of the folder of a test."""
 _SIZE_UNITS = dict.fromkeys(("length", "width", "thickness", "gauge_length"), "m")
 _SIZE_UNITS |= {"section.area": "m^2"}
+"""SI unit of each size of the specimen."""
 _COPIED_FACTS = ("date", "operator", "type", "sample", *_SIZE_UNITS)
 """Facts that become values of a test sheet, in this order."""
 _IGNORED_SUFFIXES = frozenset({".yaml", ".yml", ".md", ".ini"})
-_YEAR_FIRST = re.compile(r"(?<!\d)(\d{4})[-./](\d{1,2})[-./](\d{1,2})(?!\d)")
-_YEAR_LAST = re.compile(r"(?<!\d)(\d{1,2})([-./])(\d{1,2})\2(\d{4})(?!\d)(.*)", re.DOTALL)
+"""Suffixes of files in a test folder that are no exports."""
+_YEAR_FIRST_DATE = re.compile(r"(?<!\d)(\d{4})[-./](\d{1,2})[-./](\d{1,2})(?!\d)")
+_YEAR_LAST_DATE = re.compile(r"(?<!\d)(\d{1,2})([-./])(\d{1,2})\2(\d{4})(?!\d)(.*)", re.DOTALL)
 _COMPACT_DATE = re.compile(r"(?<!\d)(20\d\d)(\d\d)(\d\d)(?!\d)")
-_US_CLOCK = re.compile(r"\s+\d{1,2}:\d\d(?::\d\d)?\s*(?:AM|PM)\b")
-"""Time with AM or PM in capitals, the US format of Windows, in which the month is first."""
+_US_TIME = re.compile(r"\s+\d{1,2}:\d\d(?::\d\d)?\s*(?:AM|PM)\b")
+"""Time with AM or PM in capitals, as after the US dates of Windows, in which the month is first."""
 _FOLDER_NAME_PATTERN = re.compile(
     r"(?P<type>.+?)(?:-(?P<length>\d{3})(?=-))?[-_](?P<sample>\d{1,3}[a-z]?)"
 )
+"""Name of a test folder that consists of specimen type, length in mm if stated, and sample."""
 Exports: TypeAlias = Mapping[Path, Recording]
 """Exports of a test, keyed by path."""
 Files: TypeAlias = Mapping[str, tuple[str, ...]]
 """Names of exports, keyed by role."""
 CampaignTests: TypeAlias = dict[Path, tuple[str, str]]
-"""Specimen type and protocol of each test of a campaign, keyed by folder; empty if unknown."""
+"""Specimen type and protocol of each test of a campaign, keyed by folder; each empty if unknown."""
 Facts: TypeAlias = Mapping[str, Mapping[str, Sequence[str]]]
 """Sources of each value, keyed by column of a campaign table and then by value.
 
-Several values of one column contradict each other.
+If a column has several values, the sources contradict each other.
 """
 
 
 @cache
 def _read_fact_keys() -> dict[str, dict[str, list[str]]]:
-    """Read the metadata keys under which programs store each fact, and entries without meaning."""
+    """Read the metadata keys under which programs store each fact, and the entries to ignore."""
     text = (package_files("labpipe.process") / "sheet_facts.toml").read_text(encoding="utf-8")
     return tomllib.loads(text)
 
@@ -77,8 +80,8 @@ def collect_facts(folder: str, exports: Mapping[str, Recording]) -> Facts:
 
     Returns
     -------
-    The facts. A date in the name of a file is used if its metadata have none. The modification time
-    of a file is not used, because copying changes it.
+    The facts. A date in the name of a file is used if the metadata of the file have no date. The
+    modification time of a file is not used, because copying changes it.
     """
     folder_facts = parse_folder_name(folder)
     facts: dict[str, dict[str, list[str]]] = {
@@ -98,7 +101,7 @@ def collect_facts(folder: str, exports: Mapping[str, Recording]) -> Facts:
 
 
 def _list_entries(metadata: Mapping[str, object]) -> Iterator[tuple[str, str]]:
-    """Yield the last part of the key, and the text, of each metadata entry and nested entry."""
+    """Yield key and text of each metadata entry, nested or not; only the last part of the key."""
     for key, value in metadata.items():
         if isinstance(value, Mapping) and key not in _read_fact_keys()["entries"]["lists"]:
             yield from _list_entries(value)
@@ -135,7 +138,7 @@ def parse_folder_name(name: str) -> dict[str, str]:
     {}
     """
     match = _FOLDER_NAME_PATTERN.fullmatch(name)
-    if match is None or parse_date(name) or _YEAR_LAST.search(name):
+    if match is None or parse_date(name) or _YEAR_LAST_DATE.search(name):
         return {}
     values = match.groupdict("")
     values["length"] = values["length"] and f"{int(values['length'])} mm"
@@ -163,17 +166,17 @@ def parse_date(text: str) -> str:
     >>> parse_date("03/09/2026 10:05:00")
     ''
     """
-    for year_first_match in chain(_YEAR_FIRST.finditer(text), _COMPACT_DATE.finditer(text)):
+    for year_first_match in chain(_YEAR_FIRST_DATE.finditer(text), _COMPACT_DATE.finditer(text)):
         if iso_date := _format_date(*year_first_match.groups()):
             return iso_date
-    if not (match := _YEAR_LAST.search(text)):
+    if not (match := _YEAR_LAST_DATE.search(text)):
         return ""
-    number_1, separator, number_2, year, remainder = match.groups()
-    day_first_date = _format_date(year, number_2, number_1)
-    month_first_date = _format_date(year, number_1, number_2)
+    first_number, separator, second_number, year, text_after_date = match.groups()
+    day_first_date = _format_date(year, second_number, first_number)
+    month_first_date = _format_date(year, first_number, second_number)
     if separator == "." or not month_first_date:
         return day_first_date
-    is_certain = _US_CLOCK.match(remainder) or day_first_date in ("", month_first_date)
+    is_certain = _US_TIME.match(text_after_date) or day_first_date in ("", month_first_date)
     return month_first_date if is_certain else ""
 
 
@@ -195,8 +198,8 @@ class ProtocolMatch:
     choices : names of the exports that are possible for a role and cannot be joined, keyed by role
     score : whether the exports are complete, and the number of exports that the protocol reads.
         Exports are complete if they can be read and joined, and the camera recording has the clamp
-        that the protocol names. If it has this clamp, the number is higher by 1
-    reason : sentence on why this protocol was chosen from several; empty if no criterion chose it
+        that the protocol names. If the recording has this clamp, the number is higher by 1
+    reason : reason for which this protocol was chosen from several; empty if no criterion chose it
     """
 
     protocol: Protocol
@@ -232,8 +235,9 @@ def match_protocols(
     protocols : protocols to compare
     names : names of the folder, of its exports and of the specimen type
     length : free length of the specimen, m; None if unknown
-    protocol_counts : counts of other tests, keyed by protocol: first of specimens of the same type,
-        then of the whole campaign; tests without a protocol have an empty name
+    protocol_counts : counts of other tests, keyed by protocol: first the tests of specimens of the
+        same type, then the tests of the whole campaign; the key of tests without a protocol is
+        empty
     stated_files : files that the user named, keyed by role
 
     Returns
@@ -245,7 +249,7 @@ def match_protocols(
     Notes
     -----
     Protocols with the best `ProtocolMatch.score` are compared by the following criteria. The first
-    criterion that exactly one protocol meets decides.
+    criterion that exactly one protocol meets selects this protocol.
 
     1. One of `names` contains the name of the protocol.
     2. The metadata of an export name the standard after which the protocol is named.
@@ -294,7 +298,7 @@ def find_majority(counts: Mapping[str, int]) -> str:
 
     Parameters
     ----------
-    counts : numbers of tests, keyed by protocol; tests without a protocol have an empty name
+    counts : numbers of tests, keyed by protocol; the key of tests without a protocol is empty
 
     Examples
     --------
@@ -349,11 +353,11 @@ def _match_protocol(
 
 
 def _read_channels(path: Path, recording: Recording, source: Source) -> Recording | None:
-    """Read the channels of a protocol from an export; None if it lacks some or cannot be read."""
+    """Read the channels of a protocol from an export; None if this fails."""
     with suppress(ReadError):
         if source.part is not None:
             recording = read_export(path, source.reader, part=source.part)
-        return recording if is_empty(recording) else name_channels(recording, source, path)
+        return recording if is_empty(recording) else convert_channels(recording, source, path)
     return None
 
 
@@ -372,7 +376,7 @@ def list_possible_exports(folder: Path) -> list[Path]:
 
 
 def list_test_folders(folder: Path) -> list[Path]:
-    """List the test folders of a campaign that may hold exports, sorted by name.
+    """List the test folders of a campaign that may contain exports, sorted by name.
 
     Parameters
     ----------
@@ -425,7 +429,7 @@ def count_protocols(
 
     Returns
     -------
-    Numbers of tests, keyed by protocol; tests without a protocol have an empty name.
+    Numbers of tests, keyed by protocol; the key of tests without a protocol is empty.
     """
     return Counter(
         protocol
@@ -443,7 +447,7 @@ class InferredTest:
     folder : folder of the test
     values : texts of the values, keyed by column of a campaign table
     files : names of exports, keyed by role
-    open_keys : keys whose values the user must fill in, which are required columns without a value
+    open_keys : keys whose values the user must fill in. These are required columns without a value
         and ambiguous roles, or ``files`` if no role has a file
     remarks : sentences on the protocol, the sources of the values, contradictions, and files that
         are not used or are missing
@@ -472,9 +476,9 @@ def infer_tests(
 
     Yields
     ------
-    The inferred tests. Tests with a certain protocol come first. The protocol of the other tests is
-    inferred again, with the protocols of the first tests. Only the recordings of one test are in
-    memory at a time.
+    The inferred tests. Tests whose protocol is certain come first. The protocols of the other tests
+    are then inferred again, from the protocols of the first tests, too. Only the recordings of one
+    test are in memory at a time.
     """
     campaign_tests = read_campaign_tests(folders[0].resolve().parent) if folders else {}
     folders_without_protocol = []
@@ -606,16 +610,16 @@ def _match_folder(
 
 
 def _assign_files(exports: Exports, matches: Sequence[ProtocolMatch]) -> dict[str, tuple[str, ...]]:
-    """Assign exports to roles as all matches agree or, without matches, by the exports' formats."""
+    """Assign exports to roles if all matches agree or, without matches, by the exports' formats."""
     if matches:
-        first, *others = (match.files for match in matches)
-        return {x: first[x] for x in first if all(files.get(x) == first[x] for files in others)}
-    files: dict[str, tuple[str, ...]] = {}
+        files, *other_files = (match.files for match in matches)
+        return {x: files[x] for x in files if all(y.get(x) == files[x] for y in other_files)}
+    files_by_format: dict[str, tuple[str, ...]] = {}
     for path, export in exports.items():
         role = "frame" if export.reader == "load-frame" else "force"
         role = "markers" if export.reader in MARKER_READERS else role
-        files[role] = (*files.get(role, ()), path.name)
-    return files
+        files_by_format[role] = (*files_by_format.get(role, ()), path.name)
+    return files_by_format
 
 
 def _describe_matches(exports: Exports, matches: Sequence[ProtocolMatch]) -> str:
@@ -668,7 +672,7 @@ def _describe_unused(folder: Path, kinds: Mapping[str, str], used_names: set[str
 
 
 def split_file_names(text: str) -> tuple[str, ...]:
-    """Split a list of file names, as a table or an option of `labpipe new` states it.
+    """Split a list of file names from a table or an option of `labpipe new`.
 
     Parameters
     ----------
@@ -683,7 +687,7 @@ def split_file_names(text: str) -> tuple[str, ...]:
 
 
 def make_test_name(name: str) -> str:
-    """Convert any name to a valid name of a test.
+    """Convert a name to a valid name of a test.
 
     Parameters
     ----------

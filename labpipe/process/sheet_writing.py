@@ -23,11 +23,14 @@ from labpipe.protocol.source import ROLES
 from labpipe.readers.workbooks import Table, read_campaign_sheet
 from labpipe.store.replace import map_errors, replace_file
 
-_SHEET_COLUMNS = ("test", "protocol", "type", "spool", "sample")
+_REQUIRED_COLUMNS = ("test", "protocol", "type", "spool", "sample")
+"""Columns that each campaign table has."""
 _DIMENSIONS = ("length", "gauge_length", "span", "width", "thickness", "diameter")
+"""Columns of the dimensions of the specimen."""
 _BUNDLE_KEYS = {"bundle_wires": "wires", "bundle_number": "number"} | {
     key: key for key in ("arrangement", "tape", "taping", "conduit", "conduit_bore")
 }
+"""Key of each column of a bundle in the block ``bundle`` of the specimen."""
 _KEY_PATHS = (
     {key: (key,) for key in ("test", "protocol")}
     | {key: ("specimen", key) for key in ("type", "spool", "sample", *_DIMENSIONS)}
@@ -70,19 +73,19 @@ def write_inferred_sheets(
     Parameters
     ----------
     folder : folder of a test or of a campaign
-    stated_values : texts of values that replace inferred ones. A key is a column of
+    stated_values : texts of values that replace inferred values. A key is a column of
         `TABLE_COLUMNS`, a label (``labels.cured``), or a dotted key of the protocol
     overwrite : whether existing test sheets are replaced; if False, those of a campaign are kept
 
     Yields
     ------
-    The test sheets. They mark the required values that cannot be inferred, for the user.
+    The test sheets. Required values that cannot be inferred are left open for the user.
 
     Raises
     ------
     UsageError
-        If stated values are not valid, with all of them in one message, or if the only sheet exists
-        already.
+        If stated values are not valid, or if the sheet of a single test exists already. One message
+        lists all invalid values.
     StoreError
         If a file cannot be written.
     """
@@ -123,7 +126,7 @@ def write_inferred_sheet(test: InferredTest) -> WrittenSheet:
     if faults := [*_list_faults(data, test.values, {}, path, open_keys=test.open_keys)]:
         raise UsageError("\n".join(faults))
     _write_sheet(path, data)
-    return WrittenSheet(path, False, test.remarks, test.open_keys)
+    return WrittenSheet(path, remarks=test.remarks, open_keys=test.open_keys)
 
 
 def write_table_sheets(file: Path, folder: Path, *, overwrite: bool = False) -> list[WrittenSheet]:
@@ -174,15 +177,15 @@ def write_table_sheets(file: Path, folder: Path, *, overwrite: bool = False) -> 
         if path.exists() and not overwrite:
             sheets.append(WrittenSheet(path, is_kept=True))
             continue
-        missing = ", ".join(name for name in exports if not (path.parent / name).exists())
-        remarks = (format_sentence("process.not_there_yet", names=missing),) if missing else ()
+        names = ", ".join(name for name in exports if not (path.parent / name).exists())
+        remarks = (format_sentence("process.not_there_yet", names=names),) if names else ()
         _write_sheet(path, data)
         sheets.append(WrittenSheet(path, remarks=remarks))
     return sheets
 
 
 def _parse_heading(heading: str) -> tuple[str, str]:
-    """Split a heading into the name of its column and the unit of its numbers; may be empty."""
+    """Split a heading into the name of its column and the unit of its numbers, empty if none."""
     match = _UNIT_IN_HEADING.fullmatch(heading)
     name, unit = (match[1].strip(), match[2]) if match else (heading, "")
     return (name if "." in name else name.casefold()), unit
@@ -195,7 +198,7 @@ def _add_unit(text: str, unit: str) -> str:
 
 
 def _choose_path(column: str) -> tuple[str, ...]:
-    """Return the path of a column in a test sheet; dotted keys of the protocol are overrides."""
+    """Choose the path of a column in a test sheet; dotted keys of the protocol are overrides."""
     block, _, key = column.partition(".")
     path = ("specimen", block, key) if block in _DOTTED_BLOCKS else ("overrides", column, "value")
     return _KEY_PATHS.get(column, path)
@@ -206,14 +209,15 @@ def _arrange_sheet(values: Mapping[str, object]) -> dict[str, Any]:
 
     Parameters
     ----------
-    values : texts or names of exports, keyed by column; None for a value that the user fills in
+    values : texts, or tuples of the names of exports, keyed by column; None for a value that the
+        user fills in
     """
     data: dict[str, Any] = {}
     columns = [column for column in _KEY_PATHS if column in values]
     for column in [*columns, *(column for column in values if "." in column)]:
-        *blocks, key = _choose_path(column)
+        *block_names, key = _choose_path(column)
         block, value = data, values[column]
-        for name in blocks:
+        for name in block_names:
             block = block.setdefault(name, {})
         if column in ROLES and isinstance(value, str):
             value = split_file_names(value)
@@ -245,7 +249,7 @@ def _check_headings(table: Table, names: Sequence[str], file: Path) -> Iterator[
         if name in names[:index]:
             yield ReadError.about("process.column_twice", file, cell.place, name=name)
     place = table.heading[0].place
-    for name in _SHEET_COLUMNS:
+    for name in _REQUIRED_COLUMNS:
         if name not in names:
             yield ReadError.about("process.column_missing", file, place, name=name)
 
@@ -279,8 +283,8 @@ def _list_faults(
     open_keys : keys that the user fills in, whose faults are not reported
     """
     open_names = {key.rpartition(".")[2] for key in open_keys}
-    _, found = TestSheet.read(data)
-    faults = [fault for fault in found if not set(map(str, fault.path)) & open_names]
+    _, sheet_faults = TestSheet.read(data)
+    faults = [fault for fault in sheet_faults if not set(map(str, fault.path)) & open_names]
     if "protocol" in values:
         protocol = find_protocol(values["protocol"], sheet_folder=test_folder or file.parent)
         faults += [protocol] if isinstance(protocol, Fault) else []

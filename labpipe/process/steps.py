@@ -61,18 +61,19 @@ if TYPE_CHECKING:
 MAX_SI_VALUE = {"channel": 1e15, "marker": 1e6}
 """Largest absolute values of channels and of marker positions, in SI units.
 
-A file with a larger value is taken as damaged.
+A file with a larger value is treated as damaged.
 """
-
-
 MIN_ZERO_SAMPLES_NOISE_UNKNOWN = 8
-"""Smallest number of samples of a zero if the other samples are too few to estimate the noise."""
+"""Smallest number of samples of a zero if the noise cannot be estimated from other samples."""
 MIN_ZERO_SAMPLES_NOISE_KNOWN = 3
 """Smallest number of samples of a zero if the noise is estimated from the other samples."""
 MIN_SELF_NOISE_SAMPLES = 100
-"""Number of samples below which the noise of a stretch is estimated from the other samples."""
+"""Smallest number of samples of a stretch from which its noise is estimated.
+
+The noise of a shorter stretch is estimated from the other samples of the record.
+"""
 _MIN_BLOCKS = 1000
-"""Smallest number of block means to which a long stretch is reduced, to save time."""
+"""Smallest number of blocks into which a long stretch is averaged, to save time."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,8 +88,8 @@ class Take:
     repaired_tracks : repaired tracks of the markers along the specimen; None before the step
         ``repair-markers``
     frame : coordinate frame of the specimen; None before the step ``specimen-frame``
-    is_at_rest : shape (frames,), whether the specimen is at rest in a camera frame; the specimen
-        frame is found from these camera frames. None before the step ``specimen-frame``
+    is_at_rest : shape (frames,), whether the specimen is at rest in each camera frame. The frames
+        at rest define the coordinate frame. None before the step ``specimen-frame``
     scale_uncertainty : relative standard uncertainty of the scale of the cameras
     """
 
@@ -101,7 +102,7 @@ class Take:
     scale_uncertainty: float = 0.0
 
     def make_signal(self, time: Floats, values: Floats) -> Signal:
-        """Make a signal of lengths (m) on the clock of the cameras, with their scale error."""
+        """Make a signal from lengths (m) on the clock of the cameras, with their scale error."""
         return Signal(time, values, "m", self.role, relative_error=self.scale_uncertainty)
 
 
@@ -148,7 +149,7 @@ def calibrate(
     curve, findings = protocol.curve, list[Finding]()
     signals = Signals() if curve is None else Signals(curve.force, curve.displacement)
     take = Take()
-    gain_errors: dict[str, float] = {x: y.gain_uncertainty for x, y in protocol.sources.items()}
+    scale_errors: dict[str, float] = {x: y.gain_uncertainty for x, y in protocol.sources.items()}
     reversed_channels = [getattr(curve, name) for name in (curve and curve.reverse) or ()]
     for role, recording in recordings.items():
         quantities = {x.path: signals.quantities.get(x.name) for x in recording.channels}
@@ -158,48 +159,49 @@ def calibrate(
             finding = make_stretch_finding(quantity, located_note, "") if quantity else None
             findings.append(finding or Finding(located_note))
         if recording.markers is not None:
-            _check_clock(recording.markers.time, role, min_samples=min_frames)
             tracks = recording.markers
+            _check_clock(tracks.time, role, min_samples=min_frames)
             for index, name in enumerate(tracks.names):
                 _check_magnitude(tracks.positions[:, index], "marker", role, f"marker {name!r}")
             for body in tracks.bodies:
                 _check_magnitude(body.position, "marker", role, f"rigid body {body.name!r}")
-            take = Take(tracks, role, scale_uncertainty=gain_errors[role])
+            take = Take(tracks, role, scale_uncertainty=scale_errors[role])
         for channel in recording.channels:
-            clock, source = recording.get_clock(channel.clock), protocol.channels[channel.name]
+            name, clock = channel.name, recording.get_clock(channel.clock)
             _check_clock(clock.time, role, min_samples=min_samples)
-            signal = _calibrate_channel(channel, source, clock, role, gauge_length)
-            if channel.name in reversed_channels:
+            channel_source = protocol.channels[name]
+            signal = _calibrate_channel(channel, channel_source, clock, role, gauge_length)
+            if name in reversed_channels:
                 signal = replace(signal, values=-signal.values)
-            signals = signals.add_signal(channel.name, signal)
-            quantity = signals.quantities.get(channel.name, channel.name)
-            findings += _check_missing(channel.name, signal, quantity)
-            findings += _check_peak(channel.name, signal, quantity, source.peak_range)
+            signals = signals.add_signal(name, signal)
+            quantity = signals.quantities.get(name, name)
+            findings += _check_missing(name, signal, quantity)
+            findings += _check_peak(name, signal, quantity, channel_source.peak_range)
     return PreparedTest(signals, take), findings
 
 
 def _calibrate_channel(
-    channel: Channel, source: ChannelSource, clock: Clock, role: str, gauge_length: float | None
+    channel: Channel, settings: ChannelSource, clock: Clock, role: str, gauge_length: float | None
 ) -> Signal:
     """Convert a strain, if any, to an extension, and apply the calibration of the protocol."""
     values, place = channel.values, f"channel {channel.path!r}"
-    if source.is_extension and channel.unit == "1":
+    if settings.is_extension and channel.unit == "1":
         if gauge_length is None:
             raise ProcessingError.about("process.strain_without_gauge", role, place)
         values = gauge_length * values
-    if source.calibration is not None:
-        values = source.gain * values
-        values += source.offset
+    if settings.calibration is not None:
+        values = settings.gain * values
+        values += settings.offset
     if not np.isfinite(values[:1]).all() and not np.isfinite(values).any():
         raise ProcessingError.about("process.no_numbers", role, place)
     _check_magnitude(values, "channel", role, place)
     return Signal(
         time=clock.time,
         values=values,
-        unit=source.target_unit,
+        unit=settings.target_unit,
         clock=role,
-        relative_error=source.gain_uncertainty,
-        zero_drift=source.zero_drift or 0.0,
+        relative_error=settings.gain_uncertainty,
+        zero_drift=settings.zero_drift or 0.0,
         time_unit=clock.unit,
     )
 
@@ -216,7 +218,7 @@ def _check_peak(
         yield Finding.of("process.implausible_peak", name, quantity, **facts)
 
 
-def _check_magnitude(values: Floats, kind: str, role: str, source: str) -> None:
+def _check_magnitude(values: Floats, kind: str, role: str, place: str) -> None:
     """Raise an error for values that are too large to be measurements.
 
     Parameters
@@ -224,18 +226,21 @@ def _check_magnitude(values: Floats, kind: str, role: str, source: str) -> None:
     values : shape (samples, ...), values in SI units
     kind : ``channel`` or ``marker``
     role : role of the recording, for the message
-    source : name of the channel or marker, for the message
+    place : channel, marker or rigid body, for the message
     """
     largest = max(float(np.nanmax(values, initial=0.0)), -float(np.nanmin(values, initial=0.0)))
     if not largest > MAX_SI_VALUE[kind]:
         return
     magnitudes = np.nan_to_num(np.abs(values)).reshape(len(values), -1).max(axis=1)
-    place, limit = f"{source}, sample {int(np.argmax(magnitudes)) + 1}", MAX_SI_VALUE[kind]
-    raise ProcessingError.about("process.number_too_large", role, place, limit=limit, found=largest)
+    where, limit = f"{place}, sample {int(np.argmax(magnitudes)) + 1}", MAX_SI_VALUE[kind]
+    raise ProcessingError.about("process.number_too_large", role, where, limit=limit, found=largest)
 
 
 def _check_missing(name: str, signal: Signal, quantity: str) -> list[Finding]:
-    """Report missing samples, and mark their times as doubtful, except for a few at the ends."""
+    """Report missing samples, and mark their times as doubtful.
+
+    The times of a few missing samples at the ends of the record are not doubtful.
+    """
     max_end_fraction = 0.02  # missing samples at both ends together, over all samples
     is_missing = np.isnan(signal.values)
     if not is_missing.any():
@@ -271,21 +276,22 @@ def check_channels(signals: Signals, protocol: Protocol) -> Iterator[Finding]:
     protocol : protocol with the channels that separate the branches and align the clocks
     """
     quantities = {} if protocol.curve is None else signals.quantities
-    # The counterpart of the force is the displacement, and vice versa.
-    counterparts = dict(zip(quantities, reversed(quantities), strict=True))
+    # The force is paired with the displacement, and vice versa.
+    paired_names = dict(zip(quantities, reversed(quantities), strict=True))
     for name, signal in signals.raw.items():
-        other = signals.raw.get(counterparts.get(name, ""))
-        other_values = None if other is None or other.clock != signal.clock else other.values
-        runs = find_stuck_runs(signal.time, signal.values, other_values)
+        paired = signals.raw.get(paired_names.get(name, ""))
+        paired_values = None if paired is None or paired.clock != signal.clock else paired.values
+        runs = find_stuck_runs(signal.time, signal.values, paired_values)
         quantity = quantities.get(name, name)
         saturated_runs = [run for run in runs if run.is_clipped]
+        frozen_runs = [run for run in runs if not run.is_clipped]
         if saturated_runs:
             note = _make_saturation_note(name, signal, saturated_runs)
             yield make_stretch_finding(quantity, note, signal.clock)
             if getattr(protocol.align, "channel", "") == name:
                 # The clocks are aligned at peaks whose times are wrong.
                 yield make_stretch_finding("clock", replace(note, stretches=()), signal.clock)
-        for run in (run for run in runs if not run.is_clipped):
+        for run in frozen_runs:
             times = _get_adjacent_times(signal, run)
             time_unit = "s" if signal.has_time else "of the samples"
             facts = {"value": float(signal.values[run.start]), "signal": signal}
@@ -329,7 +335,8 @@ def compute_travel_from_speed(
     Returns
     -------
     The signals with the computed channel, and the findings: a note on the computed displacement
-    and, if the loading began significantly before the force record, that the force is doubtful.
+    and, if the loading began significantly before the record of the force, a finding that the force
+    is doubtful.
 
     Raises
     ------
@@ -339,20 +346,20 @@ def compute_travel_from_speed(
 
     Notes
     -----
-    The motion turns at the corner of the force, and the loading began stroke / speed before it. In
-    appendix A.6 of [1]_ the loading began 58.8 s before the largest force. In one perturbed signal
-    the turn is later by its standard error. In the other, the speed is higher by its standard
-    uncertainty.
+    The motion turns at the corner of the force, and the loading begins stroke / speed before the
+    turn. In appendix A.6 of [1]_ the loading begins 58.8 s before the largest force. In one
+    perturbed signal the turn is later by its standard error. In the other, the speed is higher by
+    its standard uncertainty.
     """
     if rig.crosshead_speed is None or rig.stroke is None:
         raise ValueError(format_sentence("process.speed_needs_rig"))
-    force, duration = orient_force(signals.raw[step.force]), rig.stroke / rig.crosshead_speed
-    corner = _fit_reversal_corner(force, step)
-    loading_start, speed = corner.time - duration, rig.crosshead_speed
+    force, speed = orient_force(signals.raw[step.force]), rig.crosshead_speed
+    corner, duration = _fit_reversal_corner(force, step), rig.stroke / speed  # s, of the loading
+    loading_start = corner.time - duration
     time = np.arange(force.time[0], force.time[-1], 1.0 / step.rate)
 
     def compute_travel(delay: float) -> Floats:
-        """Return the displacement, m, of a motion that begins and turns later by a delay, s."""
+        """Compute the displacement (m) of a motion that begins and turns later by a delay (s)."""
         loading_time = np.clip(time - loading_start - delay, 0.0, duration)
         unloading_time = np.clip(time - corner.time - delay, 0.0, duration)
         return np.asarray(speed * (loading_time - unloading_time), dtype=np.float64)
@@ -365,7 +372,7 @@ def compute_travel_from_speed(
     facts |= {"time": corner.time, "error": 1e3 * time_error}
     findings = [Finding.of("process.displacement_from_speed", step.channel, **facts)]
     missed_time = float(force.time[0]) - loading_start
-    coverage_factor = 2.0  # of the interval of the start of the loading
+    coverage_factor = 2.0  # of the uncertainty of the start of the loading
     half_width = coverage_factor * float(np.hypot(time_error, step.speed_uncertainty * duration))
     if missed_time > half_width:
         facts = {"missed_time": missed_time, "half_width": half_width}
@@ -436,7 +443,7 @@ def run_step(
 
 
 def zero_signal(signals: Signals, step: declarations.Zero) -> tuple[Signals, list[Finding]]:
-    """Run ``zero``: subtract the level of a signal at rest, and store the time interval used.
+    """Run ``zero``: subtract the level of a signal at rest, and record the stretch of this zero.
 
     Parameters
     ----------
@@ -450,18 +457,18 @@ def zero_signal(signals: Signals, step: declarations.Zero) -> tuple[Signals, lis
     Raises
     ------
     ValueError
-        If the signal has no times, or the stretch holds too few samples.
+        If the signal has no times, or the stretch contains too few samples.
     """
     name, is_at_start = step.channel, step.at == "start"
     signal = signals.filtered[name]
     _require_time(signal, name, "a stretch in s")
     time, first, stop = signal.time, 0, len(signal.time)
     if is_at_start:
-        n_samples = int(np.searchsorted(time, time[0] + step.over, side="right"))
-        stop = min(max(n_samples, MIN_ZERO_SAMPLES_NOISE_KNOWN), stop)
+        stated_stop = int(np.searchsorted(time, time[0] + step.over, side="right"))
+        stop = min(max(stated_stop, MIN_ZERO_SAMPLES_NOISE_KNOWN), stop)
     else:
-        start_sample = int(np.searchsorted(time, time[-1] - step.over))
-        first = max(min(start_sample, stop - MIN_ZERO_SAMPLES_NOISE_KNOWN), 0)
+        stated_first = int(np.searchsorted(time, time[-1] - step.over))
+        first = max(min(stated_first, stop - MIN_ZERO_SAMPLES_NOISE_KNOWN), 0)
     duration = max(step.over, float(time[stop - 1] - time[first]))
     start_time = float(time[0] if is_at_start else time[-1] - duration)
     values = drop_missing(signal.values[first:stop])
@@ -482,8 +489,8 @@ def zero_signal(signals: Signals, step: declarations.Zero) -> tuple[Signals, lis
     else:
         stretches = {**signals.moving_zero_stretches, **stretch}
         signals = replace(signals, moving_zero_stretches=stretches)
-        values_from_end = values if is_at_start else values[::-1]
-        level, error, n_rest = estimate_level_before_motion(values_from_end, other_values)
+        inward_values = values if is_at_start else values[::-1]  # from the end of the record
+        level, error, n_rest = estimate_level_before_motion(inward_values, other_values)
         method = f"the outer end of a line over {duration:.4g} s"
         if n_rest:
             rest_duration = duration * n_rest / len(values)
@@ -518,9 +525,9 @@ def _filter_signal(
     match step:
         case declarations.Smooth():
             window = _convert_span(step.span, signal, protocol)
-            length = f" ({window * time_step:.4g} s)" if signal.has_time else ""
+            duration = f" ({window * time_step:.4g} s)" if signal.has_time else ""
             filter_step = Smoothing(window), 1
-            findings = [Finding.of("process.smoothed", name, window=window, length=length)]
+            findings = [Finding.of("process.smoothed", name, window=window, duration=duration)]
             if protocol.curve and protocol.branches and name in signals.quantities:
                 return signals.replace_filtered(name, signal, filter_step), findings
         case declarations.LowPass():
@@ -528,8 +535,8 @@ def _filter_signal(
             filter_step = Butterworth(step.cutoff, 1.0 / time_step, step.order), 1
         case declarations.Decimate():
             window = step.factor + 1 - step.factor % 2 if step.method == "filtered" else 1
-            filter_step, factor = (Smoothing(window), step.factor), step.factor
-            findings = [Finding.of("process.decimated", name, factor=factor, method=step.method)]
+            filter_step = Smoothing(window), step.factor
+            findings = [Finding.of("process.decimated", name, step=step)]
     signal = replace(signal, time=signal.time[:: filter_step[1]])
     signal = signal.map_values(lambda values: filter_pieces(values, (), [filter_step]))
     return signals.replace_filtered(name, signal, filter_step), findings
@@ -558,13 +565,13 @@ def compute_min_zero_samples(other_values: Floats) -> int:
 
     Notes
     -----
-    Three samples suffice if the noise can be estimated from the other samples. For this, at least
-    100 of them must be finite, or at least 25 if there are fewer than 100. Otherwise eight samples
-    are needed. With 3 to 6 samples, the 95 % intervals of `average_level` and `fit_end_level` then
-    cover the true value in 94 to 96 % of cases, in white noise and in noise with a correlation
-    length of ten samples. With only 25 other samples the coverage is the same for a correlation
-    length of two samples. For a correlation length of ten samples it is 73 %, because so short a
-    record does not separate such noise from its curve.
+    Three samples suffice if the noise can be estimated from the other samples. For this estimate,
+    at least 100 of them must be finite, or at least 25 if there are fewer than 100. Otherwise eight
+    samples are needed. With 3 to 6 samples, the 95 % intervals of `average_level` and
+    `fit_end_level` then cover the true value in 94 to 96 % of cases, in white noise and in noise
+    with a correlation length of ten samples. With only 25 other samples the coverage is the same
+    for a correlation length of two samples. For a correlation length of ten samples it is 73 %,
+    because such noise cannot be distinguished from the curve of so short a record.
     """
     count = len(other_values) - np.count_nonzero(np.isnan(other_values))
     has_noise_estimate = count >= _choose_stretch_width(other_values)
@@ -653,7 +660,7 @@ def _choose_stretch_width(other_values: Floats) -> int:
 
 
 def rezero_at_rest(signals: Signals, motion: Motion) -> tuple[Signals, list[Finding]]:
-    """Recompute zeros that are means over a stretch with motion from the samples at rest there.
+    """Recompute each zero whose stretch includes motion, from the samples at rest alone.
 
     Parameters
     ----------
@@ -666,9 +673,9 @@ def rezero_at_rest(signals: Signals, motion: Motion) -> tuple[Signals, list[Find
 
     Notes
     -----
-    The standard error is that of the samples at rest. With fewer than
-    `MIN_ZERO_SAMPLES_NOISE_UNKNOWN` of them the zero is not recomputed, and `check_zeros` reports
-    it as doubtful.
+    Only zeros that are means are recomputed. The standard error is that of the samples at rest.
+    With fewer than `MIN_ZERO_SAMPLES_NOISE_UNKNOWN` samples at rest the zero is not recomputed, and
+    `check_zeros` reports it as doubtful.
     """
     findings: list[Finding] = []
     branches = motion.branches
@@ -689,7 +696,7 @@ def rezero_at_rest(signals: Signals, motion: Motion) -> tuple[Signals, list[Find
             level, error = average_level(rest_values, values[~is_at_rest])
             stretches = {**signals.zero_stretches, name: rest_period}
             signals = replace(signals.subtract_level(name, level, error), zero_stretches=stretches)
-            facts: dict[str, Any] = {"duration": rest_period[1] - rest_period[0]}
-            facts |= {"stated": stop - start}
-            findings.append(Finding.of("process.short_rest", name, **facts))
+            duration, stated = rest_period[1] - rest_period[0], stop - start
+            finding = Finding.of("process.short_rest", name, duration=duration, stated=stated)
+            findings.append(finding)
     return signals, findings

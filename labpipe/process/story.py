@@ -94,7 +94,7 @@ def reduce_recordings(
         findings += new_findings
     if protocol.curve is None or protocol.branches is None:
         test = _build_reduced_test(prepared, Clocks(), protocol, findings, labels)
-        return add_results(test, protocol)
+        return compute_results(test, protocol)
     seed = make_seed(recordings)
     prepared, motion, new_findings = split_motion(prepared, protocol, protocol.branches)
     findings += new_findings
@@ -105,7 +105,7 @@ def reduce_recordings(
     findings = check_signals(prepared, motion, protocol, findings)
     test = _build_reduced_test(prepared, motion.clocks, protocol, findings, labels)
     test = add_curve(replace(test, seed=seed), motion, protocol, protocol.curve)
-    return add_results(test, protocol)
+    return compute_results(test, protocol)
 
 
 def make_seed(recordings: Mapping[str, Recording]) -> bytes:
@@ -113,15 +113,16 @@ def make_seed(recordings: Mapping[str, Recording]) -> bytes:
 
     Parameters
     ----------
-    recordings : recordings, keyed by role; one to two thousand samples of each channel are used
+    recordings : recordings, keyed by role; at most 2000 evenly spaced samples of each channel and
+        of the markers are used
     """
     digest = hashlib.sha256()
     for role in sorted(recordings):
         recording = recordings[role]
-        values = [channel.values for channel in recording.channels]
-        values += [] if recording.markers is None else [recording.markers.positions]
-        for value in values:
-            digest.update(value[:: max(1, len(value) // 1000)].tobytes())
+        arrays = [channel.values for channel in recording.channels]
+        arrays += [] if recording.markers is None else [recording.markers.positions]
+        for values in arrays:
+            digest.update(values[:: max(1, len(values) // 1000)].tobytes())
     return digest.digest()
 
 
@@ -133,19 +134,21 @@ def split_motion(
     Parameters
     ----------
     prepared : test after all steps
-    protocol : protocol with the method that aligns the clocks
-    settings : block ``branches`` of the protocol: channel of the motion and minimum stroke
+    protocol : protocol with the method by which the clocks are aligned
+    settings : block ``branches`` of the protocol, with the channel of the motion and the minimum
+        stroke
 
     Returns
     -------
-    prepared : test; a reason replaces its bent axis if the clock of the cameras cannot be aligned
+    prepared : test; if the clock of the cameras cannot be aligned, its bent axis is replaced by the
+        reason
     motion : motion with its branches and clocks
     findings : findings of the motion and of the clocks
     """
     signals = prepared.signals
     motion, findings = find_motion_strokes(signals.raw[settings.channel], settings)
-    fit, motion, new_findings = align_clocks(signals, protocol.align, motion)
-    clocks = Clocks(signals.raw[signals.displacement].clock, force_fit=fit)
+    force_fit, motion, new_findings = align_clocks(signals, protocol.align, motion)
+    clocks = Clocks(signals.raw[signals.displacement].clock, force_fit=force_fit)
     motion = replace(motion, branches=split_at_turns(motion), clocks=clocks)
     findings += new_findings
     if prepared.span is not None:
@@ -199,7 +202,7 @@ def _build_reduced_test(
     findings: Findings,
     labels: Mapping[str, str],
 ) -> ReducedTest:
-    """Build a reduced test without a curve, with the settings that results use."""
+    """Build a reduced test without a curve, with the settings from which results are computed."""
     specimen, markers, string = protocol.specimen, protocol.markers, protocol.rig.string
     section = {} if specimen.section is None else vars(specimen.section)
     sizes = {"length": specimen.length, "gauge_length": specimen.gauge_length}
@@ -235,12 +238,12 @@ def _build_reduced_test(
     )
 
 
-def add_results(test: ReducedTest, protocol: Protocol) -> Reduction:
-    """Compute the results of a protocol.
+def compute_results(test: ReducedTest, protocol: Protocol) -> Reduction:
+    """Compute the results that a protocol declares.
 
     Parameters
     ----------
-    test : reduced test with all findings
+    test : reduced test with all findings of the earlier stages
     protocol : protocol with the declarations of its results
     """
     if any(isinstance(entry, MomentCurvature) for entry in protocol.results):
@@ -261,16 +264,19 @@ def add_results(test: ReducedTest, protocol: Protocol) -> Reduction:
 
 
 def _add_remedy(result: Result, entry: Kind, protocol: Protocol) -> Result:
-    """Add the override that leaves out a result for which the record does not suffice."""
-    codes = {"not_reached", "too_few_samples", "no_break"}  # codes of records that do not suffice
-    if result.status is not Status.FAILED or not codes & {reason.code for reason in result.reasons}:
+    """Add a remedy to the reasons of a result for which the record is too short.
+
+    The remedy is an override of the protocol that leaves out the result.
+    """
+    short_record_codes = {"not_reached", "too_few_samples", "no_break"}
+    if result.status is not Status.FAILED:
         return result
     names = [getattr(kind, "name", kind.result) for kind in protocol.results]
     index = protocol.results.index(entry)
     key = names[index] if names.count(names[index]) == 1 else index
     remedy = format_sentence("process.remedy", override=format_overrides(f"results.{key}", "null"))
     reasons = [
-        replace(reason, message=reason.message + remedy) if reason.code in codes else reason
-        for reason in result.reasons
+        replace(x, message=x.message + remedy) if x.code in short_record_codes else x
+        for x in result.reasons
     ]
     return replace(result, reasons=tuple(reasons))

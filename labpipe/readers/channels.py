@@ -187,21 +187,21 @@ def make_alternative_notes(
     chosen_indices = [find_channel(choice, pairs, "") for choice in choices]
     for choice, index in zip(choices, chosen_indices, strict=True):
         chosen = channels[index]
-        for other in (channels[i] for i in find_alternatives(choice, pairs, index)):
-            if other.path in {channels[i].path for i in chosen_indices}:
+        for alternative in (channels[i] for i in find_alternatives(choice, pairs, index)):
+            if alternative.path in {channels[i].path for i in chosen_indices}:
                 continue
-            units = other.unit_in_file, chosen.unit_in_file
+            units = alternative.unit_in_file, chosen.unit_in_file
             try:
                 factor = 1.0 if units[0] == units[1] else get_conversion_factor(*units)
             except ValueError:
                 continue
-            differences = drop_missing(factor * other.values - chosen.values)
+            differences = drop_missing(factor * alternative.values - chosen.values)
             if not len(differences):
                 continue
             spread = float(np.subtract(*np.quantile(differences, (0.975, 0.025))))
             full_range = np.nanmax(chosen.values) - np.nanmin(chosen.values)
             if spread > max_range_fraction * full_range > 0.0:
-                paths = {"chosen": chosen.path, "other": other.path}
+                paths = {"chosen": chosen.path, "other": alternative.path}
                 percent = 100.0 * spread / full_range
                 yield QualityNote.of(
                     "readers.columns_disagree", chosen.path, **paths, share=percent

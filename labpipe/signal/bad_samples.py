@@ -8,7 +8,7 @@ from math import log, pi, sqrt
 
 import numpy as np
 
-from labpipe.records.arrays import Flags, Floats, Ints, median
+from labpipe.records.arrays import Floats, Ints, median
 from labpipe.signal.turning_points import compute_step_quantile, estimate_noise_level
 
 _UNUSUAL_RUN_FACTOR = 4.0
@@ -43,14 +43,16 @@ class StuckRun:
     is_clipped: bool
 
 
-def find_stuck_runs(time: Floats, values: Floats, pair: Floats | None = None) -> list[StuckRun]:
+def find_stuck_runs(
+    time: Floats, values: Floats, paired_values: Floats | None = None
+) -> list[StuckRun]:
     """Find runs in which a channel repeats a value although its quantity changes.
 
     Parameters
     ----------
     time : shape (n,), s, times of the samples
     values : shape (n,), values of the channel; a NaN ends a run
-    pair : shape (n,), values of the other quantity of the test (the displacement for a
+    paired_values : shape (n,), values of the other quantity of the test (the displacement for a
         force, the force for a displacement); None if it was not recorded
 
     Returns
@@ -74,21 +76,20 @@ def find_stuck_runs(time: Floats, values: Floats, pair: Floats | None = None) ->
     np.equal(values[1:], values[:-1], out=is_equal[1:-1])
     starts, stops = np.flatnonzero(is_equal[1:] != is_equal[:-1]).reshape(-1, 2).T
     lengths = stops - starts + 1
-    if not (lengths >= min_run).any():
-        return []
-    extremes = low, high = float(np.nanmin(values)), float(np.nanmax(values))
-    if not high > low:
-        return []
-    channel = _Channel(
-        time, values, pair, starts, lengths=lengths, extremes=extremes, full_range=high - low
-    )
-    long_runs = np.flatnonzero(lengths >= max(min_run, _UNUSUAL_RUN_FACTOR * channel.usual_run))
     candidates = np.flatnonzero(lengths >= min_run)
-    extreme_runs = candidates[channel.is_extreme(starts[candidates])]
+    if not len(candidates):
+        return []
+    extremes = float(np.nanmin(values)), float(np.nanmax(values))
+    if not extremes[1] > extremes[0]:
+        return []
+    channel = _Channel(time, values, paired_values, starts, lengths, extremes)
+    min_long_run = max(min_run, _UNUSUAL_RUN_FACTOR * channel.usual_run_length)
+    long_runs = np.flatnonzero(lengths >= min_long_run)
+    extreme_runs = candidates[np.isin(values[starts[candidates]], extremes)]
     stuck_runs = []
     for run in np.union1d(long_runs, extreme_runs).tolist():
         start, stop = int(starts[run]), int(starts[run] + lengths[run])
-        is_clipped = bool(channel.is_extreme(np.array([start]))[0])
+        is_clipped = float(values[start]) in extremes
         if channel.is_stuck(start, stop, is_clipped=is_clipped):
             stuck_runs.append(StuckRun(start, stop, is_clipped))
     return stuck_runs
@@ -100,22 +101,25 @@ class _Channel:
 
     Parameters
     ----------
-    time, values, pair : arguments of `find_stuck_runs`
+    time, values, paired_values : arguments of `find_stuck_runs`
     starts, lengths : shape (runs,), first samples and lengths of the runs of two or more samples
     extremes : minimum and maximum of the values
-    full_range : difference of the extremes
     """
 
     time: Floats
     values: Floats
-    pair: Floats | None
+    paired_values: Floats | None
     starts: Ints
     lengths: Ints
     extremes: tuple[float, float]
-    full_range: float
+
+    @property
+    def full_range(self) -> float:
+        """Difference of the extremes, in the unit of the channel."""
+        return self.extremes[1] - self.extremes[0]
 
     @cached_property
-    def usual_run(self) -> float:
+    def usual_run_length(self) -> float:
         """95 % quantile of the run lengths, in samples; single samples are runs of length 1."""
         n_single = len(self.values) - np.count_nonzero(np.isnan(self.values)) - self.lengths.sum()
         rank = 0.95 * (n_single + len(self.lengths) - 1) - n_single
@@ -123,7 +127,7 @@ class _Channel:
         return float(np.interp(rank, ranks, np.append(1, np.sort(self.lengths))))
 
     @cached_property
-    def rounding(self) -> float:
+    def rounding_error(self) -> float:
         """Size up to which a step is a rounding error, in the unit of the channel."""
         max_rounding_fraction = 1e-7
         return min(max_rounding_fraction, 0.1 / len(self.values)) * self.full_range
@@ -132,7 +136,7 @@ class _Channel:
     def steps(self) -> tuple[Floats, Floats]:
         """Sizes of the steps above the rounding error, and durations of these steps, s."""
         steps = np.abs(np.diff(self.values))
-        is_moving = steps > self.rounding  # False for NaN
+        is_moving = steps > self.rounding_error  # False for NaN
         sizes = steps[is_moving]
         if not len(sizes):  # all changes are across gaps
             sizes, is_moving = np.array([self.full_range]), np.r_[True, is_moving[1:]]
@@ -149,13 +153,13 @@ class _Channel:
         if len(self.values) > max_grid_check_samples:
             return float(self.steps[0].min())
         steps = np.diff(np.sort(self.values[~np.isnan(self.values)]))
-        steps = steps[steps > self.rounding]
+        steps = steps[steps > self.rounding_error]
         multiples = steps / steps.min()
         is_on_grid = (np.abs(multiples - np.round(multiples)) < 0.1).all()
-        return float(steps.min()) if is_on_grid else self.rounding
+        return float(steps.min()) if is_on_grid else self.rounding_error
 
     @cached_property
-    def speed(self) -> float:
+    def usual_speed(self) -> float:
         """95 % quantile of the speeds of the steps, in the unit of the channel per second."""
         sizes, durations = self.steps
         return float(np.quantile(sizes / durations, 0.95))
@@ -163,15 +167,11 @@ class _Channel:
     @cached_property
     def longest_noise_run(self) -> float:
         """Longest run that noise produces, in samples; infinite for a quiet channel."""
-        is_unusual = self.lengths > _UNUSUAL_RUN_FACTOR * max(1.0, self.usual_run)
+        is_unusual = self.lengths > _UNUSUAL_RUN_FACTOR * max(1.0, self.usual_run_length)
         is_used = ~np.isnan(self.values)
         for start, length in zip(self.starts[is_unusual], self.lengths[is_unusual], strict=True):
             is_used[start : start + length] = False
         return _compute_longest_noise_run(self.values[is_used], len(self.values), self.resolution)
-
-    def is_extreme(self, samples: Ints) -> Flags:
-        """Return whether samples have the minimum or the maximum value."""
-        return np.isin(self.values[samples], self.extremes)
 
     def is_stuck(self, start: int, stop: int, *, is_clipped: bool) -> bool:
         """Return whether a run repeats a value although its quantity changes."""
@@ -199,29 +199,22 @@ class _Channel:
         if not self._is_jump(stop) or (start > 0 and self._is_jump(start)):
             return False
         # A coarse converter has long runs between its steps.
-        usual_run = max(self.usual_run, self._count_previous_run(start))
-        if stop - start <= _UNUSUAL_RUN_FACTOR * usual_run:
+        usual_run_length = max(self.usual_run_length, self._count_previous_run(start))
+        if stop - start <= _UNUSUAL_RUN_FACTOR * usual_run_length:
             return False
-        if self.pair is None:  # at a failure of the specimen, the force drops to zero
+        if self.paired_values is None:  # at a failure of the specimen, the force drops to zero
             return stop - start >= _MIN_NOISY_RUN and not self._is_at_rest(stop)
-        steps = np.abs(np.diff(self.pair))
+        steps = np.abs(np.diff(self.paired_values))
         is_smooth = steps[stop - 1] <= _JUMP_SPEED_FACTOR * float(np.nanquantile(steps, 0.95))
-        return bool(is_smooth) and self._compute_pair_travel(start, stop) > _MIN_JUMP_FRACTION
+        pair_travel = _compute_relative_travel(self.paired_values, start, stop)
+        return bool(is_smooth) and pair_travel > _MIN_JUMP_FRACTION
 
     def _is_jump(self, sample: int) -> bool:
         """Return whether the step to a sample is much faster than the usual steps."""
         jump = abs(float(self.values[sample] - self.values[sample - 1]))
         duration = max(float(self.time[sample] - self.time[sample - 1]), 1e-12)
         min_jump = _MIN_JUMP_FRACTION * self.full_range
-        return jump > min_jump and jump > _JUMP_SPEED_FACTOR * self.speed * duration
-
-    def _compute_pair_travel(self, start: int, stop: int) -> float:
-        """Compute the range of the other quantity in the run, as a fraction of the full range."""
-        if self.pair is None or np.isnan(self.pair[start:stop]).all():
-            return 0.0
-        travel = float(np.nanmax(self.pair[start:stop]) - np.nanmin(self.pair[start:stop]))
-        pair_range = float(np.nanmax(self.pair) - np.nanmin(self.pair))
-        return travel / pair_range if pair_range > 0.0 else 0.0
+        return jump > min_jump and jump > _JUMP_SPEED_FACTOR * self.usual_speed * duration
 
     def _interrupts_motion(self, start: int, stop: int) -> bool:
         """Return whether the run has steep sides while the other quantity continues."""
@@ -230,18 +223,22 @@ class _Channel:
         min_travel, min_certain_run = 0.3, 8  # fraction of the full range; samples
         sides = [(start, -1)] if start >= 2 else []
         sides += [(stop - 1, 1)] if stop + 1 < len(self.values) else []
-        if self.pair is None or not sides:
+        paired_values, run_length = self.paired_values, stop - start
+        if paired_values is None or not sides:
             return False
-        keeps_speed = [self._does_pair_keep_speed(sample, stop - start) for sample, _ in sides]
+        keeps_speed = [_keeps_speed(self.time, paired_values, i, run_length) for i, _ in sides]
         # In a shorter run, the speed at one of the ends is uncertain.
-        is_certain = stop - start >= min_certain_run
+        is_certain = run_length >= min_certain_run
         pair_continues = all(keeps_speed) if is_certain else any(keeps_speed)
-        usual_run = max(self.usual_run, self._count_previous_run(start))
-        is_long = stop - start >= plateau_factor * usual_run
-        has_travel = self._compute_pair_travel(start, stop) > min_travel
-        if is_long and has_travel and self._does_pair_keep_direction(start, stop):
+        usual_run_length = max(self.usual_run_length, self._count_previous_run(start))
+        is_long = run_length >= plateau_factor * usual_run_length
+        has_travel = _compute_relative_travel(paired_values, start, stop) > min_travel
+        # In a hold, the other quantity does not continue in the same direction.
+        travel_before = float(paired_values[start] - paired_values[max(0, start - run_length)])
+        travel_after = float(paired_values[start + run_length // 4] - paired_values[start])
+        if is_long and has_travel and travel_before * travel_after > 0.0:
             return True
-        is_steep = (self._leaves_steeply(sample, sign, stop - start) for sample, sign in sides)
+        is_steep = (self._leaves_steeply(sample, sign, run_length) for sample, sign in sides)
         return pair_continues and (is_long or all(is_steep))
 
     def _count_previous_run(self, start: int) -> int:
@@ -253,22 +250,15 @@ class _Channel:
         other_samples = np.flatnonzero(self.values[:start] != level)
         return start - 1 - int(other_samples[-1]) if len(other_samples) else start
 
-    def _does_pair_keep_direction(self, start: int, stop: int) -> bool:
-        """Return whether the other quantity continues in the same direction, unlike in a hold."""
-        pair = self.pair
-        if pair is None:
-            return False
-        travel_before = float(pair[start] - pair[max(0, start - (stop - start))])
-        return travel_before * float(pair[start + (stop - start) // 4] - pair[start]) > 0.0
-
-    def _leaves_steeply(self, sample: int, direction: int, length: int) -> bool:
+    def _leaves_steeply(self, sample: int, direction: int, run_length: int) -> bool:
         """Return whether the channel leaves a sample steeply, forwards (1) or backwards (-1)."""
         # The rise within half the run length must exceed a number of steps of the resolution (a
         # rounded peak has 3) and a fraction of the range, below which missing values have no
         # effect. A rounded peak has a smaller ratio of the slope next to the run to the slope
         # farther away.
         min_rise_in_steps, min_rise_fraction, min_slope_ratio = 5.0, 0.005, 0.3
-        reach = min(max(2, length // 2), sample if direction < 0 else len(self.values) - 1 - sample)
+        max_reach = sample if direction < 0 else len(self.values) - 1 - sample
+        reach = min(max(2, run_length // 2), max_reach)
         rise = np.abs(self.values[sample + direction * np.arange(reach + 1)] - self.values[sample])
         if reach < 2 or not np.isfinite(rise).all():
             return False
@@ -280,30 +270,37 @@ class _Channel:
         is_far = rise[-1] > max(min_rise_in_steps * self.resolution, min_rise)
         return bool(is_far) and near_slope >= min_slope_ratio * far_slope
 
-    def _does_pair_keep_speed(self, sample: int, length: int) -> bool:
-        """Return whether the other quantity passes a sample at about constant speed."""
-        min_speed_ratio, max_speed_ratio = 0.4, 2.5  # speed after over speed before the sample
-        noise_factor = 5.0  # smallest travel, in standard deviations of the noise
-        pair = self.pair
-        if pair is None:
-            return False
-        min_travel = noise_factor * estimate_noise_level(pair)
-        reach = max(1, min(length // 4, max(8, len(pair) // 50)))
-        samples = [max(0, sample - reach), sample, min(len(pair) - 1, sample + reach)]
-        travel, duration = (np.diff(values[samples]) for values in (pair, self.time))
-        if not (np.abs(travel) > min_travel).all():  # also if a value is NaN
-            return False
-        speed_before, speed_after = travel / np.maximum(duration, 1e-12)
-        return bool(min_speed_ratio <= speed_after / speed_before <= max_speed_ratio)
+
+def _compute_relative_travel(values: Floats, start: int, stop: int) -> float:
+    """Compute the range of a quantity in a run, as a fraction of its full range; 0 if unknown."""
+    if np.isnan(values[start:stop]).all():
+        return 0.0
+    travel = float(np.nanmax(values[start:stop]) - np.nanmin(values[start:stop]))
+    full_range = float(np.nanmax(values) - np.nanmin(values))
+    return travel / full_range if full_range > 0.0 else 0.0
 
 
-def _compute_longest_noise_run(values: Floats, count: int, resolution: float) -> float:
+def _keeps_speed(time: Floats, values: Floats, sample: int, run_length: int) -> bool:
+    """Return whether a quantity passes the end of a run at about constant speed."""
+    min_speed_ratio, max_speed_ratio = 0.4, 2.5  # speed after over speed before the sample
+    noise_factor = 5.0  # smallest travel, in standard deviations of the noise
+    min_travel = noise_factor * estimate_noise_level(values)
+    reach = max(1, min(run_length // 4, max(8, len(values) // 50)))
+    samples = [max(0, sample - reach), sample, min(len(values) - 1, sample + reach)]
+    travel, duration = np.diff(values[samples]), np.diff(time[samples])
+    if not (np.abs(travel) > min_travel).all():  # also if a value is NaN
+        return False
+    speed_before, speed_after = travel / np.maximum(duration, 1e-12)
+    return bool(min_speed_ratio <= speed_after / speed_before <= max_speed_ratio)
+
+
+def _compute_longest_noise_run(values: Floats, n_samples: int, resolution: float) -> float:
     """Compute the run length that noise exceeds in one of 10^6 records; infinite without noise.
 
     Parameters
     ----------
     values : values of the channel without gaps and unusual runs
-    count : number of samples of the record
+    n_samples : number of samples of the record
     resolution : quantisation step of the channel
 
     Returns
@@ -314,14 +311,14 @@ def _compute_longest_noise_run(values: Floats, count: int, resolution: float) ->
     # Smallest ratio of the median third difference to the noise. For white noise, the ratio is
     # 0.6745 sqrt(20) = 3.0, and for a smooth curve far below 1.
     min_white_ratio = 2.0
-    changes, noise = np.diff(values, n=3), estimate_noise_level(values)  # third differences
-    if len(changes) < min_differences:
+    third_differences, noise = np.abs(np.diff(values, n=3)), estimate_noise_level(values)
+    if len(third_differences) < min_differences:
         return float("inf")
-    if not noise > resolution or median(np.abs(changes, out=changes)) < min_white_ratio * noise:
+    if not noise > resolution or median(third_differences) < min_white_ratio * noise:
         return float("inf")  # the channel has no noise, or is a smooth curve
     # Two neighbours have the same value with this probability, in spite of noise.
     equal_probability = resolution / (2.0 * sqrt(pi) * noise)
-    return max(_MIN_NOISY_RUN, 1.0 + log(false_alarm_rate / count) / log(equal_probability))
+    return max(_MIN_NOISY_RUN, 1.0 + log(false_alarm_rate / n_samples) / log(equal_probability))
 
 
 def find_spikes(force: Floats) -> Ints:

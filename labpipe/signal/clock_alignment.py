@@ -95,15 +95,16 @@ def match_peaks(motion_times: Floats, force_times: Floats) -> tuple[Ints, bool]:
         return np.empty((0, 2), dtype=np.int64), False
     candidates = []
     for shift in range(-len(motion_times) + 1, len(force_times)):
-        peaks = np.arange(max(0, -shift), min(len(motion_times), len(force_times) - shift))
-        differences = force_times[peaks + shift] - motion_times[peaks]
+        motion_peaks = np.arange(max(0, -shift), min(len(motion_times), len(force_times) - shift))
+        differences = force_times[motion_peaks + shift] - motion_times[motion_peaks]
         spread = round(float(np.ptp(differences)), 1)  # s; finer spreads are errors of the peaks
-        candidates.append((-len(peaks), spread, abs(float(np.median(differences))), shift, peaks))
+        distance = abs(float(np.median(differences)))
+        candidates.append((-len(motion_peaks), spread, distance, shift, motion_peaks))
     candidates.sort(key=lambda candidate: candidate[:4])
     best_candidate, *other_candidates = candidates
     is_ambiguous = any(candidate[:2] == best_candidate[:2] for candidate in other_candidates)
-    *_, shift, peaks = best_candidate
-    return np.column_stack([peaks, peaks + shift]), is_ambiguous
+    *_, shift, motion_peaks = best_candidate
+    return np.column_stack([motion_peaks, motion_peaks + shift]), is_ambiguous
 
 
 @dataclass(frozen=True, slots=True)
@@ -233,8 +234,8 @@ def _compute_variance_factor(residuals: Floats, *, freedom: int) -> float:
     """
     if freedom < 1:
         return 1.0
-    a, normal_quantile = 2.0 / (9.0 * freedom), 2.3263
-    chi_square_limit = freedom * (1.0 - a + normal_quantile * np.sqrt(a)) ** 3
+    variance, normal_quantile = 2.0 / (9.0 * freedom), 2.3263  # variance of the cube root
+    chi_square_limit = freedom * (1.0 - variance + normal_quantile * np.sqrt(variance)) ** 3
     chi_square = float(residuals @ residuals)
     return chi_square / freedom if chi_square > chi_square_limit else 1.0
 

@@ -228,16 +228,16 @@ class _ExtremeSide:
 
 
 def _measure_extreme(
-    time: Floats, motion: Floats, ends: tuple[int, int | None], tolerance: float
+    time: Floats, motion: Floats, extremes: tuple[int, int | None], tolerance: float
 ) -> _ExtremeSide | None:
     """Measure the durations near an extreme, between this extreme and the neighbouring one.
 
-    The two ends are the samples of both extremes. Return None without a neighbouring extreme.
+    `extremes` are the samples of both. Return None without a neighbouring extreme.
     """
     # The tolerance is at least a fraction of the travel to the neighbour. A dwell takes at least a
     # fraction of the time to the neighbour, and at least a number of samples.
     min_tolerance_fraction, min_dwell_fraction, min_dwell_samples = 1e-4, 0.005, 5.0
-    turn, neighbour = ends
+    turn, neighbour = extremes
     if neighbour is None:
         return None
     samples = np.arange(turn, neighbour, 1 if neighbour > turn else -1)
@@ -510,8 +510,8 @@ def find_level_jumps(
     min_jump = max(min_jump, noise_factor * estimate_noise_level(finite_values))
     # The changes next to a jump deviate from the usual speed by at most a fifth of the jump. They
     # therefore differ from the jump by at least 0.8 of its size.
-    differences = np.abs(np.diff(speeds))
-    min_differences = np.minimum(differences[:-1], differences[1:])
+    speed_differences = np.abs(np.diff(speeds))
+    min_differences = np.minimum(speed_differences[:-1], speed_differences[1:])
     steps = np.flatnonzero(min_differences * durations[1:-1] > 0.8 * min_jump) + 1
     steps = steps[(steps >= compared_steps) & (steps < len(speeds) - compared_steps)]
     offsets = [offset for offset in range(-compared_steps, compared_steps + 1) if offset]

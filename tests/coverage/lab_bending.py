@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from labpipe.process.reading import name_channels
+from labpipe.process.reading import convert_channels
 from labpipe.process.story import reduce_recordings
 from labpipe.protocol.load import load_test_sheet, resolve_protocol
 from labpipe.protocol.schema import Protocol
@@ -210,12 +210,12 @@ def _plan(sheet: str, folder: Path, protocols: Path) -> Protocol:
 
 
 def _reduced(roles: dict[str, Recording], plan: Protocol) -> tuple[Result, ...]:
-    named: dict[str, Recording] = {
-        role: name_channels(roles[role], source, Path(role)) if role != "markers" else roles[role]
-        for role, source in plan.sources.items()
-        if role in roles
+    recordings: dict[str, Recording] = {
+        x: convert_channels(roles[x], source, Path(x)) if x != "markers" else roles[x]
+        for x, source in plan.sources.items()
+        if x in roles
     }
-    return reduce_recordings(named, plan).results
+    return reduce_recordings(recordings, plan).results
 
 
 def wire_truth(test: Observation[CantileverScenario]) -> Truth:

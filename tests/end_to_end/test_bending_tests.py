@@ -12,7 +12,7 @@ import pytest
 from scipy.stats import binomtest
 
 from labpipe.cli import main
-from labpipe.process.reading import name_channels
+from labpipe.process.reading import convert_channels
 from labpipe.process.story import reduce_recordings
 from labpipe.protocol.load import parse_protocol
 from labpipe.records.arrays import Floats
@@ -179,7 +179,7 @@ def test_intervals_of_the_law_cover(repository: Path) -> None:
             drawn = nominal + 0.1 * rng.standard_normal()
             text = text.replace(f"{key}: {nominal:g} mm", f"{key}: {drawn:.6f} mm")
         plan, seen = parse_protocol(text, "p.yaml"), recordings_of(observe(scenario, seed))
-        force = name_channels(seen["force"], plan.sources["force"], Path("force.mat"))
+        force = convert_channels(seen["force"], plan.sources["force"], Path("force.mat"))
         done: Any = reduce_recordings({"force": force, "markers": seen["markers"]}, plan)
         law = done.reduced_test.bending.law
         points = evaluate_law(

@@ -129,7 +129,7 @@ def test_slips_are_in_the_ledger_and_repaired(done: Make) -> None:
     np.testing.assert_allclose(added[: first.start], 0.0)
     np.testing.assert_allclose(added[first.stop : second.start], first.drop)
     np.testing.assert_allclose(added[second.stop :], first.drop + second.drop)
-    assert lab.notes["slip_repaired"].endswith(": added back to the rest of the curve")
+    assert lab.notes["slip_repaired"].endswith("is added to the curve after the slip")
 
 
 def test_what_the_frame_gives_is_taken_off(tmp_path: Path, run: Run, done: Make) -> None:

@@ -323,7 +323,7 @@ def test_cycles_that_are_not_alike_are_joined_by_their_turns_alone(
     monkeypatch: pytest.MonkeyPatch, lag: float, is_used: bool
 ) -> None:
     repeat = CycleLag(20.0, lag * (1.0 + DRIFT), 1e-3)
-    monkeypatch.setattr("labpipe.process.motion._measure_repeat", lambda *_: repeat)
+    monkeypatch.setattr("labpipe.process.motion._measure_cycle_lag", lambda *_: repeat)
     match = aligned(seen(3), window=ALIGN.motion_window)
     assert match.fit is not None
     assert ("repeated" in match.fit.method) is is_used
@@ -331,7 +331,7 @@ def test_cycles_that_are_not_alike_are_joined_by_their_turns_alone(
     messages = [note.message for note in match.findings.notes if note.code == "cycles_not_alike"]
     assert len(messages) == (not is_used)
     if messages:
-        assert messages[0].startswith("the force of the last cycle is 20.202 s later than that of")
+        assert messages[0].startswith("the last cycle of the force is 20.202 s later than the")
 
 
 def joined(test: Dwelling, *, hidden: int | None = None) -> Joined:

@@ -131,7 +131,7 @@ def test_more_give_than_the_test_has_is_refused() -> None:
     """5 N/mm is 200 um/N in all: a frame of 300 um/N would leave the specimen shorter."""
     message = (
         r"curve\.compliance: expected a compliance below that of this test, 200\.?\d* um/N in "
-        r"loading, found 300 um/N, with which the specimen would get shorter\. Check its unit"
+        r"loading, found 300 um/N, by which the corrected displacement decreases in loading\."
     )
     with pytest.raises(ProcessingError, match=message):
         pulled(*pull(), curve="compliance: {value: 300 um/N}")

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from labpipe.process.motion import Motion
-from labpipe.process.run import find_day_and_operator
+from labpipe.process.run import find_date_and_operator
 from labpipe.process.sanity_checks import (
     check_calibration_due,
     check_lost_samples,
@@ -360,7 +360,7 @@ def test_a_test_after_the_day_is_doubted(approved: Approve) -> None:
 )
 def test_day_of_a_test(sheet: str, metadata: dict[str, object], day: date | None) -> None:
     exports = {"force": Recording("a"), "markers": Recording("b", metadata=metadata)}
-    assert find_day_and_operator(sheet, exports)[0] == day
+    assert find_date_and_operator(sheet, exports)[0] == day
 
 
 def test_instruments_are_those_with_a_certificate() -> None:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from labpipe.errors import ProcessingError, ReadError
-from labpipe.process.reading import join_exports, name_channels, read_inputs, read_role
+from labpipe.process.reading import convert_channels, join_exports, read_inputs, read_role_export
 from labpipe.process.steps import calibrate
 from labpipe.protocol.load import (
     load_test_sheet,
@@ -141,7 +141,7 @@ def test_a_test_without_any_sample(
 
 def test_a_channel_that_is_spelt_otherwise_is_told(tmp_path: Path) -> None:
     source = protocol("{reader: dspace-mat, channel: [Load, Force, Kraft, out2], unit: N}")
-    recording = read_role(export(tmp_path), source.sources["force"])
+    recording = read_role_export(export(tmp_path), source.sources["force"])
     assert recording.channels[0].path == "Model/Out2"
     facts = {"names": "'Load' or 'Force' or 'Kraft' ...", "path": "Model/Out2"}
     expected = QualityNote.of("process.channel_spelt_otherwise", "force", **facts)
@@ -160,7 +160,7 @@ sources: {frame: {reader: load-frame, channels: {force: {channel: [Load, Force]}
     [
         (
             replace(part(0.0), clocks=(Clock("time", np.arange(20.0), "1"),)),
-            r"b\.txt: expected a part of a recording with times, by which parts are put in order",
+            r"b\.txt: expected a part of a recording with times, by which the parts are sorted",
         ),
         (
             replace(part(0.0), clocks=2 * part(0.0).clocks),
@@ -179,13 +179,13 @@ def test_one_of_several_specimens_is_to_be_chosen(tmp_path: Path) -> None:
     path.write_bytes(trapezium((40, 25, 3)))
     source = parse_protocol(SPECIMENS, "p.yaml").sources["frame"]
     with pytest.raises(ReadError) as refused:
-        read_role(path, source)
+        read_role_export(path, source)
     assert str(refused.value) == (
         f"{path}: expected one specimen, found 3: 'C1', 'C2', 'C3'. Choose one with"
         " 'sources.frame.part: {value: C1, because: ...}' under 'overrides' in test.yaml."
     )
     chosen = source.model_copy(update={"part": "C2"})
-    assert len(read_role(path, chosen).channels[0].values) == 25
+    assert len(read_role_export(path, chosen).channels[0].values) == 25
 
 
 def source(*, unit: str = "", wrong: str = "") -> Source:
@@ -197,8 +197,8 @@ def source(*, unit: str = "", wrong: str = "") -> Source:
 
 def recorded(tmp_path: Path, stated: str, asked: Source) -> Recording:
     """Read an export whose one channel states a unit."""
-    signals = [Signal("Model", "Out1", RISING, unit=stated)]
-    return read_role(write_mat_v5(tmp_path / "a.mat", [Axis(0.01 * np.arange(20))], signals), asked)
+    axes, signals = [Axis(0.01 * np.arange(20))], [Signal("Model", "Out1", RISING, unit=stated)]
+    return read_role_export(write_mat_v5(tmp_path / "a.mat", axes, signals), asked)
 
 
 @pytest.mark.parametrize(
@@ -243,11 +243,11 @@ def test_sizes_that_no_lab_has(tmp_path: Path, approved: Approve) -> None:
     with pytest.raises(ReadError) as force_refused:
         recorded(tmp_path, "MN", source())
     with pytest.raises(ReadError) as take_refused:
-        name_channels(Recording("motive-csv", markers=far), asked, tmp_path / "a.mat")
+        convert_channels(Recording("motive-csv", markers=far), asked, tmp_path / "a.mat")
     messages = [str(refused.value) for refused in (force_refused, take_refused)]
     approved(message.replace(str(tmp_path / "a.mat"), "a.mat") for message in messages)
     spike = take(3, "marker", [0, 0, 120.0])["markers"]
-    assert name_channels(spike, asked, Path()).markers is spike.markers
+    assert convert_channels(spike, asked, Path()).markers is spike.markers
 
 
 PROTOCOL = parse_protocol(

@@ -229,7 +229,7 @@ def test_results_are_found_once_and_in_order(
     ]
 
 
-STOPPED = "found one that labpipe was writing when it was stopped. Process the test again."
+STOPPED = "found a folder that labpipe was writing when it was stopped. Process the test again."
 
 
 @pytest.mark.parametrize(
@@ -318,15 +318,15 @@ def protocol(old: str = "", new: str = "") -> Protocol:
 
 def test_what_makes_one_recording_of_two_results() -> None:
     """Not the names of test and files: their bytes, and what the protocol takes of them."""
-    own = identify_recording(RESULT, protocol()).exports
+    own = identify_recording(RESULT, protocol()).export_key
     first, second = RESULT.inputs
     renamed = tuple(replace(file, file="c.csv") for file in (second, first))
     renamed_test = replace(RESULT, test="T-2", specimen=Specimen("hose", "2", "2"), inputs=renamed)
-    assert identify_recording(renamed_test, protocol()).exports == own
+    assert identify_recording(renamed_test, protocol()).export_key == own
     changed = replace(RESULT, inputs=(first, replace(second, sha256="56")))
-    assert identify_recording(changed, protocol()).exports != own
+    assert identify_recording(changed, protocol()).export_key != own
     for old, new in (("Specimen 1", "Specimen 2"), ("F}", "F2}"), ("wire 1", "w"), ("Base", "B2")):
-        assert identify_recording(RESULT, protocol(old, new)).exports != own, new
+        assert identify_recording(RESULT, protocol(old, new)).export_key != own, new
 
 
 def test_all_but_the_first_are_copies() -> None:

@@ -10,7 +10,7 @@ import pytest
 from scipy.signal import lfilter
 
 from labpipe.process.motion import Motion
-from labpipe.process.reading import name_channels
+from labpipe.process.reading import convert_channels
 from labpipe.process.steps import (
     average_level,
     compute_min_zero_samples,
@@ -115,7 +115,7 @@ def reduced_wire(repository: Path, *, rest: float) -> tuple[ReducedTest, dict[st
     text = (repository / "protocols" / "wire-cantilever.yaml").read_text(encoding="utf-8")
     text = text.replace("crosshead_speed: 1 mm/s", "crosshead_speed: 4 mm/s")
     plan, seen = parse_protocol(text, "p.yaml"), recordings_of(observe(scenario, 4))
-    force = name_channels(seen["force"], plan.sources["force"], Path("force.mat"))
+    force = convert_channels(seen["force"], plan.sources["force"], Path("force.mat"))
     reduced = reduce_recordings({"force": force, "markers": seen["markers"]}, plan)
     return reduced.reduced_test, {result.name: result for result in reduced.results}
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labpipe.process.reading import name_channels
+from labpipe.process.reading import convert_channels
 from labpipe.process.story import reduce_recordings
 from labpipe.protocol.load import parse_protocol
 from labpipe.records.curve import (
@@ -63,7 +63,7 @@ def reduced(
         assert text.count(old) == 1, old
         text = text.replace(old, new)
     plan, seen = parse_protocol(text, "p.yaml"), recordings_of(observe(scenario, 3))
-    force = name_channels(seen["force"], plan.sources["force"], Path("force.mat"))
+    force = convert_channels(seen["force"], plan.sources["force"], Path("force.mat"))
     done = reduce_recordings({"force": force, "markers": seen["markers"]}, plan)
     return done.reduced_test, {result.name: result for result in done.results}
 

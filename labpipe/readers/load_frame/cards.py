@@ -54,11 +54,11 @@ def _check_encoding(name: str) -> str:
     return name
 
 
-def _parse_separator(sign: str) -> str:
+def _parse_separator(separator: str) -> str:
     """Parse a separator, which is one ASCII character or the word ``blanks``."""
-    is_sign = sign == "blanks" or (len(sign) == 1 and sign.isascii())
-    require(is_sign, 'should be one sign, or "blanks"')
-    return " " if sign == "blanks" else sign
+    is_valid = separator == "blanks" or (len(separator) == 1 and separator.isascii())
+    require(is_valid, 'should be one sign, or "blanks"')
+    return " " if separator == "blanks" else separator
 
 
 _Text = Annotated[str, Field(pattern=r"\S")]

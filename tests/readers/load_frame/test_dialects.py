@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from labpipe.errors import ReadError
-from labpipe.process.reading import read_role
+from labpipe.process.reading import read_role_export
 from labpipe.protocol.source import Source, assign_roles
 from labpipe.readers import load_frame, read_export, recognise_export
 from tests.approved import Approve
@@ -282,7 +282,7 @@ def test_units_that_a_protocol_and_a_card_say(
             },
         }
     )
-    recording = read_role(file, assign_roles({"frame": source})["frame"])
+    recording = read_role_export(file, assign_roles({"frame": source})["frame"])
     np.testing.assert_allclose(time(recording), TIME)
     force, travel = recording.channels
     assert (force.name, force.unit, travel.unit) == ("force", "N", "m")
