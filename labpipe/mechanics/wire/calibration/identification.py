@@ -197,7 +197,9 @@ def find_separability(names: tuple[str, ...], jacobian: Floats, subject: str) ->
     max_unknown_weight = 0.05  # largest squared weight of a known parameter in unknown directions
     _, values, directions = np.linalg.svd(jacobian, full_matrices=False)
     # The sign of a singular vector is arbitrary, and differs between processors.
-    directions *= np.sign(directions[np.arange(len(directions)), np.abs(directions).argmax(axis=1), None])
+    directions *= np.sign(
+        directions[np.arange(len(directions)), np.abs(directions).argmax(axis=1), None]
+    )
     is_unknown = values < min_singular_value
     weights = np.sum(directions[is_unknown] ** 2, axis=0)
     is_known = {
