@@ -339,7 +339,10 @@ def _compute_effect(group: Group, number: GroupNumber, tests: set[str]) -> Effec
     """
     lost_interval_size = 10.0  # size for a mean of a single value, which has no interval
     label, n = f"{wording.format_label(number.name)} of {group.name}", number.mean.chosen.n
-    n_missing = len(tests & number.exclusions.keys())
+    units, missing_tests = _get_units(group, number), tests & number.exclusions.keys()
+    n_missing = len(
+        {units[test] for test in missing_tests} - {units[test] for test in number.values}
+    )
     if n_missing and not number.values:
         return Effect(inf, format_sentence("report.effect_no_value", number=label))
     if n_missing and n == 1:
@@ -350,8 +353,21 @@ def _compute_effect(group: Group, number: GroupNumber, tests: set[str]) -> Effec
         width_ratio = half_widths[0] / half_widths[1]
         facts = {"n": n, "n_all": n_all, "number": label, "wider": width_ratio}
         return Effect(width_ratio - 1.0, format_sentence("report.effect_fewer_values", **facts))
+    if missing_tests:  # other tests of their spools have values
+        n_all = len(number.values) + len(missing_tests)
+        facts = {"n": len(number.values), "n_all": n_all, "number": label}
+        width_ratio = sqrt(n_all / len(number.values))
+        return Effect(width_ratio - 1.0, format_sentence("report.effect_fewer_tests", **facts))
     included_tests = tests & number.values.keys()
     return _compute_shift(group, number, included_tests, label) if included_tests else None
+
+
+def _get_units(group: Group, number: GroupNumber) -> dict[str, str]:
+    """Return the unit of each test that counts once in the mean: its spool, or the test."""
+    return {
+        sample.test: sample.test if number.mean.is_pooled else sample.specimen.spool
+        for sample in group.samples
+    }
 
 
 def _compute_shift(group: Group, number: GroupNumber, tests: set[str], label: str) -> Effect:
@@ -365,16 +381,14 @@ def _compute_shift(group: Group, number: GroupNumber, tests: set[str], label: st
     label : text that names number and group
     """
     all_values_size = 5.0  # size of a cause that affects all values
-    spools = {sample.test: sample.specimen.spool for sample in group.samples}
-    values_by_spool: dict[str, list[float]] = {}
+    units, values_by_unit = _get_units(group, number), dict[str, list[float]]()
     for test, result in number.values.items():
         if test not in tests and result.value is not None:
-            spool = "" if number.mean.is_pooled else spools.get(test, "")
-            values_by_spool.setdefault(spool, []).append(result.value)
-    if not values_by_spool:
+            values_by_unit.setdefault(units[test], []).append(result.value)
+    if not values_by_unit:
         return Effect(all_values_size, format_sentence("report.effect_all_values", number=label))
     value, half_width = number.mean.chosen.mean, number.mean.chosen.half_width
-    shift = float(np.mean([np.mean(values) for values in values_by_spool.values()])) - value
+    shift = float(np.mean([np.mean(values) for values in values_by_unit.values()])) - value
     size = abs(shift) / half_width if half_width > 0.0 else 0.0
     percentage = f"{wording.format_percent(abs(shift / value))} " if value else ""
     text = f"{label} would be {percentage}{'higher' if shift > 0.0 else 'lower'}"

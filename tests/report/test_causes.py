@@ -69,8 +69,9 @@ def group_of(
     *notes: QualityNote,
     quality: Mapping[str, tuple[QualityNote, ...]] | None = None,
     name: str = "A",
+    spools: str = "",
 ) -> Group:
-    """A group whose stiffness has these values."""
+    """A group whose stiffness has these values; a letter of `spools` is the spool of a test."""
     samples: list[Sample] = []
     for test, value in values.items():
         status = Status.DOUBTFUL if test in doubtful else Status.OK
@@ -78,7 +79,10 @@ def group_of(
         reasons = () if status is Status.OK else DRIFT
         result = Result("stiffness", value, "N/m", None, status, reasons, method="m")
         test_notes = (quality or {}).get(test, ())
-        samples.append(replace(BASE, test=test, results=(result,), quality=test_notes, loading=()))
+        spool = spools[len(samples)] if spools else BASE.specimen.spool
+        specimen = replace(BASE.specimen, spool=spool, sample=test)
+        sample = replace(BASE, test=test, specimen=specimen, results=(result,), loading=())
+        samples.append(replace(sample, quality=test_notes))
     return replace(groups.build_group(name, "p", samples, signed_names={"stiffness"}), notes=notes)
 
 
@@ -166,3 +170,19 @@ def test_what_a_cause_does_to_a_mean(
     set_by_rig = tuple(replace(number, is_set_by_rig=True) for number in group.numbers)
     (cause,) = find_causes(campaign_of(replace(group, numbers=set_by_rig)))[0]
     assert cause.effect is None
+
+
+@pytest.mark.parametrize(
+    ("spools", "text"),
+    [
+        ("xxyyzzv", "Stiffness of A is the mean of 3 of 4 values"),  # of spools
+        ("xxyyzzz", "Stiffness of A is a mean of spools with 6 of 7 tests"),
+    ],
+)
+def test_a_mean_over_spools_loses_spools(spools: str, text: str) -> None:
+    values = dict(zip("abcdefg", (10, 10.1, 15, 15.1, 20, 20.1, None), strict=True))
+    group = group_of(values, spools=spools)
+    assert not group.numbers[0].mean.is_pooled
+    (cause,) = find_causes(campaign_of(group))[0]
+    assert cause.effect is not None
+    assert cause.effect.text.startswith(text)
