@@ -376,7 +376,7 @@ def _describe_distance(track: Floats, merged_track: Floats, start: int, stop: in
     ends = (start - 1, merged_track[0]), (stop, merged_track[-1])
     gaps = [np.linalg.norm(track[frame] - end) for frame, end in ends if 0 <= frame < len(track)]
     largest = float(np.fmax.reduce(gaps, initial=-np.inf))
-    return f", {1e3 * largest:.2f} mm apart where they meet" if np.isfinite(largest) else ""
+    return f", {1e3 * largest:.2f} mm apart at the joint" if np.isfinite(largest) else ""
 
 
 def group_rings(names: Sequence[str]) -> dict[str, tuple[str, ...]]:

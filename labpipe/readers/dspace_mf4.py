@@ -7,7 +7,7 @@ master channel.
 
 **Units**: those of the channels. No known file has units, so the protocol states them.
 
-**Missing data**: the format has no missing values. Infinities become NaN, with a note.
+**Missing data**: samples with an invalidation bit and infinities become NaN, with a note.
 
 **Clock and frame**: the times of the master channel exactly as written, named after the raster.
 
@@ -112,8 +112,15 @@ def _parse_groups(file: Any) -> Export:
             continue
         axes.append((group.channels[master].name, _build_loader(file, group_index, master)))
         traces += [
-            _make_trace(file, group_index, index, len(axes) - 1)
-            for index in range(len(group.channels))
+            Trace(
+                name=channel.name.rsplit("/", 1)[-1],
+                path=channel.name,
+                unit_in_file=channel.unit or "",
+                axis_index=len(axes) - 1,
+                load=_build_loader(file, group_index, index),
+                properties={"comment": channel.comment or ""},
+            )
+            for index, channel in enumerate(group.channels)
             if index != master
         ]
     header = file.header
@@ -123,19 +130,6 @@ def _parse_groups(file: Any) -> Export:
         traces=traces,
         origin=properties.get("Origin", ""),
         metadata={"mdf": file.version, "start_time": header.start_time.isoformat(), **properties},
-    )
-
-
-def _make_trace(file: Any, group_index: int, index: int, axis_index: int) -> Trace:
-    """Make a trace of a channel, which is given by the indices of its group and in the group."""
-    channel = file.groups[group_index].channels[index]
-    return Trace(
-        name=channel.name.rsplit("/", 1)[-1],
-        path=channel.name,
-        unit_in_file=channel.unit or "",
-        axis_index=axis_index,
-        load=_build_loader(file, group_index, index),
-        properties={"comment": channel.comment or ""},
     )
 
 
@@ -152,6 +146,9 @@ def _build_loader(file: Any, group_index: int, index: int) -> Callable[[], Float
         if end_bit > 8 * size or size + invalidation_size > max_record_bytes:
             message = f"channel {index} needs {end_bit} bits of a record of {size} bytes"
             raise ValueError(message)
-        return np.asarray(file.get(group=group_index, index=index).samples, dtype=np.float64)
+        # By default asammdf leaves out invalid samples, which separates the channel from its clock.
+        signal = file.get(group=group_index, index=index, ignore_invalidation_bits=True)
+        is_invalid = np.asarray(signal.invalidation_bits, dtype=bool)  # None becomes False
+        return np.where(is_invalid, np.nan, np.asarray(signal.samples, dtype=np.float64))
 
     return load

@@ -30,6 +30,8 @@ class Signal:
     values: Array
     axis: int = 1
     unit: str = ""
+    invalid: Array | None = None
+    """Flags of invalid samples (MF4 only)."""
 
 
 def write_mat_v5(
@@ -68,7 +70,6 @@ def write_csv(
     stated: int | None = None,
     line_end: str = "\r\n",
 ) -> Path:
-    blank = [""] * len(signals)
     quoted = ORIGIN.replace("\r\n", "\\n")
     lines = [
         "descriptions,General,User,synthetic",
@@ -82,7 +83,7 @@ def write_csv(
         ",".join(["trace_units", "", *(s.unit for s in signals)]),
         ",".join(["raster", *[axis.raster] * (len(signals) + 1)]),
         ",".join(["path", "", *(s.path for s in signals)]),
-        ",".join(["min", "", *("-Infinity" for _ in blank)]),
+        ",".join(["min", "", *["-Infinity"] * len(signals)]),
     ]
     table = np.column_stack([axis.time, *(s.values for s in signals)])
     rows = [",".join(["", *(_cell(value) for value in row)]) for row in table]
@@ -94,17 +95,17 @@ def write_csv(
 def write_mf4(path: Path, axis: Axis, signals: Sequence[Signal]) -> Path:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        from asammdf import MDF
-        from asammdf import Signal as MdfSignal
+        import asammdf
 
-        file = MDF(version="4.10")
+        file = asammdf.MDF(version="4.10")
         file.append(
             [
-                MdfSignal(
+                asammdf.Signal(
                     samples=np.asarray(s.values, dtype=np.float64),
                     timestamps=axis.time,
                     name=f"{s.path}/{s.name}",
                     unit=s.unit,
+                    invalidation_bits=s.invalid,
                 )
                 for s in signals
             ]

@@ -47,7 +47,7 @@ TIME = np.arange(200) * 0.001
 FORCE = Signal("Model Root/Load Cell", "In1", np.sin(TIME), unit="V")
 LASER = Signal("Model Root/Laser Sensor\\n", "In1", np.cos(TIME))
 MF4 = [
-    Signal("Model Root/Load Cell", "In1", np.sin(TIME)),
+    Signal("Model Root/Load Cell", "In1", np.sin(TIME), invalid=np.isin(TIME, TIME[[1, 4]])),
     Signal("Model Root/Laser", "In1", np.cos(TIME), unit="mm"),
 ]
 WRITERS = [write_mat_v5, write_mat_v73]
@@ -81,15 +81,15 @@ def test_what_was_written_is_read(tmp_path_factory: Any, write: Any, data: np.nd
 
 
 def test_an_mf4_that_was_written_is_read(tmp_path: Path) -> None:
-    time = 1.25 + TIME
-    recording = dspace_mf4.read(write_mf4(tmp_path / "r.mf4", Axis(time), MF4))
+    recording = dspace_mf4.read(write_mf4(tmp_path / "r.mf4", Axis(1.25 + TIME), MF4))
     assert [(c.path, c.name, c.unit_in_file) for c in recording.channels] == [
         ("Model Root/Load Cell/In1", "In1", ""),
         ("Model Root/Laser/In1", "In1", "mm"),
     ]
-    np.testing.assert_array_equal(recording.clocks[0].time, time)
+    np.testing.assert_array_equal(recording.clocks[0].time, 1.25 + TIME)
     for channel, signal in zip(recording.channels, MF4, strict=True):
-        np.testing.assert_array_equal(channel.values, signal.values)
+        expected = np.where(np.asarray(signal.invalid, dtype=bool), np.nan, signal.values)
+        np.testing.assert_array_equal(channel.values, expected)
     assert (recording.program, recording.program_version) == ("ControlDesk", "7.4")
     assert recording.metadata["mdf"] == "4.10"
 
@@ -143,7 +143,7 @@ def test_rows_of_a_csv_that_are_cut_off(tmp_path: Path) -> None:
     short = replace(FORCE, values=FORCE.values[:50])
     file = write_csv(tmp_path / "r.csv", Axis(TIME[:50]), [short], stated=80)
     messages = notes(dspace_csv.read(file))
-    assert messages["rows_differ"] == "the header states 80 rows, the file holds 50"
+    assert messages["rows_differ"] == "the header states 80 rows, the file has 50"
     file.write_bytes(file.read_bytes()[:-9])
     recording = dspace_csv.read(file)
     assert len(recording.clocks[0].time) == 49

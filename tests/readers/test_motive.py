@@ -144,7 +144,7 @@ def test_lines_that_were_cut_or_changed(tmp_path: Path) -> None:
     recording = motive_takes.read(file)
     assert len(tracks(recording).time) == FRAMES - 1
     assert notes(recording)["truncated"] == "the last line (37) is incomplete and was left out"
-    assert notes(recording)["rows_differ"] == "the header states 30 rows, the file holds 29"
+    assert notes(recording)["rows_differ"] == "the header states 30 rows, the file has 29"
 
     def infinite(lines: list[str]) -> list[str]:
         return [*lines[:12], f"{lines[12].rpartition(',')[0]},inf", *lines[13:]]
@@ -390,8 +390,8 @@ def test_what_rows_say_of_themselves(tmp_path: Path) -> None:
     file.write_bytes(file.read_bytes()[:-40])
     assert export.metadata["title"] == "Synthetic Export Data"
     messages = notes(export)
-    assert messages["rows_differ"] == "the header states 99 rows, the file holds 12"
-    assert messages["frames_without_body"] == "2 of 12 frames hold no rigid body"
+    assert messages["rows_differ"] == "the header states 99 rows, the file has 12"
+    assert messages["frames_without_body"] == "2 of 12 frames have no rigid body"
     assert messages["visible_markers"] == "0 to 3 markers are seen in a frame"
     assert messages["unit_assumed"].startswith("no unit is stated: positions are taken as metres")
     cut, tracks = parse_file(file)

@@ -307,7 +307,7 @@ def test_q800_that_lacks_one_of_its_names(write: Written) -> None:
     content = frames.dma_q800().decode("utf-16").replace("Nsig\t3", "Nsig\t4")
     recording = read_export(write(content.encode("utf-16")))
     (note,) = (note for note in recording.notes if note.code == "columns_differ")
-    assert note.message == "the header states 4 columns, the file holds 3"
+    assert note.message == "the header states 4 columns, the file has 3"
     assert note.severity.value == "warning"
     rows = [f"{line}\t1.5" if "." in line[:3] else line for line in content.split("\r\n")]
     refused(write("\r\n".join(rows).encode("utf-16")), "3 cells as in the header, found 4")
