@@ -5,10 +5,6 @@ The annotations of most records define how they are stored, see `layout`.
 The filters of HDF5 use only one processor core. This module compresses chunks on all cores, in the
 format of these filters (shuffle, gzip, fletcher32), which any HDF5 library can read. ISA-L
 compresses six to nine times as fast as zlib, to the same size.
-
-Groups and datasets are read by their low-level identifiers (`h5py.h5g.GroupID`,
-`h5py.h5d.DatasetID`), because a report reads many small ones, and the objects of h5py take several
-times as long to make.
 """
 
 from __future__ import annotations
@@ -23,12 +19,12 @@ from typing import Any, Final, TypeVar
 
 import h5py
 import numpy as np
-from h5py import h5a, h5d, h5ds, h5g, h5s, h5t
+from h5py import h5a, h5d, h5ds, h5s, h5t
 from isal import isal_zlib
 from numpy.typing import NDArray
 
 from labpipe.errors import StoreError
-from labpipe.records.arrays import AXIS_LABELS, Floats, Ints
+from labpipe.records.arrays import AXIS_LABELS, Ints
 from labpipe.records.curve import Interval
 from labpipe.records.quality import Reason
 from labpipe.store.layout import (
@@ -59,7 +55,7 @@ def read_text(owner: Any, name: str) -> str:
 
     Parameters
     ----------
-    owner : identifier of an open group or dataset
+    owner : open group or dataset
     name : name of the attribute
 
     Raises
@@ -80,17 +76,15 @@ def read_texts(owner: Any, name: str) -> tuple[str, ...]:
 
 def read_number(owner: Any, name: str) -> float:
     """Read an attribute that is a number, as `read_text` does."""
-    return float(read_numbers(owner, name).item())
-
-
-def read_numbers(owner: Any, name: str) -> Floats:
-    """Read an attribute that is an array of numbers, as `read_text` does."""
-    return _read_attribute_values(owner, name, h5t.NATIVE_DOUBLE, np.float64)
+    return float(_read_attribute_values(owner, name, h5t.NATIVE_DOUBLE, np.float64).item())
 
 
 def _read_attribute_values(owner: Any, name: str, type_in_memory: Any, dtype: Any) -> NDArray[Any]:
-    """Read an attribute into an array, converted to an HDF5 type and its NumPy type."""
-    attribute = h5a.open(owner, name.encode())
+    """Read an attribute into an array, converted to an HDF5 type and its NumPy type.
+
+    The low-level call takes half the time of `owner.attrs`. A report reads many attributes.
+    """
+    attribute = h5a.open(owner.id, name.encode())
     values: NDArray[Any] = np.empty(attribute.shape, dtype)
     if values.size:
         attribute.read(values, mtype=type_in_memory)
@@ -319,10 +313,10 @@ class GroupWriter:
 
 def read_array(group: Any, name: str, spec: DatasetSpec) -> Any:
     """Read an array, or a tuple of texts, after checking unit, axes and type against the layout."""
-    dataset, file_type, shape = _open_checked_dataset(group, name, spec)
-    values: NDArray[Any] = np.empty(shape, file_type.dtype)
+    dataset = _open_checked_dataset(group, name, spec)
+    values: NDArray[Any] = np.empty(dataset.shape, dataset.id.dtype)
     if values.size:
-        dataset.read(h5s.ALL, h5s.ALL, values, file_type)
+        dataset.id.read(h5s.ALL, h5s.ALL, values)
     return tuple(cell.decode() for cell in values.tolist()) if spec.dtype == TEXT else values
 
 
@@ -334,51 +328,44 @@ def read_array_rows(group: Any, name: str, spec: DatasetSpec, rows: Ints) -> NDA
     group, name, spec : see `read_array`
     rows : indices along the first axis, strictly increasing
     """
-    return np.asarray(h5py.Dataset(_open_checked_dataset(group, name, spec)[0])[rows])
+    values: NDArray[Any] = _open_checked_dataset(group, name, spec)[rows]
+    return values
 
 
-def _open_checked_dataset(group: Any, name: str, spec: DatasetSpec) -> tuple[Any, Any, Any]:
-    """Open a dataset, and check its unit, axes, number type and storage.
-
-    The identifier of the dataset is returned with that of its type, and with its shape.
-    """
-    dataset = h5d.open(group, name.encode())
-    file_type, shape = dataset.get_type(), dataset.shape
+def _open_checked_dataset(group: Any, name: str, spec: DatasetSpec) -> Any:
+    """Open a dataset, and check its unit, axes, number type and storage."""
+    dataset = group[name]
     for label, expected in (("axes", ", ".join(spec.axes)), ("unit", spec.unit)):
         if expected is not None:
             _require_equal(dataset, label, expected, read_text(dataset, label))
-    if spec.dtype not in (TEXT, file_type.dtype):  # or only the order of the bytes differs
-        _require_equal(dataset, "number type", spec.dtype, file_type.dtype.name)
-    _check_storage(dataset, shape)
-    return dataset, file_type, shape
+    if spec.dtype != TEXT:
+        _require_equal(dataset, "number type", spec.dtype, dataset.id.dtype.name)
+    _check_storage(dataset)
+    return dataset
 
 
-def _check_storage(dataset: Any, shape: tuple[int, ...]) -> None:
+def _check_storage(dataset: Any) -> None:
     """Raise StoreError for incomplete or external data, before memory is allocated for them."""
-    properties = dataset.get_create_plist()
+    properties = dataset.id.get_create_plist()
     if properties.get_layout() == h5d.CHUNKED:
-        sizes = zip(shape, properties.get_chunk(), strict=True)
+        sizes = zip(dataset.shape, properties.get_chunk(), strict=True)
         n_chunks = prod(ceil(size / chunk) for size, chunk in sizes)
-        is_complete = dataset.get_num_chunks() >= n_chunks
+        is_complete = dataset.id.get_num_chunks() >= n_chunks
     elif properties.get_layout() == h5d.VIRTUAL or properties.get_external_count():
-        raise StoreError.about("store.samples_elsewhere", *_locate_dataset(dataset))
+        raise StoreError.about("store.samples_elsewhere", dataset.file.filename, dataset.name)
     else:
-        is_complete = dataset.get_storage_size() >= prod(shape) * dataset.dtype.itemsize
+        is_complete = dataset.id.get_storage_size() >= dataset.nbytes
     if not is_complete:
-        raise StoreError.about("store.part_of_dataset", *_locate_dataset(dataset), size=prod(shape))
-
-
-def _locate_dataset(identifier: Any) -> tuple[str, str]:
-    """Return the file of a dataset, and its path in this file."""
-    dataset = h5py.Dataset(identifier)
-    return dataset.file.filename, dataset.name
+        file, place, size = dataset.file.filename, dataset.name, dataset.size
+        raise StoreError.about("store.part_of_dataset", file, place, size=size)
 
 
 def _require_equal(dataset: Any, quantity: str, expected: str, actual: str) -> None:
     """Raise StoreError if a property of a dataset differs from the layout."""
     if expected != actual:
+        file, place = dataset.file.filename, dataset.name
         facts = {"what": quantity, "expected": expected, "found": actual}
-        raise StoreError.about("store.other_layout", *_locate_dataset(dataset), **facts)
+        raise StoreError.about("store.other_layout", file, place, **facts)
 
 
 _INTERVAL_FIELDS = ("lower", "upper", "level")
@@ -446,7 +433,7 @@ def read_arrays(group: Any, kind: Any, names: Iterable[str] = ()) -> dict[str, A
         if not names or name in names:
             arrays[name] = read_array(group, name, spec)
             if spec.unit_field:
-                arrays[spec.unit_field] = read_text(h5d.open(group, name.encode()), "unit")
+                arrays[spec.unit_field] = read_text(group[name], "unit")
     return arrays
 
 
@@ -519,7 +506,7 @@ def _read_attribute(group: Any, name: str, attribute: AttributeSpec) -> Any:
     names = [name]
     if field_type is Interval:
         names = [make_bound_prefix(name) + bound for bound in _INTERVAL_FIELDS]
-    if is_optional and not h5a.exists(group, names[0].encode()):
+    if is_optional and names[0] not in group.attrs:
         return None
     return field_type(*(read_number(group, name) for name in names))
 
@@ -569,7 +556,7 @@ def read_table(parent: Any, name: str, kind: type[_R], unit: str | None = None) 
     The records. Their intervals have the level 0.95, which is not stored.
     """
     names = list_columns(kind)
-    columns = read_columns(h5g.open(parent, name.encode()), kind, names, unit)
+    columns = read_columns(parent[name], kind, names, unit)
     rows = (dict(zip(names, row, strict=True)) for row in zip(*columns, strict=True))
     fields = list_attributes(kind).items()
     return tuple(

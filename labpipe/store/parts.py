@@ -12,7 +12,6 @@ from math import isnan, nan
 from typing import Any, Final, TypeVar
 
 import numpy as np
-from h5py import h5a, h5d, h5g
 
 from labpipe.records.arrays import Floats, Ints
 from labpipe.records.curve import (
@@ -52,7 +51,6 @@ from labpipe.store.datasets import (
     read_attributes,
     read_columns,
     read_number,
-    read_numbers,
     read_record,
     read_table,
     read_text,
@@ -144,14 +142,14 @@ def _read_specimen(root: Any) -> Specimen:
     root_texts: dict[str, Any] = {
         name: read_text(root, attribute) for name, attribute in _SPECIMEN_TEXTS.items()
     }
-    group = h5g.open(root, b"specimen")
-    sizes = read_numbers(group, "values").tolist()
-    dimensions = dict(zip(read_texts(group, "dimensions"), sizes, strict=True))
-    bundle = _read_bundle(h5g.open(group, b"bundle")) if b"bundle" in group else None
+    group = root["specimen"]
+    values = (float(value) for value in group.attrs["values"])
+    dimensions = dict(zip(read_texts(group, "dimensions"), values, strict=True))
+    bundle = _read_bundle(group["bundle"]) if "bundle" in group else None
     mappings: dict[str, Any] = {
         name: dict(zip(read_texts(group, keys), read_texts(group, texts), strict=True))
         for name, (keys, texts) in _SPECIMEN_MAPS.items()
-        if h5a.exists(group, keys.encode())
+        if keys in group.attrs
     }
     return Specimen(**root_texts, **mappings, dimensions=dimensions, bundle=bundle)
 
@@ -159,14 +157,14 @@ def _read_specimen(root: Any) -> Specimen:
 def _read_bundle(group: Any) -> Bundle:
     """Read a bundle of wires; raise ValueError if its arrangement or taping is unknown."""
     columns = (read_array(group, *column) for column in _WIRE_COLUMNS.items())
-    positions = read_array(group, "positions", _WIRE_POSITION) if b"positions" in group else ()
+    positions = read_array(group, "positions", _WIRE_POSITION) if "positions" in group else ()
     bundle = Bundle(
         wires=tuple(
             BundleWire(wire_type, int(number), _nan_to_none(diameter))
             for wire_type, number, diameter in zip(*columns, strict=True)
         ),
         positions=tuple((float(x), float(y)) for x, y in positions),
-        conduit_bore=_nan_to_none(read_number(group, "conduit_bore")),
+        conduit_bore=_nan_to_none(group.attrs["conduit_bore"]),
         **read_attributes(group, Bundle, skip=("conduit_bore",)),
     )
     if bundle.arrangement not in ARRANGEMENTS or bundle.taping not in TAPINGS:
@@ -242,9 +240,8 @@ def _write_series(
 def _read_series(group: Any, name: str, kind: Any) -> Any:
     """Read a record that `_write_series` wrote as the dataset `name`."""
     ((field, spec),) = list_datasets(kind).items()
-    dataset = h5d.open(group, name.encode())
-    texts = {key: read_text(dataset, label) for label, key in _SERIES_TEXTS[kind].items()}
-    unit: str | None = read_text(dataset, "unit")
+    texts = {key: read_text(group[name], label) for label, key in _SERIES_TEXTS[kind].items()}
+    unit: str | None = read_text(group[name], "unit")
     if kind is Channel and unit == UNSTATED_UNIT:
         unit = None
     return kind(**{field: read_array(group, name, spec)}, **texts, unit=unit)
@@ -284,7 +281,7 @@ def _read_recording(group: Any) -> Recording:
         channels=tuple(
             _read_series(group, name, Channel) for name in read_texts(group, "channels")
         ),
-        markers=_read_markers(group) if b"markers" in group else None,
+        markers=_read_markers(group) if "markers" in group else None,
         metadata=dict(json.loads(read_text(group, "metadata")).items()),
         notes=read_table(group, "notes", QualityNote),
     )
@@ -309,10 +306,10 @@ def _require_equal_lengths(recording: Recording) -> None:
 
 def _read_markers(group: Any) -> MarkerTracks:
     """Read the marker tracks and rigid bodies of a recording."""
-    body_groups = h5g.open(group, b"rigid_bodies")
+    body_groups = group["rigid_bodies"]
     names = read_texts(body_groups, "bodies")
-    bodies = tuple(read_record(h5g.open(body_groups, name.encode()), RigidBody) for name in names)
-    return read_record(h5g.open(group, b"markers"), MarkerTracks, bodies=bodies)
+    bodies = tuple(read_record(body_groups[name], RigidBody) for name in names)
+    return read_record(group["markers"], MarkerTracks, bodies=bodies)
 
 
 def _write_raw(target: GroupWriter, result: TestResult) -> None:
@@ -335,12 +332,15 @@ def _write_raw(target: GroupWriter, result: TestResult) -> None:
 def _read_inputs(raw_group: Any) -> tuple[InputFile, ...]:
     """Read the names, SHA-256 and sizes of the exports, in the order of the protocol."""
     inputs: dict[int, InputFile] = {}
-    for role in raw_group:
-        group = h5g.open(raw_group, role)
-        order, sizes = (read_numbers(group, name) for name in ("input_order", "bytes"))
-        files, hashes = (read_texts(group, name) for name in ("file", "sha256"))
-        for index, file, sha256, size in zip(order, files, hashes, sizes, strict=True):
-            inputs[int(index)] = InputFile(role.decode(), file, sha256, int(size))
+    for role, group in raw_group.items():
+        rows = zip(
+            group.attrs["input_order"],
+            read_texts(group, "file"),
+            read_texts(group, "sha256"),
+            group.attrs["bytes"],
+            strict=True,
+        )
+        inputs |= {int(i): InputFile(role, file, sha, int(size)) for i, file, sha, size in rows}
     return tuple(inputs[i] for i in sorted(inputs))
 
 
@@ -358,16 +358,16 @@ def _write_aligned(target: GroupWriter, aligned: Aligned) -> None:
 
 def _read_aligned(root: Any) -> Aligned | None:
     """Read the aligned signals; None without a group of them."""
-    if b"aligned" not in root:
+    if "aligned" not in root:
         return None
-    group = h5g.open(root, b"aligned")
+    group = root["aligned"]
     series = {
-        read_text(h5d.open(group, name.encode()), "name"): _read_series(group, name, Series)
+        read_text(group[name], "name"): _read_series(group, name, Series)
         for name in read_texts(group, "series")
     }
     fit = None
-    if b"events" in group:
-        events = read_arrays(h5g.open(group, b"events"), ClockFit)
+    if "events" in group:
+        events = read_arrays(group["events"], ClockFit)
         fit = ClockFit(**events, **read_attributes(group, ClockFit))
     return read_record(group, Aligned, series=series, clock_fit=fit)
 
@@ -395,10 +395,11 @@ def _read_curve(root: Any) -> dict[str, Any]:
     Values of the fields `curve`, `slips` and `lines` of `TestResult`; without a curve, only `curve`
     with None.
     """
-    if b"curve" not in root:
+    if "curve" not in root:
         return {"curve": None}
-    group = h5g.open(root, b"curve")
-    branches = read_table(group, "branches", Branch, read_text(h5d.open(group, b"time"), "unit"))
+    group = root["curve"]
+    time_unit = read_text(group["time"], "unit")
+    branches = read_table(group, "branches", Branch, time_unit)
     return {
         "curve": read_record(group, Curve, branches=branches),
         "slips": _read_optional_table(group, "slips", Slip),
@@ -414,7 +415,7 @@ def _write_optional_table(target: GroupWriter, name: str, kind: Any, rows: Seque
 
 def _read_optional_table(parent: Any, name: str, kind: type[_R]) -> tuple[_R, ...]:
     """Read a table that `_write_optional_table` wrote; empty if there is none."""
-    return read_table(parent, name, kind) if name.encode() in parent else ()
+    return read_table(parent, name, kind) if name in parent else ()
 
 
 def _write_bending(target: GroupWriter, bending: Bending) -> None:
@@ -427,10 +428,10 @@ def _write_bending(target: GroupWriter, bending: Bending) -> None:
 
 def _read_bending(root: Any) -> Bending | None:
     """Read measured moments and curvatures; None without a group of them."""
-    if b"bending" not in root:
+    if "bending" not in root:
         return None
-    group = h5g.open(root, b"bending")
-    law = read_record(h5g.open(group, b"law"), MeasuredLaw) if b"law" in group else None
+    group = root["bending"]
+    law = read_record(group["law"], MeasuredLaw) if "law" in group else None
     return read_record(group, Bending, cloud=read_record(group, BendingCloud), law=law)
 
 
@@ -467,16 +468,16 @@ def _read_results(root: Any) -> tuple[Result, ...]:
     ValueError
         If the numbers of a result do not match its seal.
     """
-    group, budgets = h5g.open(root, b"results"), dict[str, list[Contribution]]()
-    if b"budgets" in root:
+    group, budgets = root["results"], dict[str, list[Contribution]]()
+    if "budgets" in root:
         names = ("result", "cause", "change", "is_common")
-        columns = read_columns(h5g.open(root, b"budgets"), BudgetRow, names)
+        columns = read_columns(root["budgets"], BudgetRow, names)
         for result_name, cause, change, is_common in zip(*columns, strict=True):
             contribution = Contribution(cause, change, bool(is_common))
             budgets.setdefault(result_name, []).append(contribution)
     results = []
     for name in read_texts(group, "order"):
-        result_group = h5g.open(group, name.encode())
+        result_group = group[name]
         fields = read_attributes(result_group, Result, skip=("name", "value"))
         value = None if fields["status"] is Status.FAILED else read_number(result_group, "value")
         result = Result(name=name, value=value, budget=tuple(budgets.get(name, ())), **fields)
@@ -548,13 +549,13 @@ It returns the indices of the chosen frames, in increasing order, and their defl
 
 def _read_common_fields(root: Any, *, reads_recordings: bool = True) -> dict[str, Any]:
     """Read the fields that `TestResult` and `RawTest` share, with or without recordings."""
-    group = h5g.open(root, b"raw")
+    group = root["raw"]
     roles = read_texts(group, "roles") if reads_recordings else ()
     return {
         **read_attributes(root, RawTest),
         "specimen": _read_specimen(root),
         "inputs": _read_inputs(group),
-        "recordings": {role: _read_recording(h5g.open(group, role.encode())) for role in roles},
+        "recordings": {role: _read_recording(group[role]) for role in roles},
     }
 
 
@@ -570,7 +571,7 @@ def read_test(root: Any, stages: Collection[str] = ()) -> TestResult:
     display = json.loads(read_text(root, "display"))
     fields = _read_curve(root)  # fields `curve`, `slips` and `lines`
     is_repaired = any(slip.decision is SlipDecision.REPAIRED for slip in fields.get("slips", ()))
-    has_shape = "shape" in stages and b"shape" in root
+    has_shape = "shape" in stages and "shape" in root
     return TestResult(
         **_read_common_fields(root, reads_recordings="raw" in stages),
         **read_attributes(root, TestResult, skip=list_attributes(RawTest)),
@@ -580,7 +581,7 @@ def read_test(root: Any, stages: Collection[str] = ()) -> TestResult:
         display={str(key): str(unit) for key, unit in display.items()},
         instruments=_read_optional_table(root, "instruments", Instrument),
         aligned=_read_aligned(root) if "aligned" in stages or is_repaired else None,
-        shape=read_record(h5g.open(root, b"shape"), Shape) if has_shape else None,
+        shape=read_record(root["shape"], Shape) if has_shape else None,
         bending=_read_bending(root) if "bending" in stages else None,
     )
 
@@ -602,13 +603,12 @@ def read_reported_test(
     law : moment-curvature law of the first loading; None without a measured law
     """
     result, shapes, law = read_test(root), None, None
-    if b"shape" in root:
-        group, specs = h5g.open(root, b"shape"), list_datasets(Shape)
+    if "shape" in root:
+        group, specs = root["shape"], list_datasets(Shape)
         frames, deflection = choose_frames(result, read_array(group, "time", specs["time"]))
         positions = read_array_rows(group, "positions", specs["positions"], frames)
         shapes = FigureShapes(deflection, positions[:, :, :2])
-    if b"bending/law" in root:
-        group = h5g.open(root, b"bending/law")
+    if (group := root.get("bending/law")) is not None:
         law = FigureLaw(**read_arrays(group, MeasuredLaw, list_datasets(FigureLaw)))
     return result, shapes, law
 

@@ -224,10 +224,7 @@ def read_run(path: Path) -> str:
 
 @contextmanager
 def _open_result(path: Path) -> Iterator[Any]:
-    """Open a result file of the current schema, and yield the identifier of its root.
-
-    All errors are converted to StoreError.
-    """
+    """Open a result file of the current schema, and convert all errors to StoreError."""
     try:
         if is_unfinished(path.parent):
             raise StoreError.about("store.cut_off", path, target=path)
@@ -236,7 +233,7 @@ def _open_result(path: Path) -> Iterator[Any]:
         with h5py.File(path, "r") as root:
             _check_schema(path, root)
             _check_links(path, root)
-            yield root.id
+            yield root
     except LabpipeError:
         raise
     except MemoryError as error:
@@ -261,18 +258,21 @@ def _check_schema(path: Path, root: Any) -> None:
     if schema is None:
         raise StoreError.about("store.foreign", path, SCHEMA_ATTRIBUTE, known=current_schema)
     if schema != current_schema:
+        is_newer = schema > current_schema
         raise StoreError.about(
-            "store.newer_schema" if schema > current_schema else "store.other_schema",
-            path, SCHEMA_ATTRIBUTE, known=current_schema, schema=schema,
-        )  # fmt: skip
+            "store.newer_schema" if is_newer else "store.other_schema",
+            path,
+            SCHEMA_ATTRIBUTE,
+            known=current_schema,
+            schema=schema,
+        )
 
 
 def _check_links(path: Path, root: Any) -> None:
     """Raise StoreError if a result file has links to other files, because it must be complete."""
-    internal_types = h5py.h5l.TYPE_HARD, h5py.h5l.TYPE_SOFT
 
     def find_external(name: bytes, link_info: Any) -> bytes | None:
-        return None if link_info.type in internal_types else name
+        return None if link_info.type in (h5py.h5l.TYPE_HARD, h5py.h5l.TYPE_SOFT) else name
 
     link = root.id.links.visit(find_external, info=True)
     if link is not None:

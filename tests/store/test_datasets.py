@@ -76,9 +76,9 @@ def test_attributes_are_read_as_h5py_reads_them(tmp_path: Path) -> None:
         root.attrs["fixed"] = np.bytes_(b"abc")
         root.attrs.create("bad", np.array(b"A2\xff", dtype=h5py.string_dtype()))
         root.attrs.create("none", np.empty(0), dtype=h5py.string_dtype())
-        assert {name: read_text(root.id, name) for name in texts} == texts
-        assert {name: read_number(root.id, name) for name in numbers} == numbers
-        assert (read_texts(root.id, "texts"), read_texts(root.id, "none")) == (("a", "ü", ""), ())
+        assert {name: read_text(root, name) for name in texts} == texts
+        assert {name: read_number(root, name) for name in numbers} == numbers
+        assert (read_texts(root, "texts"), read_texts(root, "none")) == (("a", "ü", ""), ())
         for reader, name, error in (
             (read_text, "bad", UnicodeDecodeError),
             *((read_text, name, OSError) for name in ("value", "fixed")),
@@ -88,7 +88,7 @@ def test_attributes_are_read_as_h5py_reads_them(tmp_path: Path) -> None:
             *((reader, "gone", KeyError) for reader in (read_text, read_number, read_texts)),
         ):
             with pytest.raises(error):
-                reader(root.id, name)
+                reader(root, name)
 
 
 @given(st.lists(st.text(max_size=8), max_size=8))
