@@ -21,7 +21,7 @@ from labpipe.records.group import Campaign, Group, GroupNumber, Sample
 from labpipe.records.quality import QualityNote, Reason, Severity
 from labpipe.records.result import Result, Status
 from labpipe.report import wording
-from labpipe.statistics.group_samples import PROTOCOLS_DIFFER
+from labpipe.statistics.group_samples import PROTOCOLS_DIFFER, name_samples
 from labpipe.statistics.means import compute_t_quantile
 
 
@@ -339,9 +339,9 @@ def _compute_effect(group: Group, number: GroupNumber, tests: set[str]) -> Effec
     """
     lost_interval_size = 10.0  # size for a mean of a single value, which has no interval
     label, n = f"{wording.format_label(number.name)} of {group.name}", number.mean.chosen.n
-    units, missing_tests = _get_units(group, number), tests & number.exclusions.keys()
+    members, missing_tests = _get_members(group, number), tests & number.exclusions.keys()
     n_missing = len(
-        {units[test] for test in missing_tests} - {units[test] for test in number.values}
+        {members[test] for test in missing_tests} - {members[test] for test in number.values}
     )
     if n_missing and not number.values:
         return Effect(inf, format_sentence("report.effect_no_value", number=label))
@@ -362,11 +362,11 @@ def _compute_effect(group: Group, number: GroupNumber, tests: set[str]) -> Effec
     return _compute_shift(group, number, included_tests, label) if included_tests else None
 
 
-def _get_units(group: Group, number: GroupNumber) -> dict[str, str]:
-    """Return the unit of each test that counts once in the mean: its spool, or the test."""
+def _get_members(group: Group, number: GroupNumber) -> dict[str, str]:
+    """Return what counts once in the mean, keyed by name of the sample: its spool, or the name."""
     return {
-        sample.test: sample.test if number.mean.is_pooled else sample.specimen.spool
-        for sample in group.samples
+        name: name if number.mean.is_pooled else sample.specimen.spool
+        for name, sample in zip(name_samples(group.samples), group.samples, strict=True)
     }
 
 
@@ -381,14 +381,14 @@ def _compute_shift(group: Group, number: GroupNumber, tests: set[str], label: st
     label : text that names number and group
     """
     all_values_size = 5.0  # size of a cause that affects all values
-    units, values_by_unit = _get_units(group, number), dict[str, list[float]]()
+    members, values_by_member = _get_members(group, number), dict[str, list[float]]()
     for test, result in number.values.items():
         if test not in tests and result.value is not None:
-            values_by_unit.setdefault(units[test], []).append(result.value)
-    if not values_by_unit:
+            values_by_member.setdefault(members[test], []).append(result.value)
+    if not values_by_member:
         return Effect(all_values_size, format_sentence("report.effect_all_values", number=label))
     value, half_width = number.mean.chosen.mean, number.mean.chosen.half_width
-    shift = float(np.mean([np.mean(values) for values in values_by_unit.values()])) - value
+    shift = float(np.mean([np.mean(values) for values in values_by_member.values()])) - value
     size = abs(shift) / half_width if half_width > 0.0 else 0.0
     percentage = f"{wording.format_percent(abs(shift / value))} " if value else ""
     text = f"{label} would be {percentage}{'higher' if shift > 0.0 else 'lower'}"

@@ -186,3 +186,11 @@ def test_a_mean_over_spools_loses_spools(spools: str, text: str) -> None:
     (cause,) = find_causes(campaign_of(group))[0]
     assert cause.effect is not None
     assert cause.effect.text.startswith(text)
+
+
+def test_tests_of_one_name_are_members_of_a_mean_by_their_files() -> None:
+    group = group_of({"a": 10, "b": 11, "c": None})
+    samples = [replace(sample, test="a", source=f"{sample.test}.h5") for sample in group.samples]
+    group = groups.build_group("A", "p", samples, signed_names={"stiffness"})
+    assert list(group.numbers[0].values) == ["a (a.h5)", "a (b.h5)"]
+    assert {cause.kind for cause in find_causes(campaign_of(group))[0]} >= {Kind.FAILED}
