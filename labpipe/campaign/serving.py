@@ -18,6 +18,7 @@ from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from itertools import chain
 from pathlib import Path
+from socketserver import TCPServer
 from typing import Any, Final
 from urllib.parse import unquote, urlsplit
 
@@ -126,8 +127,7 @@ class ReportServer(ThreadingHTTPServer):
 
     def server_bind(self) -> None:
         """Bind the socket without resolving the host name, which may need a network."""
-        self.socket.bind(self.server_address)
-        self.server_address = self.socket.getsockname()
+        TCPServer.server_bind(self)
         self.server_name, self.server_port = LOOPBACK_ADDRESS, int(self.server_address[1])
 
     def handle_error(self, request: Any, client_address: Any) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import socket
 import struct
@@ -84,6 +85,11 @@ def client(pulls: Path, tmp_path: Path) -> Iterator[Client]:
         yield Client(server, made)
         server.shutdown()
         thread.join()
+
+
+@pytest.mark.skipif(os.name == "nt", reason="other programs could then use the port")
+def test_a_port_is_free_again_after_a_connection(client: Client) -> None:
+    assert client.server.socket.getsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR)
 
 
 def test_report_page_may_connect_to_its_server(client: Client) -> None:
