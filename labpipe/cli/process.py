@@ -123,14 +123,14 @@ def format_headline(processed: ProcessedTest) -> str:
 
 
 def _format_cycles(results: list[Result], display: Mapping[str, str], width: int) -> list[str]:
-    """Format one line per cycle; for more than 8 cycles, four lines and the range of the others."""
+    """Format one line per cycle; of more than 8 cycles, format four and the range of the others."""
     max_lines = 8
     n_listed = len(results) if len(results) <= max_lines else max_lines // 2
     lines = [format_result(result, display, width) for result in results[:n_listed]]
-    other_results = results[n_listed:]
-    if values := [result.value for result in other_results if result.value is not None]:
+    if other_results := results[n_listed:]:
         factor, unit = choose_unit(results[0].name, results[0].unit, display)
-        range_text = f"{factor * min(values):.5g} to {factor * max(values):.5g} {unit}"
+        values = [factor * result.value for result in other_results if result.value is not None]
+        range_text = f"{min(values):.5g} to {max(values):.5g} {unit}" if values else "no value"
         name, n_others = f"... to {other_results[-1].name}", len(other_results)
         lines.append(f"  {name:<{width}} {range_text} ({n_others} more in summary.json)")
     return lines

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import re
 from dataclasses import replace
 from pathlib import Path
 
 from labpipe.errors import UsageError
-from labpipe.units import parse_quantity
+from labpipe.protocol.grammar import is_test_name, try_parse_quantity
 from labpipe.virtual_lab.cantilever_scenarios import CantileverScenario, build_taped_scenario
 from labpipe.virtual_lab.lab_files import Scenario, simulate_test
 from labpipe.virtual_lab.specimens import CONDUIT_TYPES, TAPED_TYPES
@@ -40,12 +39,12 @@ def run(options: argparse.Namespace) -> int:
 
 def _simulate(options: argparse.Namespace) -> Path:
     """Simulate the test and return its folder; a `ValueError` lists all faults of the options."""
-    rate = parse_quantity(options.rate or "10 kHz", "1/s")
-    fps = parse_quantity(options.fps or "50 Hz", "1/s")
     cycles = 3 if options.cycles is None else options.cycles
+    texts = {"rate": options.rate or "10 kHz", "fps": options.fps or "50 Hz"}
+    rate, fps = (try_parse_quantity(text, "1/s") or 0.0 for text in texts.values())
     settings = {"rate": rate, "fps": fps, "cycles": cycles}
-    faults = [f"{key}={value:g}" for key, value in settings.items() if not value >= 1]
-    if not re.fullmatch(r"\w[\w.+-]*", options.name):
+    faults = [f"{x}={texts.get(x, cycles)}" for x, value in settings.items() if not value >= 1]
+    if not is_test_name(options.name):
         faults.append(f"name={options.name}")
     specimen_type = options.type or _DEFAULT_TYPES.get(options.kind, "")
     if specimen_type and specimen_type not in _TYPES[options.kind]:

@@ -90,10 +90,11 @@ def run_marker_step(
             return fit_three_point_shape(prepared, step, settings, span)
 
 
-def _require(value: _T | None) -> _T:
-    """Return a value that a step needs; raise a ValueError if the value is None."""
+def _require(value: _T | None, step: str = "") -> _T:
+    """Return a value that an earlier step computes, or marker data; raise a ValueError for None."""
     if value is None:
-        raise ValueError(format_sentence("process.needs_markers"))
+        name = "process.needs_step" if step else "process.needs_markers"
+        raise ValueError(format_sentence(name, step=step))
     return value
 
 
@@ -124,7 +125,7 @@ def find_specimen_axes(prepared: PreparedTest, step: declarations.SpecimenFrame)
     """Run ``specimen-frame``: find the specimen axes, and add the signal ``travel`` of a clamp."""
     take, findings, signals = prepared.take, list[Finding](), prepared.signals
     tracks, role = _require(take.tracks), take.role
-    positions = _require(take.repaired_tracks).positions
+    positions = _require(take.repaired_tracks, "repair-markers").positions
     is_at_rest = np.asarray(tracks.time <= tracks.time[0] + step.over)
     clamp_path, limit = take.clamp_positions, step.max_out_of_plane
     find_frame = partial(find_specimen_frame, clamp_path, positions, plane_limit=limit)
@@ -164,8 +165,10 @@ def fit_specimen_shapes(
     """Run ``fit-shape``: fit the shape, and add the signal ``deflection`` if there is a clamp."""
     misfit_factor, misfit_offset = 3.0, 1e-2  # multiple of the rms deviation at rest; mm
     take, signals, role = prepared.take, prepared.signals, prepared.take.role
-    tracks, repaired_tracks = _require(take.tracks), _require(take.repaired_tracks)
-    frame, is_at_rest = _require(take.frame), _require(take.is_at_rest)
+    tracks = _require(take.tracks)
+    repaired_tracks = _require(take.repaired_tracks, "repair-markers")
+    frame = _require(take.frame, "specimen-frame")
+    is_at_rest = _require(take.is_at_rest, "specimen-frame")
     order, grip_error = list(frame.marker_order), settings.offset_uncertainty
     has_clamp = take.clamp_positions is not None
     fit = fit_shape(
@@ -325,7 +328,8 @@ def fit_three_point_shape(
     # the variance is estimated.
     bent_fraction, min_rest_frames = 0.5, 4
     take = prepared.take
-    time, repaired_tracks = _require(take.tracks).time, _require(take.repaired_tracks)
+    time = _require(take.tracks).time
+    repaired_tracks = _require(take.repaired_tracks, "repair-markers")
     if span is None:
         return _reject_span(prepared, Failure.of("process.no_span"))
     is_at_rest = np.asarray(time <= time[0] + step.over)

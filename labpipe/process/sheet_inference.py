@@ -42,7 +42,7 @@ _COPIED_FACTS = ("date", "operator", "type", "sample", *_SIZE_UNITS)
 _IGNORED_SUFFIXES = frozenset({".yaml", ".yml", ".md", ".ini"})
 """Suffixes of files in a test folder that are no exports."""
 _YEAR_FIRST_DATE = re.compile(r"(?<!\d)(\d{4})[-./](\d{1,2})[-./](\d{1,2})(?!\d)")
-_YEAR_LAST_DATE = re.compile(r"(?<!\d)(\d{1,2})([-./])(\d{1,2})\2(\d{4})(?!\d)(.*)", re.DOTALL)
+_YEAR_LAST_DATE = re.compile(r"(?<!\d)(\d{1,2})([-./])(\d{1,2})\2(\d{4})(?!\d)")
 _COMPACT_DATE = re.compile(r"(?<!\d)(20\d\d)(\d\d)(\d\d)(?!\d)")
 _US_TIME = re.compile(r"\s+\d{1,2}:\d\d(?::\d\d)?\s*(?:AM|PM)\b")
 """Time with AM or PM in capitals, as after the US dates of Windows, in which the month is first."""
@@ -146,7 +146,7 @@ def parse_folder_name(name: str) -> dict[str, str]:
 
 
 def parse_date(text: str) -> str:
-    """Parse a date in a text; a date with the year first has priority.
+    """Parse the first valid date in a text; a date with the year first has priority.
 
     Parameters
     ----------
@@ -169,15 +169,16 @@ def parse_date(text: str) -> str:
     for year_first_match in chain(_YEAR_FIRST_DATE.finditer(text), _COMPACT_DATE.finditer(text)):
         if iso_date := _format_date(*year_first_match.groups()):
             return iso_date
-    if not (match := _YEAR_LAST_DATE.search(text)):
-        return ""
-    first_number, separator, second_number, year, text_after_date = match.groups()
-    day_first_date = _format_date(year, second_number, first_number)
-    month_first_date = _format_date(year, first_number, second_number)
-    if separator == "." or not month_first_date:
-        return day_first_date
-    is_certain = _US_TIME.match(text_after_date) or day_first_date in ("", month_first_date)
-    return month_first_date if is_certain else ""
+    for match in _YEAR_LAST_DATE.finditer(text):
+        first_number, separator, second_number, year = match.groups()
+        month_first_date = _format_date(year, first_number, second_number)
+        dates = {_format_date(year, second_number, first_number)}  # the day is first
+        if separator != "." and month_first_date:
+            is_month_first = _US_TIME.match(text, match.end()) is not None
+            dates = {month_first_date} if is_month_first else {*dates, month_first_date}
+        if dates := dates - {""}:
+            return dates.pop() if len(dates) == 1 else ""
+    return ""
 
 
 def _format_date(year: str, month: str, day: str) -> str:
@@ -285,12 +286,15 @@ def match_protocols(
     return [best_matches[name] for name in sorted(best_matches)]
 
 
-def _find_named_protocols(texts: Sequence[str], protocols: Iterable[str]) -> list[str]:
+def _find_named_protocols(texts: Iterable[str], protocols: Iterable[str]) -> list[str]:
     """Find the protocols whose name occurs in one of the texts as whole words."""
-    plain_texts = ["-".join(["", *re.findall(r"[^\W_]+", text.casefold()), ""]) for text in texts]
-    return [
-        name for name in protocols if any(f"-{name.casefold()}-" in text for text in plain_texts)
-    ]
+    joined_texts = "\n".join(map(_join_words, texts))
+    return [name for name in protocols if _join_words(name) in joined_texts]
+
+
+def _join_words(text: str) -> str:
+    """Join the words of a text in lower case by hyphens, with a hyphen at both ends."""
+    return "-".join(["", *re.findall(r"[^\W_]+", text.casefold()), ""])
 
 
 def find_majority(counts: Mapping[str, int]) -> str:
@@ -320,13 +324,14 @@ def _match_protocol(
     if set(stated_files) - set(protocol.sources):
         return None
     files, choices = dict[str, tuple[str, ...]](), dict[str, tuple[str, ...]]()
+    free_names = {path.name for path in exports}.difference(*stated_files.values())
     unused_exports, recordings, is_complete = dict(exports), list[Recording](), True
     for role, source in protocol.sources.items():
         parts = {
             path: _read_channels(path, recording, source)
             for path, recording in unused_exports.items()
             if recording.reader in source.reader
-            and path.name in stated_files.get(role, (path.name,))
+            and path.name in stated_files.get(role, free_names)
             and (source.dialect is None or recording.metadata.get("dialect") in source.dialect)
         }
         valid_parts = {path: part for path, part in parts.items() if part is not None}
@@ -517,12 +522,14 @@ def infer_test(
     }
     matches = _match_folder(folder, exports, stated_values, stated_files, campaign_tests)
     protocol = matches[0].protocol if len(matches) == 1 else None
-    inferred_files = _assign_files(exports, matches)
-    files = inferred_files | stated_files
+    stated_names = set(chain.from_iterable(stated_files.values()))
+    free_exports = {path: x for path, x in exports.items() if path.name not in stated_names}
+    inferred_files = _assign_files(free_exports, matches)
     choices = {role: names for match in matches for role, names in match.choices.items()}
     for role in stated_files:
         inferred_files.pop(role, None)
         choices.pop(role, None)
+    files = inferred_files | stated_files
     ambiguous_names = set(chain.from_iterable(choices.values()))
     certain_exports = {x.name: exports[x] for x in exports if x.name not in ambiguous_names}
     all_facts = collect_facts(folder.name, certain_exports)
@@ -665,7 +672,9 @@ def _describe_unused(folder: Path, kinds: Mapping[str, str], used_names: set[str
     """Describe each file that is not used, and each export that is named but missing."""
     for name, kind in kinds.items():
         if name not in used_names:
-            yield format_sentence("process.not_used", name=_escape(name), kind=kind.splitlines()[0])
+            yield format_sentence(
+                "process.not_used", name=_escape(name), kind=kind.partition("\n")[0]
+            )
     for name in sorted(used_names):
         if not (folder / name).exists():
             yield format_sentence("process.not_there_yet", names=_escape(name))
@@ -680,10 +689,10 @@ def split_file_names(text: str) -> tuple[str, ...]:
 
     Examples
     --------
-    >>> split_file_names("a.csv; b.csv"), split_file_names("")
+    >>> split_file_names("a.csv; b.csv;"), split_file_names("")
     (('a.csv', 'b.csv'), ())
     """
-    return tuple(part.strip() for part in text.split(";")) if text else ()
+    return tuple(filter(None, map(str.strip, text.split(";"))))
 
 
 def make_test_name(name: str) -> str:
@@ -695,15 +704,12 @@ def make_test_name(name: str) -> str:
 
     Examples
     --------
-    >>> make_test_name("Run 4, (2)"), make_test_name("A2-085-1")
-    ('Run-4-2', 'A2-085-1')
+    >>> make_test_name("Run 4, (2)"), make_test_name("A2-085-1"), make_test_name("con")
+    ('Run-4-2', 'A2-085-1', 'test-con')
     """
-    if is_test_name(name):
-        return name
-    name = re.sub(r"[^\w.+-]+", "-", name).strip("-.+") or "test"
-    if is_test_name(name):
-        return name
-    return f"test-{name}".encode()[:MAX_NAME_BYTES].decode(errors="ignore")
+    plain_name = re.sub(r"[^\w.+-]+", "-", name).strip("-.+")
+    short_name = f"test-{plain_name}".encode()[:MAX_NAME_BYTES].decode(errors="ignore")
+    return next(filter(is_test_name, (name, plain_name, short_name.rstrip("-.+"))))
 
 
 def _escape(name: str) -> str:

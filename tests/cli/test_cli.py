@@ -180,6 +180,8 @@ def test_writes_exports_sheet_and_truth(
         ("--kind metal-tension --rate 1kHz", "rate=1kHz of a metal tension"),
         ("--kind metal-tension --fps 25Hz", "fps=25Hz of a metal tension"),
         ("--type CWB-1", "type=CWB-1 of a wire"),
+        ("--name con", "name=con"),
+        ("--name a. --rate fast --cycles 0", "rate=fast, cycles=0, name=a."),
     ],
 )
 def test_simulate_refuses_options_of_other_kinds(

@@ -71,7 +71,8 @@ def test_table_of_a_test(approved: Approve) -> None:
     ]
     notes = tuple(QualityNote("c", severity, "force", f"{severity}!") for severity in Severity)
     cycles = [Result(f"peak_force.{n}", float(n), "N") for n in range(1, 63)]
-    approved([*table_of(*results, quality=notes), *table_of(*cycles)])
+    lost = [replace(results[5], name=f"b.{n}") for n in range(1, 13)]
+    approved([*table_of(*results, quality=notes), *table_of(*cycles), *table_of(*lost)])
 
 
 @pytest.mark.parametrize(

@@ -137,6 +137,18 @@ def test_takes_without_clamp_or_markers(
 
 
 @pytest.mark.parametrize(
+    ("index", "missing"),
+    [(0, "a role with marker tracks"), (1, "step repair-markers"), (2, "repair")],
+)
+def test_a_step_names_what_it_lacks(
+    tracks: MarkerTracks, protocol: Protocol, index: int, missing: str
+) -> None:
+    take = Take(tracks) if index else Take()
+    with pytest.raises(ValueError, match=missing):
+        run_marker_step(PreparedTest(Signals(), take), steps(protocol)[index], words(protocol))
+
+
+@pytest.mark.parametrize(
     ("frames", "is_stale", "is_bridged"),
     [
         (slice(400, 440), True, False),

@@ -19,6 +19,7 @@ from labpipe.process.sheet_inference import (
     infer_test,
     infer_tests,
     load_all_protocols,
+    make_test_name,
     match_protocols,
     parse_date,
     parse_folder_name,
@@ -28,6 +29,7 @@ from labpipe.process.sheet_writing import (
     write_inferred_sheets,
     write_table_sheets,
 )
+from labpipe.protocol.grammar import is_test_name
 from labpipe.protocol.load import load_test_sheet, resolve_protocol
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.sheet_grammar import TestSheet
@@ -205,7 +207,47 @@ def test_folders_that_leave_something_open(tmp_path: Path, approved: Approve) ->
         (folder / name).write_bytes(mts_suite())
         pages += page(infer_test(folder, {"protocol": "tensile"}))
     pages += page(infer_test(folder, {"protocol": "tensile", "frame": "y.txt"}))
+    pages += page(infer_test(folder, {"protocol": "no-such", "force": "x.txt; y.txt;"}))
     approved(pages)
+
+
+def test_an_error_without_a_message(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(_: Path) -> None:
+        raise OSError
+
+    (tmp_path / "x.txt").touch()
+    monkeypatch.setattr("labpipe.process.sheet_inference.recognise_export", refuse)
+    assert "not used: x.txt ()" in infer_test(tmp_path, {}).remarks
+
+
+def test_a_file_stated_for_the_later_role_is_not_of_the_earlier_one(
+    protocols: list[Protocol],
+) -> None:
+    """Two exports that either role of one protocol may have."""
+    (tensile,) = (protocol for protocol in protocols if protocol.name == "tensile")
+    (source,) = tensile.sources.values()
+    roles = {role: source for role in ("force", "frame")}
+    both = tensile.model_copy(update={"sources": roles})
+    exports = dict([frame(0.01, 1e-3, name="1.txt"), frame(0.01, 1e-3, name="2.txt")])
+    for name, other_name in (("1.txt", "2.txt"), ("2.txt", "1.txt")):
+        (match,) = match_protocols(exports, [both], stated_files={"frame": (name,)})
+        assert match.files == {"force": (other_name,), "frame": (name,)}
+
+
+def test_names_of_protocols_are_found_whatever_separates_their_words(
+    protocols: list[Protocol],
+) -> None:
+    """As in `pet_tape`, whose folder is `PET-tape 1`; a part of a word is no name."""
+    (tensile,) = (protocol for protocol in protocols if protocol.name == "tensile")
+    alike = [tensile.model_copy(update={"name": name}) for name in ("pet_tape.2", "tap")]
+    for called, expected in (("PET-tape 2", "pet_tape.2"), ("tap_1", "tap")):
+        (match,) = match_protocols(dict([frame(0.012, 1e-4)]), alike, names=(called,))
+        assert match.protocol.name == expected
+
+
+@pytest.mark.parametrize("name", ["con", "a.", "..", "é" * 80, "a" * 114 + ".b " * 9, "Run 4, (2)"])
+def test_names_that_no_folder_can_have(name: str) -> None:
+    assert is_test_name(make_test_name(name))
 
 
 def test_several_protocols_fit_alike(tmp_path: Path) -> None:
@@ -267,7 +309,8 @@ def test_tests_of_one_campaign_settle_each_other(wire: Path) -> None:
 DAYS = (
     *("2026-03-04 10.05.00.000 AM", "20.02.2008", "10/26/2022 1:02:25 PM", "26/10/2022 13:02"),
     *("7/3/2025 12:23:28 PM", "7/7/2025", "7/3/2025 12:23", "31/31/2025", "43173.4"),
-    "2025-13-45 26/10/2022",
+    *("2025-13-45 26/10/2022", "31/31/2025 26/10/2022", "7/3/2025 26/10/2022"),
+    "26/10/2022 1:02 PM",
 )
 CONTROLDESK = {"Description": {"General": {"User": "jk", "DateTime": "x"}}, "date": "2026-03-04"}
 BLUEHILL = {
