@@ -15,13 +15,7 @@ from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
-from labpipe.records.arrays import (
-    Floats,
-    average_blocks,
-    compute_median_step,
-    drop_missing,
-    median,
-)
+from labpipe.records.arrays import Floats, average_blocks, compute_median_step, drop_missing, median
 from labpipe.records.curve import Branch, Curve, Direction
 from labpipe.records.declarations import Limits
 from labpipe.records.quality import Finding, Findings
@@ -123,11 +117,7 @@ class CheckedRecord:
             for first, second in pairwise(self.curve.branches)
             if first.direction is Direction.LOADING and second.cycle == first.cycle
         ]
-        return [
-            cycle
-            for cycle in cycles
-            if min(len(force) for _, force in cycle.paths) >= MIN_PATH_POINTS
-        ]
+        return [x for x in cycles if all(len(path[0]) >= MIN_PATH_POINTS for path in x.paths)]
 
     @cached_property
     def cycle_changes(self) -> list[tuple[str, float, Cycle, Cycle]]:

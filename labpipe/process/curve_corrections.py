@@ -40,11 +40,7 @@ from labpipe.results.failures import (
     measure_earlier_loss,
 )
 from labpipe.results.kinds import FailurePoint, ReducedTest, compute_loading_sign
-from labpipe.results.slack_and_slips import (
-    choose_slack_samples,
-    find_slips,
-    subtract_slack,
-)
+from labpipe.results.slack_and_slips import choose_slack_samples, find_slips, subtract_slack
 from labpipe.results.tension import ElasticWindow, fit_tensile_curve
 from labpipe.signal.bad_samples import bridge_spikes, find_spikes
 from labpipe.signal.filters import filter_pieces

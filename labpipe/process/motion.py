@@ -518,8 +518,11 @@ def fit_turning_points(
         findings.append(Finding.of("process.alignment_ambiguous", "align", "clock", **facts))
     fit = _fit_events(events, None)
     if events.shape[1] > 2 and not _has_relaxation(force, motion, fit):
-        cycle_lag, lag_findings = _check_cycle_lag(_measure_cycle_lag(motion, force, fit), fit)
-        fit, findings = _fit_events(events, cycle_lag), [*findings, *lag_findings]
+        cycle_lag = _measure_cycle_lag(motion, force, fit)
+        if contradictions := [*_check_cycle_lag(cycle_lag, fit)]:
+            findings += contradictions
+        else:
+            fit = _fit_events(events, cycle_lag)
     return fit, [*findings, *_check_fit(fit, align)]
 
 
@@ -586,17 +589,16 @@ def _has_relaxation(force: Signal, motion: Motion, fit: ClockFit) -> bool:
     return max(losses) > max_loss_fraction * force_range
 
 
-def _check_cycle_lag(lag: CycleLag | None, fit: ClockFit) -> tuple[CycleLag | None, list[Finding]]:
-    """Return the lag of the repeated cycle, or report that it contradicts the turning points."""
+def _check_cycle_lag(lag: CycleLag | None, fit: ClockFit) -> Iterator[Finding]:
+    """Report a lag of the repeated cycle that contradicts the turning points."""
     max_lag_difference = 4.0  # in standard errors
     if lag is None:
-        return None, []
+        return
     expected_lag = (1.0 + fit.drift) * lag.motion_lag
     error = float(np.hypot(lag.error, fit.drift_interval.standard_error * lag.motion_lag))
-    if abs(lag.force_lag - expected_lag) <= max_lag_difference * error:
-        return lag, []
-    facts: dict[str, Any] = {"lag": lag.force_lag, "expected": expected_lag}
-    return None, [Finding.of("process.cycles_not_alike", "align", **facts)]
+    if not abs(lag.force_lag - expected_lag) <= max_lag_difference * error:
+        facts: dict[str, Any] = {"lag": lag.force_lag, "expected": expected_lag}
+        yield Finding.of("process.cycles_not_alike", "align", **facts)
 
 
 def _fit_events(events: Floats, cycle_lag: CycleLag | None) -> ClockFit:

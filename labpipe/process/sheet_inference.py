@@ -12,6 +12,7 @@ from datetime import date
 from functools import cache
 from importlib.resources import files as package_files
 from itertools import chain
+from math import isclose
 from pathlib import Path
 from typing import TypeAlias
 
@@ -264,11 +265,10 @@ def match_protocols(
     texts = [str(text) for export in exports.values() for text in export.metadata.values()]
     # A name with at least three digits contains the number of a standard.
     standards = [name for name in best_matches if re.search(r"\d{3,}", name)]
-    nominal_lengths = {name: best_matches[name].protocol.specimen.length for name in best_matches}
     names_of_equal_length = [
         name
-        for name, nominal_length in nominal_lengths.items()
-        if length and nominal_length and abs(length - nominal_length) <= 0.05 * nominal_length
+        for name, match in best_matches.items()
+        if length and isclose(length, match.protocol.specimen.length or 0.0, rel_tol=0.05)
     ]
     criteria = [
         (format_sentence("process.reason_namesake"), _find_named_protocols(names, best_matches)),
@@ -345,8 +345,8 @@ def _match_protocol(
             is_joined = True
         except ReadError:
             is_joined = is_complete = False
-        if names and (is_joined or len(names) == 1):
-            files[role] = names
+        if role in stated_files or (names and (is_joined or len(names) == 1)):
+            files[role] = stated_files.get(role, names)
         elif names:
             choices[role] = names
     clamp = None if protocol.markers is None else protocol.markers.clamp
@@ -522,14 +522,8 @@ def infer_test(
     }
     matches = _match_folder(folder, exports, stated_values, stated_files, campaign_tests)
     protocol = matches[0].protocol if len(matches) == 1 else None
-    stated_names = set(chain.from_iterable(stated_files.values()))
-    free_exports = {path: x for path, x in exports.items() if path.name not in stated_names}
-    inferred_files = _assign_files(free_exports, matches)
+    files = _assign_files(exports, matches, stated_files)
     choices = {role: names for match in matches for role, names in match.choices.items()}
-    for role in stated_files:
-        inferred_files.pop(role, None)
-        choices.pop(role, None)
-    files = inferred_files | stated_files
     ambiguous_names = set(chain.from_iterable(choices.values()))
     certain_exports = {x.name: exports[x] for x in exports if x.name not in ambiguous_names}
     all_facts = collect_facts(folder.name, certain_exports)
@@ -547,7 +541,7 @@ def infer_test(
     open_keys += sorted(choices) or ([] if files else ["files"])
     remarks = [
         *([] if "protocol" in stated_values else [_describe_matches(exports, matches)]),
-        *_describe_files(inferred_files, choices, kinds),
+        *_describe_files({x: files[x] for x in files if x not in stated_files}, choices, kinds),
         *_describe_facts(copied_facts, facts),
         *_describe_unused(folder, kinds, ambiguous_names.union(*files.values())),
     ]
@@ -616,17 +610,21 @@ def _match_folder(
     )
 
 
-def _assign_files(exports: Exports, matches: Sequence[ProtocolMatch]) -> dict[str, tuple[str, ...]]:
+def _assign_files(
+    exports: Exports, matches: Sequence[ProtocolMatch], stated_files: Files
+) -> dict[str, tuple[str, ...]]:
     """Assign exports to roles if all matches agree or, without matches, by the exports' formats."""
     if matches:
         files, *other_files = (match.files for match in matches)
         return {x: files[x] for x in files if all(y.get(x) == files[x] for y in other_files)}
     files_by_format: dict[str, tuple[str, ...]] = {}
+    stated_names = set(chain.from_iterable(stated_files.values()))
     for path, export in exports.items():
         role = "frame" if export.reader == "load-frame" else "force"
         role = "markers" if export.reader in MARKER_READERS else role
-        files_by_format[role] = (*files_by_format.get(role, ()), path.name)
-    return files_by_format
+        if path.name not in stated_names:
+            files_by_format[role] = (*files_by_format.get(role, ()), path.name)
+    return files_by_format | dict(stated_files)
 
 
 def _describe_matches(exports: Exports, matches: Sequence[ProtocolMatch]) -> str:
