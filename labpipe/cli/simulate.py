@@ -14,17 +14,14 @@ from labpipe.virtual_lab.specimens import CONDUIT_TYPES, TAPED_TYPES
 from labpipe.virtual_lab.tensile import MetalTension
 from labpipe.virtual_lab.three_point import build_conduit_scenario
 
-_TYPES = {
-    "wire": (),
-    "metal-tension": (),
-    "taped-bundle": TAPED_TYPES,
-    "conduit-bundle": CONDUIT_TYPES,
-}
-"""Specimen types, keyed by kind of test; a kind without types has only one specimen."""
+_TYPES = {"taped-bundle": TAPED_TYPES, "conduit-bundle": CONDUIT_TYPES}
+"""Specimen types, keyed by kind of test; each other kind has one specimen."""
 _DEFAULT_TYPES = {"taped-bundle": "TWB-B1-19-PVC", "conduit-bundle": "CWB-1"}
 """Specimen type without the option ``--type``, keyed by kind of test."""
+_UNUSED_OPTIONS = {"conduit-bundle": ("cycles",), "metal-tension": ("cycles", "rate", "fps")}
+"""Options that a kind of test does not accept."""
 _WIRE_TYPE = "W1"
-"""Type of the simulated wire. No wire sheet has it, since its bending law has no cross-section."""
+"""Type of the simulated wire. No wire sheet lists it, because only its bending law is known."""
 
 
 def run(options: argparse.Namespace) -> int:
@@ -39,37 +36,33 @@ def run(options: argparse.Namespace) -> int:
 
 def _simulate(options: argparse.Namespace) -> Path:
     """Simulate the test and return its folder; a `ValueError` lists all faults of the options."""
+    name, kind = options.name, options.kind
+    specimen_type = options.type or _DEFAULT_TYPES.get(kind, "")
     cycles = 3 if options.cycles is None else options.cycles
-    texts = {"rate": options.rate or "10 kHz", "fps": options.fps or "50 Hz"}
-    rate, fps = (try_parse_quantity(text, "1/s") or 0.0 for text in texts.values())
-    settings = {"rate": rate, "fps": fps, "cycles": cycles}
-    faults = [f"{x}={texts.get(x, cycles)}" for x, value in settings.items() if not value >= 1]
-    if not is_test_name(options.name):
-        faults.append(f"name={options.name}")
-    specimen_type = options.type or _DEFAULT_TYPES.get(options.kind, "")
-    if specimen_type and specimen_type not in _TYPES[options.kind]:
-        faults.append(f"type={specimen_type} of a {options.kind}")
-    unused_options = {"conduit-bundle": ("cycles",), "metal-tension": ("cycles", "rate", "fps")}
-    for name in unused_options.get(options.kind, ()):
-        value = getattr(options, name)
-        if value is not None:
-            faults.append(f"{name}={value} of a {options.kind.replace('-', ' ')}")
-    if faults:
+    rate_text, fps_text = options.rate or "10 kHz", options.fps or "50 Hz"
+    rate, fps = (try_parse_quantity(text, "1/s") or 0.0 for text in (rate_text, fps_text))
+    checks = {
+        f"rate={rate_text}": rate >= 1.0,
+        f"fps={fps_text}": fps >= 1.0,
+        f"cycles={cycles}": cycles >= 1,
+        f"name={name}": is_test_name(name),
+        f"type={specimen_type} of a {kind}": specimen_type in _TYPES.get(kind, ("",)),
+    }
+    for key in _UNUSED_OPTIONS.get(kind, ()):
+        value = getattr(options, key)
+        checks[f"{key}={value} of a {kind}"] = value is None
+    if faults := [text for text, is_valid in checks.items() if not is_valid]:
         raise ValueError(", ".join(faults))
     scenario: Scenario
-    if options.kind == "metal-tension":
-        scenario = MetalTension(name=options.name)
-    elif options.kind == "conduit-bundle":
+    if kind == "metal-tension":
+        scenario = MetalTension(name=name)
+    elif kind == "conduit-bundle":
         conduit = build_conduit_scenario(specimen_type)
-        clocks = replace(conduit.clocks, rate=rate, fps=fps)
-        scenario = replace(conduit, name=options.name, clocks=clocks)
+        scenario = replace(conduit, name=name, clocks=replace(conduit.clocks, rate=rate, fps=fps))
     else:
         wire = CantileverScenario(specimen_type=_WIRE_TYPE, spool=f"{_WIRE_TYPE}-s1")
-        cantilever = wire if options.kind == "wire" else build_taped_scenario(specimen_type)
-        scenario = replace(
-            cantilever,
-            name=options.name,
-            mechanics=replace(cantilever.mechanics, cycles=cycles),
-            clocks=replace(cantilever.clocks, rate=rate, fps=fps),
-        )
-    return simulate_test(scenario, options.out / options.name, options.seed)
+        cantilever = wire if kind == "wire" else build_taped_scenario(specimen_type)
+        mechanics = replace(cantilever.mechanics, cycles=cycles)
+        clocks = replace(cantilever.clocks, rate=rate, fps=fps)
+        scenario = replace(cantilever, name=name, mechanics=mechanics, clocks=clocks)
+    return simulate_test(scenario, options.out / name, options.seed)

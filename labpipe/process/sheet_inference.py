@@ -41,10 +41,11 @@ _SIZE_UNITS |= {"section.area": "m^2"}
 _COPIED_FACTS = ("date", "operator", "type", "sample", *_SIZE_UNITS)
 """Facts that become values of a test sheet, in this order."""
 _IGNORED_SUFFIXES = frozenset({".yaml", ".yml", ".md", ".ini"})
-"""Suffixes of files in a test folder that are no exports."""
+"""Suffixes of files in a test folder that are not exports."""
 _YEAR_FIRST_DATE = re.compile(r"(?<!\d)(\d{4})[-./](\d{1,2})[-./](\d{1,2})(?!\d)")
 _YEAR_LAST_DATE = re.compile(r"(?<!\d)(\d{1,2})([-./])(\d{1,2})\2(\d{4})(?!\d)")
 _COMPACT_DATE = re.compile(r"(?<!\d)(20\d\d)(\d\d)(\d\d)(?!\d)")
+"""Dates such as 2026-03-04, 4.3.2026 and 20260304; other digits may not adjoin them."""
 _US_TIME = re.compile(r"\s+\d{1,2}:\d\d(?::\d\d)?\s*(?:AM|PM)\b")
 """Time with AM or PM in capitals, as after the US dates of Windows, in which the month is first."""
 _FOLDER_NAME_PATTERN = re.compile(
@@ -66,7 +67,7 @@ If a column has several values, the sources contradict each other.
 
 @cache
 def _read_fact_keys() -> dict[str, dict[str, list[str]]]:
-    """Read the metadata keys under which programs store each fact, and the entries to ignore."""
+    """Read ``sheet_facts.toml``: metadata keys of each fact, placeholders, and ignored lists."""
     text = (package_files("labpipe.process") / "sheet_facts.toml").read_text(encoding="utf-8")
     return tomllib.loads(text)
 
@@ -102,7 +103,7 @@ def collect_facts(folder: str, exports: Mapping[str, Recording]) -> Facts:
 
 
 def _list_entries(metadata: Mapping[str, object]) -> Iterator[tuple[str, str]]:
-    """Yield key and text of each metadata entry, nested or not; only the last part of the key."""
+    """Yield the last part of the key and the text of each metadata entry, also of nested ones."""
     for key, value in metadata.items():
         if isinstance(value, Mapping) and key not in _read_fact_keys()["entries"]["lists"]:
             yield from _list_entries(value)
@@ -155,8 +156,9 @@ def parse_date(text: str) -> str:
 
     Returns
     -------
-    The ISO date; empty if there is no valid date, or the order of day and month is ambiguous. In a
-    date with dots the day is first. Before a time with AM or PM in capitals the month is first.
+    The ISO date; empty if there is no valid date, or if the first one has an ambiguous order of day
+    and month. In a date with dots the day is first. Before a time with AM or PM in capitals the
+    month is first.
 
     Examples
     --------
@@ -198,9 +200,9 @@ class ProtocolMatch:
     protocol : protocol without the overrides of a test
     files : names of the exports, keyed by role
     choices : names of the exports that are possible for a role and cannot be joined, keyed by role
-    score : whether the exports are complete, and the number of exports that the protocol reads.
-        Exports are complete if they can be read and joined, and the camera recording has the clamp
-        that the protocol names. If the recording has this clamp, the number is higher by 1
+    score : whether the exports are complete, and the number of exports that the protocol reads,
+        plus 1 if the camera recording has the clamp that the protocol names. Exports are complete
+        if they can be read and joined, and no camera recording lacks this clamp
     reason : reason for which this protocol was chosen from several; empty if no criterion chose it
     """
 
@@ -452,12 +454,12 @@ class InferredTest:
     folder : folder of the test
     values : texts of the values, keyed by column of a campaign table
     files : names of exports, keyed by role
-    open_keys : keys whose values the user must fill in. These are required columns without a value
-        and ambiguous roles, or ``files`` if no role has a file
+    open_keys : keys whose values the user must fill in: required columns without a value, ambiguous
+        roles, and ``files`` if no role has or may have a file
     remarks : sentences on the protocol, the sources of the values, contradictions, and files that
         are not used or are missing
     read_errors : reason why an export of a known format cannot be read, keyed by its name
-    blocks : blocks of the test sheet for which a campaign table has no column, keyed by their keys
+    blocks : blocks of the test sheet for which a campaign table has no column, keyed by name
     """
 
     folder: Path
@@ -482,8 +484,8 @@ def infer_tests(
     Yields
     ------
     The inferred tests. Tests whose protocol is certain come first. The protocols of the other tests
-    are then inferred again, from the protocols of the first tests, too. Only the recordings of one
-    test are in memory at a time.
+    are then inferred again, now also from those of the first tests. Only the recordings of one test
+    are in memory at a time.
     """
     campaign_tests = read_campaign_tests(folders[0].resolve().parent) if folders else {}
     folders_without_protocol = []
@@ -523,9 +525,12 @@ def infer_test(
     matches = _match_folder(folder, exports, stated_values, stated_files, campaign_tests)
     protocol = matches[0].protocol if len(matches) == 1 else None
     files = _assign_files(exports, matches, stated_files)
+    inferred_files = {role: names for role, names in files.items() if role not in stated_files}
     choices = {role: names for match in matches for role, names in match.choices.items()}
     ambiguous_names = set(chain.from_iterable(choices.values()))
-    certain_exports = {x.name: exports[x] for x in exports if x.name not in ambiguous_names}
+    certain_exports = {
+        path.name: export for path, export in exports.items() if path.name not in ambiguous_names
+    }
     all_facts = collect_facts(folder.name, certain_exports)
     facts = {key: fact for key, fact in all_facts.items() if key not in stated_values}
     copied_facts = {key: facts[key] for key in _COPIED_FACTS if len(facts.get(key, ())) == 1}
@@ -541,7 +546,7 @@ def infer_test(
     open_keys += sorted(choices) or ([] if files else ["files"])
     remarks = [
         *([] if "protocol" in stated_values else [_describe_matches(exports, matches)]),
-        *_describe_files({x: files[x] for x in files if x not in stated_files}, choices, kinds),
+        *_describe_files(inferred_files, choices, kinds),
         *_describe_facts(copied_facts, facts),
         *_describe_unused(folder, kinds, ambiguous_names.union(*files.values())),
     ]
@@ -641,10 +646,8 @@ def _describe_matches(exports: Exports, matches: Sequence[ProtocolMatch]) -> str
 
 def _describe_files(files: Files, choices: Files, kinds: Mapping[str, str]) -> Iterator[str]:
     """Describe the exports of each role, and the roles with several possible exports."""
-    texts = []
-    for role, names in files.items():
-        exports = ", ".join(f"{_escape(name)} ({kinds[name]})" for name in names)
-        texts.append(f"{role}: {exports}")
+    exports = {name: f"{_escape(name)} ({kind})" for name, kind in kinds.items()}
+    texts = [f"{role}: {', '.join(exports[x] for x in names)}" for role, names in files.items()]
     if texts:
         yield "; ".join(texts)
     for role, candidates in sorted(choices.items()):

@@ -175,10 +175,10 @@ def test_writes_exports_sheet_and_truth(
     ("options", "rejected"),
     [
         ("--kind taped-bundle --type CWB-1", "type=CWB-1 of a taped-bundle"),
-        ("--kind conduit-bundle --cycles 2", "cycles=2 of a conduit bundle"),
-        ("--kind metal-tension --cycles 2", "cycles=2 of a metal tension"),
-        ("--kind metal-tension --rate 1kHz", "rate=1kHz of a metal tension"),
-        ("--kind metal-tension --fps 25Hz", "fps=25Hz of a metal tension"),
+        ("--kind conduit-bundle --cycles 2", "cycles=2 of a conduit-bundle"),
+        ("--kind metal-tension --cycles 2", "cycles=2 of a metal-tension"),
+        ("--kind metal-tension --rate 1kHz", "rate=1kHz of a metal-tension"),
+        ("--kind metal-tension --fps 25Hz", "fps=25Hz of a metal-tension"),
         ("--type CWB-1", "type=CWB-1 of a wire"),
         ("--name con", "name=con"),
         ("--name a. --rate fast --cycles 0", "rate=fast, cycles=0, name=a."),
@@ -190,7 +190,10 @@ def test_simulate_refuses_options_of_other_kinds(
     ran = run("simulate", "--out", tmp_path, *options.split())
     assert ran.status == EXIT_ERROR
     assert ran.err.startswith("labpipe simulate: options: expected --rate and --fps such as ")
-    assert f"cycles that fit the kind, found {rejected}. See `labpipe simulate --help`." in ran.err
+    assert (
+        f"options that the kind of specimen has, found {rejected}. See `labpipe simulate --help`."
+        in ran.err
+    )
 
 
 @pytest.fixture(scope="module")

@@ -226,7 +226,7 @@ def test_a_file_stated_for_the_later_role_is_not_of_the_earlier_one(
     """Two exports that either role of one protocol may have."""
     (tensile,) = (protocol for protocol in protocols if protocol.name == "tensile")
     (source,) = tensile.sources.values()
-    roles = {role: source for role in ("force", "frame")}
+    roles = dict.fromkeys(("force", "frame"), source)
     both = tensile.model_copy(update={"sources": roles})
     exports = dict([frame(0.01, 1e-3, name="1.txt"), frame(0.01, 1e-3, name="2.txt")])
     for name, other_name in (("1.txt", "2.txt"), ("2.txt", "1.txt")):
