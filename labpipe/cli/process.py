@@ -29,29 +29,29 @@ from labpipe.store.summaries import build_summary
 def run(options: argparse.Namespace) -> int:
     """Process tests; return 2 if a test is refused, 1 if a result failed, otherwise 0."""
     tests = find_tests(options.tests)
-    processed, n_refused = process_all(
+    processed_tests, n_refused = process_all(
         tests, options, out=options.out, timeout=options.timeout, follow_links=options.follow_links
     )
-    if not processed:
+    if not processed_tests:
         return 2  # `process_all` has printed the reasons
     if options.json:
-        summaries = [build_summary(outcome.result) for outcome in processed]
+        summaries = [build_summary(test.result) for test in processed_tests]
         print(json.dumps(summaries[0] if len(tests) == 1 else summaries, indent=2))
     else:
-        print("\n\n".join(format_test(outcome) for outcome in processed))
-    return 2 if n_refused else int(any(outcome.n_failed for outcome in processed))
+        print("\n\n".join(map(format_test, processed_tests)))
+    return 2 if n_refused else int(any(test.n_failed for test in processed_tests))
 
 
 def process_all(
     tests: list[Path], options: argparse.Namespace, **arguments: Any
 ) -> tuple[list[ProcessedTest], int]:
-    """Process tests, and print the reasons why tests are refused.
+    """Process tests; print the reasons for refused tests, and completed replacements of files.
 
     Parameters
     ----------
     tests : path of the test.yaml or result.h5 of each test
     options : options of a command, including those for figures and jobs
-    arguments : further arguments of `process_tests`
+    arguments : further keyword arguments of `process_tests`
 
     Returns
     -------
@@ -65,7 +65,7 @@ def process_all(
             figures=not options.no_figures,
             png=options.png,
             jobs=options.jobs or choose_default_jobs(),
-            on_outcome=lambda sheet: show(sheet.parent.name),
+            on_outcome=lambda source: show(source.parent.name),
             **arguments,
         )
     for outcome in outcomes:
@@ -87,31 +87,32 @@ def format_test(processed: ProcessedTest) -> str:
 
     Returns
     -------
-    A heading, one line per result, then the reasons for doubtful and failed results, and warnings.
+    A heading, the results, the reasons for doubtful and failed results, and the notes that are
+    warnings or errors.
     """
     test = processed.result
     width = compute_name_width(result.name for result in test.results)
     # Results of one quantity in several cycles, such as energy.1 and energy.2, are grouped.
     results_by_quantity = defaultdict[str, list[Result]](list)
-    names_by_status_text = defaultdict[str, list[str]](list)
+    names_by_reason = defaultdict[str, list[str]](list)
     for result in test.results:
         results_by_quantity[result.name.partition(".")[0]].append(result)
         if result.reasons:
-            names_by_status_text[f"{result.status}: {result.reason_text}"].append(result.name)
+            names_by_reason[f"{result.status}: {result.reason_text}"].append(result.name)
     lines = [format_headline(processed)]
     for results in results_by_quantity.values():
         lines += _format_cycles(results, dict(test.display), width)
-    lines += [f"  {reason}  [{', '.join(names)}]" for reason, names in names_by_status_text.items()]
+    lines += [f"  {reason}  [{', '.join(names)}]" for reason, names in names_by_reason.items()]
     for note in test.quality:
         if note.severity != "info":
-            has_location = note.message.startswith(note.where.partition(",")[0])
-            location = "" if has_location else f"{note.where}: "
+            names_location = note.message.startswith(note.where.partition(",")[0])
+            location = "" if names_location else f"{note.where}: "
             lines.append(f"  {note.severity}: {location}{note.message}")
     return "\n".join(lines)
 
 
 def format_headline(processed: ProcessedTest) -> str:
-    """Summarise a test in one line.
+    """Format the name, protocol, numbers of results and results folder of a test in one line.
 
     Parameters
     ----------
@@ -123,7 +124,7 @@ def format_headline(processed: ProcessedTest) -> str:
 
 
 def _format_cycles(results: list[Result], display: Mapping[str, str], width: int) -> list[str]:
-    """Format one line per cycle; of more than 8 cycles, format four and the range of the others."""
+    """Format a line per cycle; of more than 8 cycles, format the first 4 and the others' range."""
     max_lines = 8
     n_listed = len(results) if len(results) <= max_lines else max_lines // 2
     lines = [format_result(result, display, width) for result in results[:n_listed]]

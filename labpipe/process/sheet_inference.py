@@ -49,7 +49,7 @@ _COMPACT_DATE = re.compile(r"(?<!\d)(20\d\d)(\d\d)(\d\d)(?!\d)")
 _US_TIME = re.compile(r"\s+\d{1,2}:\d\d(?::\d\d)?\s*(?:AM|PM)\b")
 """Time with AM or PM in capitals, as after the US dates of Windows, in which the month is first."""
 _FOLDER_NAME_PATTERN = re.compile(
-    r"(?P<type>.+?)(?:-(?P<length>\d{3})(?=-))?[-_](?P<sample>\d{1,3}[a-z]?)"
+    r"(?P<type>.+?)(?:-(?P<length>(?!000)\d{3})(?=-))?[-_](?P<sample>\d{1,3}[a-z]?)"
 )
 """Name of a test folder that consists of specimen type, length in mm if stated, and sample."""
 Exports: TypeAlias = Mapping[Path, Recording]

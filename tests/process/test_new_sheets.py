@@ -330,6 +330,7 @@ EXPORTS: tuple[tuple[str, Mapping[str, object]], ...] = (
 )
 FOLDERS = (
     *("A2-085-1", "TWB-B1-19-PVC-2", "twist-tube-1a", "CT_10_3", "2026-03-04", "specimen"),
+    "A2-000-1",
     "Test Run 4 10-23-2023 6 43 09 PM",
 )
 
