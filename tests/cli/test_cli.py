@@ -47,14 +47,14 @@ def test_new_then_check(run: Run, lab: Lab) -> None:
     assert ran.out.splitlines()[0] == f"wrote {lab.sheet}"
     assert "  not used: truth.json (JSON)" in ran.out.splitlines()
     ran = run("check", lab.raw)
-    assert (ran.status, ran.out) == (EXIT_OK, "0 protocols, 1 tests: no faults found\n")
+    assert (ran.status, ran.out) == (EXIT_OK, "0 protocols, 1 test: no faults found\n")
     content = lab.sheet.read_bytes()
     assert run("new", lab.raw, *options).status == EXIT_ERROR
     assert lab.sheet.read_bytes() == content
     assert run("new", lab.raw, *options, "--overwrite").status == EXIT_OK
     lab.edit("test.yaml", "take.csv", "tale.csv")
     ran = run("check", lab.raw)
-    assert (ran.status, ran.out) == (EXIT_ERROR, "0 protocols, 1 tests: 1 fault\n")
+    assert (ran.status, ran.out) == (EXIT_ERROR, "0 protocols, 1 test: 1 fault\n")
     assert "tale.csv" in ran.err
 
 
