@@ -75,8 +75,8 @@ def run_marker_step(
     Raises
     ------
     ValueError
-        If the protocol has no block ``markers``, an earlier step is missing, or the step cannot be
-        run on the data.
+        If the test has no marker tracks, the protocol has no block ``markers``, an earlier step is
+        missing, or the step cannot be run on the data.
     """
     settings = _require(settings)
     match step:

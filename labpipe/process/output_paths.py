@@ -248,12 +248,10 @@ def _find_files(targets: Sequence[Path], name: str) -> list[Path]:
             raise UsageError.about("process.unfinished", target)
         matching_files = [target] if exists_or_is_staged(target) else list_files_below(target, name)
         if not matching_files:
-            content = "none" if target.is_dir() else "a pipe or a device"
-            content = content if target.exists() else "nothing of that name"
+            kind = "none" if target.is_dir() else "a pipe or a device"
+            kind = kind if target.exists() else "nothing of that name"
             raise UsageError.about(
-                "process.no_test" if name == SHEET_NAME else "process.no_result",
-                target,
-                found=content,
+                "process.no_test" if name == SHEET_NAME else "process.no_result", target, found=kind
             )
         for file in matching_files:
             files.setdefault(file.resolve(), file)

@@ -23,8 +23,9 @@ from labpipe.readers import read_export
 from labpipe.readers.channels import NoChannelError, is_exact_name, select_channel
 from labpipe.readers.load_frame.cards import list_lab_card_files
 from labpipe.readers.number_table import has_dimension_of, is_unit
+from labpipe.readers.recording_checks import TIME_VARIABLE, make_clock_notes
 from labpipe.records.arrays import Floats
-from labpipe.records.quality import QualityNote
+from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.recording import Channel, Clock, Recording
 from labpipe.records.result import InputFile
 from labpipe.units import get_conversion_factor
@@ -57,13 +58,11 @@ def _check_unit(channel: Channel, channel_source: ChannelSource, path: Path) -> 
         is_same_unit = _are_equal_units(likely_unit, channel_source.unit, si_unit)
         if is_same_unit or not is_known or file_unit == channel_source.wrong_unit_in_file:
             return
-        facts = {
-            "file_unit": file_unit,
-            "key": f"{unit_key}: {channel_source.unit}",
-            "correction": f"Name another channel with {other_channel}",
-            "wrong": format_overrides(f"{key}.wrong_unit_in_file", file_unit),
-        }
-        facts |= {"correction": f"Write {likely_unit} there"} if has_dimension else {}
+        correction = f"Write {likely_unit} there"
+        correction = correction if has_dimension else f"Name another channel with {other_channel}"
+        wrong = format_overrides(f"{key}.wrong_unit_in_file", file_unit)
+        facts = {"file_unit": file_unit, "correction": correction, "wrong": wrong}
+        facts |= {"key": f"{unit_key}: {channel_source.unit}"}
         raise ReadError.about("process.unit_contradicts", path, place, **facts)
     if not file_unit:
         unit = format_overrides(unit_key, channel_source.target_unit)
@@ -189,6 +188,8 @@ def join_exports(parts: Sequence[Recording], names: Sequence[str], folder: Path)
     Returns
     -------
     One recording with the metadata of the earliest part with samples, and the notes of all parts.
+    If several parts have samples, the notes on their time axes are replaced by those on the joined
+    axis, which report gaps between parts.
 
     Raises
     ------
@@ -211,17 +212,22 @@ def join_exports(parts: Sequence[Recording], names: Sequence[str], folder: Path)
             facts = {"end": part_end, "part": path, "start": next_start}
             raise ReadError.about("process.parts_overlap", next_path, "time", **facts)
     ordered_parts = [part for _, part in parts_with_samples]
-    notes = [note for part in (*ordered_parts, *filter(is_empty, parts)) for note in part.notes]
-    recording = replace(ordered_parts[0], notes=tuple(notes))
+    notes = [note for part in ordered_parts for note in part.notes]
+    empty_part_notes = [note for part in filter(is_empty, parts) for note in part.notes]
+    first_part = ordered_parts[0]
     if len(ordered_parts) == 1:
-        return recording
-    clock = recording.clocks[0].name
-    time = np.concatenate([part.clocks[0].time for part in ordered_parts])
+        return replace(first_part, notes=(*notes, *empty_part_notes))
+    times = [part.clocks[0].time for part in ordered_parts]
+    clock = Clock(first_part.clocks[0].name, np.concatenate(times))
     channels = tuple(
-        replace(channels[0], clock=clock, values=np.concatenate([x.values for x in channels]))
+        replace(channels[0], clock=clock.name, values=np.concatenate([x.values for x in channels]))
         for channels in zip(*(part.channels for part in ordered_parts), strict=True)
     )
-    return replace(recording, clocks=(Clock(clock, time),), channels=channels)
+    is_variable = any((x.code, x.severity) == (TIME_VARIABLE, Severity.INFO) for x in notes)
+    clock_notes = make_clock_notes(clock, is_variable=is_variable)
+    notes = [note for note in notes if not note.where.startswith("clock ")]
+    notes += [*clock_notes, *empty_part_notes]
+    return replace(first_part, clocks=(clock,), channels=channels, notes=tuple(notes))
 
 
 def _check_sortable(path: Path, part: Recording) -> None:

@@ -71,7 +71,7 @@ class ProcessedTest:
     Parameters
     ----------
     folder : folder with result.h5, summary.json and figures
-    result : result of the test; `try_to_process` removes recordings, curve and shape from it
+    result : result of the test, without its arrays if `try_to_process` returned it
     figures : paths of the figures
     has_completed_replacement : whether a replacement of files was completed that an earlier, killed
         process had begun
@@ -411,8 +411,9 @@ def try_to_process(
 
     Returns
     -------
-    The processed test, or the reason why it could not be processed. Recordings, curve and shape are
-    removed from the returned result to save memory; they are in the result.h5 of the test.
+    The processed test, or the reason why it could not be processed. Recordings, aligned signals,
+    curve, shape and bending data are removed from the returned result to save memory; they are in
+    the result.h5 of the test.
 
     Raises
     ------

@@ -306,11 +306,9 @@ def check_channels(signals: Signals, protocol: Protocol) -> Iterator[Finding]:
 def _make_saturation_note(name: str, signal: Signal, runs: list[StuckRun]) -> QualityNote:
     """Make the note of all stretches in which a channel is saturated."""
     levels = sorted({float(signal.values[run.start]) for run in runs})
-    facts = {
-        "count": sum(run.stop - run.start for run in runs),
-        "runs": len(runs),
-        "levels": " and ".join(f"{level:.6g} {signal.unit}" for level in levels),
-    }
+    levels_text = " and ".join(f"{level:.6g} {signal.unit}" for level in levels)
+    count = sum(run.stop - run.start for run in runs)
+    facts = {"count": count, "runs": len(runs), "levels": levels_text}
     stretches = [_get_adjacent_times(signal, run) for run in runs]
     return QualityNote.of("process.saturation", name, *stretches, **facts)
 
