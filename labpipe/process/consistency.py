@@ -333,7 +333,7 @@ def _check_early_force(record: CheckedRecord) -> Iterator[Finding]:
 def _check_force_level(record: CheckedRecord) -> Iterator[Finding]:
     """Report a jump of the force that no specimen causes; without such a jump, a drift of the zero.
 
-    Such a jump is a rise in loading, a fall in loading to zero after which the force rises again, or
+    Such a jump is a rise in loading, a fall in loading to zero from which the force rises again, or
     any jump in unloading. If a converter overflows, the force jumps over the whole range of the
     record. One or two jumps over the whole range are an overflow only if they lead to the opposite
     force.
