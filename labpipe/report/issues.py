@@ -7,10 +7,10 @@ mean because tests are missing. It is computed for each number, and the largest 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from math import inf, isnan, sqrt
+from math import inf, isclose, isnan, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -49,12 +49,14 @@ class Issue:
     ----------
     kind : kind of the issue
     group : affected group; empty if the issue affects a test without a group
-    tests : names of the affected tests, or the file of a test; empty if the issue affects the whole
-        group
-    topic : labels of the affected numbers, description of a slip, or subject of a note
+    tests : names of the affected tests (`name_samples`), or the file of a test that is in no group;
+        empty if the issue affects the whole group
+    topic : labels of the affected numbers, description of a slip, or subject of a note; empty for a
+        test that is in no group
     reason : sentences that give the reason with its values
-    code : codes of the reasons, separated by commas; may be empty
-    numbers : names of the affected results; empty if all results are affected or they are unknown
+    code : codes of the reasons, separated by commas, or code of the note; empty for slips, for
+        outliers and for tests that are in no group
+    numbers : names of the affected results; empty if any result of the tests may be affected
     """
 
     kind: Kind
@@ -75,8 +77,10 @@ def find_issues(campaign: Campaign) -> tuple[Issue, ...]:
 
     Returns
     -------
-    Issues in the order of `Kind`, then of groups and samples. Numbers of a test with the same
-    reasons are one issue.
+    Issues in the order of `Kind`, then of groups. Within a group, samples left out and outliers are
+    in the order of numbers, other issues in the order of samples, and notes on the group are last.
+    Failed numbers of a test with the same reasons are one issue, and so are doubtful numbers and
+    numbers without an interval.
     """
     excluded_files = {Kind.UNREADABLE: campaign.failures, Kind.REJECTED: campaign.rejected}
     kind_order = [*Kind]
@@ -86,8 +90,8 @@ def find_issues(campaign: Campaign) -> tuple[Issue, ...]:
         for file, reason in reasons.items()
     ]
     for group in campaign.groups:
-        for sample in group.samples:
-            issues += _list_sample_issues(group, sample)
+        for test, sample in zip(name_samples(group.samples), group.samples, strict=True):
+            issues += _list_sample_issues(group, test, sample)
         issues += _list_number_issues(group)
         if not group.samples and not group.notes:
             reason = group.band.reason or Reason("empty_group", "no sample in this group")
@@ -110,12 +114,12 @@ DECISIONS = {
 """Sentence on each treatment of a slip."""
 
 
-def _list_sample_issues(group: Group, sample: Sample) -> Iterator[Issue]:
-    """Yield the issues of the results, slips and notes of a sample.
+def _list_sample_issues(group: Group, test: str, sample: Sample) -> Iterator[Issue]:
+    """Yield the issues of the results, slips and notes of a sample, which the group names `test`.
 
-    Notes with the code of a reason of a result are skipped, because the result has an issue.
+    Notes with the code of a reason of an issue are skipped.
     """
-    tests = (sample.test,)
+    tests = (test,)
     results_by_reason: dict[tuple[Kind, tuple[Reason, ...]], list[Result]] = {}
     for result in sample.results:
         kind = {Status.FAILED: Kind.FAILED, Status.DOUBTFUL: Kind.DOUBTFUL}.get(result.status)
@@ -135,7 +139,7 @@ def _list_sample_issues(group: Group, sample: Sample) -> Iterator[Issue]:
         drop_text = f"{drop.value} {force.unit} ({drop.interval})"
         topic = f"{drop_text} lost at {position.value} {length.unit} ({position.interval})"
         yield Issue(Kind.SLIP, group.name, tests, topic, reason=DECISIONS[slip.decision])
-    codes = {reason.code for result in sample.results for reason in result.reasons}
+    codes = {reason.code for _, reasons in results_by_reason for reason in reasons}
     notes = [note for note in sample.quality if note.code not in codes]
     yield from _list_note_issues(group.name, tests, notes)
 
@@ -143,8 +147,8 @@ def _list_sample_issues(group: Group, sample: Sample) -> Iterator[Issue]:
 def _list_number_issues(group: Group) -> Iterator[Issue]:
     """Yield an issue for each sample left out of a mean without a failure, and each outlier."""
     failed_results = {
-        (sample.test, result.name)
-        for sample in group.samples
+        (test, result.name)
+        for test, sample in zip(name_samples(group.samples), group.samples, strict=True)
         for result in sample.results
         if result.status is Status.FAILED
     }
@@ -165,7 +169,7 @@ def _list_number_issues(group: Group) -> Iterator[Issue]:
 
 
 _REPEATED_NOTE_CODES = {"doubtful_in_mean", *(f"slip_{decision}" for decision in SlipDecision)}
-"""Codes of notes that repeat the slips of a test, or the doubtful numbers of a group."""
+"""Codes of notes that are skipped, because slips and doubtful numbers have issues of their own."""
 
 
 def _list_note_issues(
@@ -205,8 +209,9 @@ class Effect(NamedTuple):
     Parameters
     ----------
     size : shift of the mean, relative to half the width of its interval, or relative widening of
-        the interval; infinite if no value is left, a fixed size for one value or if all values are
-        affected, and 0 for rejected tests
+        the interval. It is infinite if no value is left, if the mean shifts and its interval has no
+        width, and for unreadable tests; a fixed size if one value is left or all values are
+        affected; 0 if the mean has no interval, and for rejected tests
     text : sentence on the effect without a full stop
     """
 
@@ -294,20 +299,21 @@ def find_causes(campaign: Campaign) -> tuple[list[Cause], list[Cause]]:
     return causes, sorted(notes, key=lambda note: len(note.issues), reverse=True)
 
 
-def _group_by_cause(issues: Iterable[Issue]) -> list[Cause]:
-    """Group issues of the same kind with a common code; all slips have one cause."""
-    clusters: list[tuple[Kind, set[str], list[Issue]]] = []
-    for issue in issues:
-        code_text = issue.kind if issue.kind is Kind.SLIP else issue.code
-        codes = {str(code) for code in code_text.split(", ") if code}
-        for kind, cluster_codes, cluster_issues in clusters:
-            if kind is issue.kind and codes & cluster_codes:
-                cluster_codes.update(codes)
-                cluster_issues.append(issue)
-                break
-        else:
-            clusters.append((issue.kind, codes, [issue]))
-    return [Cause(tuple(cluster_issues)) for _, _, cluster_issues in clusters]
+def _group_by_cause(issues: Sequence[Issue]) -> list[Cause]:
+    """Group issues of one kind that share a code, directly or through other issues.
+
+    All slips have one cause. The order of the issues does not change the groups.
+    """
+    clusters: list[tuple[set[tuple[Kind, str]], list[int]]] = []
+    for index, issue in enumerate(issues):
+        code_text = "slip" if issue.kind is Kind.SLIP else issue.code
+        keys, indices = {(issue.kind, code) for code in code_text.split(", ") if code}, [index]
+        for cluster in [cluster for cluster in clusters if not keys.isdisjoint(cluster[0])]:
+            clusters.remove(cluster)
+            keys, indices = keys | cluster[0], indices + cluster[1]
+        clusters.append((keys, sorted(indices)))
+    clusters.sort(key=lambda cluster: cluster[1][0])
+    return [Cause(tuple(issues[index] for index in indices)) for _, indices in clusters]
 
 
 def _find_effect(cause: Cause, groups: Mapping[str, Group]) -> Effect | None:
@@ -388,11 +394,12 @@ def _compute_shift(group: Group, number: GroupNumber, tests: set[str], label: st
     if not values_by_member:
         return Effect(all_values_size, format_sentence("report.effect_all_values", number=label))
     value, half_width = number.mean.chosen.mean, number.mean.chosen.half_width
-    shift = float(np.mean([np.mean(values) for values in values_by_member.values()])) - value
-    size = abs(shift) / half_width if half_width > 0.0 else 0.0
+    new_value = float(np.mean([np.mean(values) for values in values_by_member.values()]))
+    shift = 0.0 if isclose(new_value, value) else new_value - value
     percentage = f"{wording.format_percent(abs(shift / value))} " if value else ""
     text = f"{label} would be {percentage}{'higher' if shift > 0.0 else 'lower'}"
     text += " without this test" if len(tests) == 1 else " without these tests"
-    if isnan(half_width) or isnan(size):
-        return Effect(0.0, text)
+    if not half_width > 0.0 or isnan(shift):
+        return Effect(inf if half_width == 0.0 and shift else 0.0, text)
+    size = abs(shift) / half_width
     return Effect(size, f"{text}, {size:.2g} times half its interval")
