@@ -84,7 +84,6 @@ def find_issues(campaign: Campaign) -> tuple[Issue, ...]:
     numbers without an interval.
     """
     reasons_by_kind = {Kind.UNREADABLE: campaign.failures, Kind.REJECTED: campaign.rejected}
-    kind_order = [*Kind]
     issues = [
         Issue(kind, "", (file,), "", reason=reason)
         for kind, reasons_by_file in reasons_by_kind.items()
@@ -99,7 +98,7 @@ def find_issues(campaign: Campaign) -> tuple[Issue, ...]:
             sentence, code = wording.make_sentence(reason.message), reason.code
             issues.append(Issue(Kind.WARNING, group.name, (), "empty group", sentence, code=code))
         issues += _list_note_issues(group.name, (), group.notes)
-    return tuple(sorted(issues, key=lambda issue: kind_order.index(issue.kind)))
+    return tuple(sorted(issues, key=lambda issue: [*Kind].index(issue.kind)))
 
 
 def _join_codes(reasons: Iterable[Reason]) -> str:
