@@ -129,9 +129,15 @@ class FieldComparison(NamedTuple):
 
 
 def _make_pair_sort_key(pair: Pair) -> tuple[bool, float]:
-    """Return whether the verdict of a pair is "different", and the magnitude of its difference."""
-    difference = pair.differences[0]
-    change = difference.difference.mean if difference.change is None else difference.change
+    """Return whether the verdict of a pair is "different", and the size of its relative change.
+
+    On a linear scale, the change is relative to the mean of the first group.
+    """
+    difference, number = pair.differences[0], pair.first.find_number(pair.differences[0].name)
+    change = difference.change
+    if change is None:
+        reference = 0.0 if number is None else number.mean.chosen.mean
+        change = difference.difference.mean / reference if reference else nan
     return difference.verdict is Verdict.DIFFERENT, abs(change) if isfinite(change) else 0.0
 
 

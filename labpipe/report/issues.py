@@ -2,15 +2,16 @@
 
 One camera that loses markers in thirty tests is one cause with many issues. The effect of a cause
 is the shift of a mean when the affected tests are left out, or the widening of the interval of a
-mean because tests are missing. It is computed for each number, and the largest one is reported.
+mean because tests are missing. It is computed for each number of the affected groups, and the
+largest effect is reported.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from math import inf, isnan, sqrt
+from math import inf, isclose, isnan, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -26,7 +27,7 @@ from labpipe.statistics.means import compute_t_quantile
 
 
 class Kind(StrEnum):
-    """Kinds of issues, in the order of the report."""
+    """Kinds of issues, in the order in which `find_issues` returns them."""
 
     UNREADABLE = "Tests that could not be read"
     REJECTED = "Tests that were rejected"
@@ -49,12 +50,14 @@ class Issue:
     ----------
     kind : kind of the issue
     group : affected group; empty if the issue affects a test without a group
-    tests : names of the affected tests, or the file of a test; empty if the issue affects the whole
-        group
-    topic : labels of the affected numbers, description of a slip, or subject of a note
+    tests : names of the affected tests (`name_samples`), or the file of a test that is in no group;
+        empty if the issue affects the whole group
+    topic : labels of the affected numbers, description of a slip, or subject of a note; empty for a
+        test that is in no group
     reason : sentences that give the reason with its values
-    code : codes of the reasons, separated by commas; may be empty
-    numbers : names of the affected results; empty if all results are affected or they are unknown
+    code : codes of the reasons, separated by commas, or code of the note; empty for slips, for
+        outliers and for tests that are in no group
+    numbers : names of the affected results; empty if any result of the tests may be affected
     """
 
     kind: Kind
@@ -75,55 +78,56 @@ def find_issues(campaign: Campaign) -> tuple[Issue, ...]:
 
     Returns
     -------
-    Issues in the order of `Kind`, then of groups and samples. Numbers of a test with the same
-    reasons are one issue.
+    Issues in the order of `Kind`, then of groups. Within a group, samples left out and outliers are
+    in the order of numbers, other issues in the order of samples, and notes on the group are last.
+    Failed numbers of a test with the same reasons are one issue, and so are doubtful numbers and
+    numbers without an interval.
     """
-    excluded_files = {Kind.UNREADABLE: campaign.failures, Kind.REJECTED: campaign.rejected}
-    kind_order = [*Kind]
+    reasons_by_kind = {Kind.UNREADABLE: campaign.failures, Kind.REJECTED: campaign.rejected}
     issues = [
         Issue(kind, "", (file,), "", reason=reason)
-        for kind, reasons in excluded_files.items()
-        for file, reason in reasons.items()
+        for kind, reasons_by_file in reasons_by_kind.items()
+        for file, reason in reasons_by_file.items()
     ]
     for group in campaign.groups:
-        for sample in group.samples:
-            issues += _list_sample_issues(group, sample)
+        for test, sample in zip(name_samples(group.samples), group.samples, strict=True):
+            issues += _list_sample_issues(group, test, sample)
         issues += _list_number_issues(group)
         if not group.samples and not group.notes:
             reason = group.band.reason or Reason("empty_group", "no sample in this group")
-            issue = Issue(Kind.WARNING, group.name, (), "empty group", reason="", code=reason.code)
-            issues.append(replace(issue, reason=wording.make_sentence(reason.message)))
+            sentence, code = wording.make_sentence(reason.message), reason.code
+            issues.append(Issue(Kind.WARNING, group.name, (), "empty group", sentence, code=code))
         issues += _list_note_issues(group.name, (), group.notes)
-    return tuple(sorted(issues, key=lambda issue: kind_order.index(issue.kind)))
+    return tuple(sorted(issues, key=lambda issue: [*Kind].index(issue.kind)))
 
 
 def _join_codes(reasons: Iterable[Reason]) -> str:
-    """Join the codes of reasons, each once, by commas."""
+    """Join the codes of reasons with commas, each code once."""
     return ", ".join(dict.fromkeys(reason.code for reason in reasons))
 
 
-DECISIONS = {
+SLIP_TREATMENTS = {
     SlipDecision.MARKED: "Marked only: the curve is unchanged.",
     SlipDecision.REPAIRED: "Repaired: the lost force is added to all later samples.",
     SlipDecision.CUT: "Cut: the curve ends before the slip.",
 }
-"""Sentence on each treatment of a slip."""
+"""Sentence on the treatment of a slip, keyed by treatment."""
 
 
-def _list_sample_issues(group: Group, sample: Sample) -> Iterator[Issue]:
-    """Yield the issues of the results, slips and notes of a sample.
+def _list_sample_issues(group: Group, test: str, sample: Sample) -> Iterator[Issue]:
+    """Yield the issues of the results, slips and notes of a sample, which the group names `test`.
 
-    Notes with the code of a reason of a result are skipped, because the result has an issue.
+    Notes with the code of a reason of an issue are skipped.
     """
-    tests = (sample.test,)
-    results_by_reason: dict[tuple[Kind, tuple[Reason, ...]], list[Result]] = {}
+    tests = (test,)
+    results_by_reasons: dict[tuple[Kind, tuple[Reason, ...]], list[Result]] = {}
     for result in sample.results:
         kind = {Status.FAILED: Kind.FAILED, Status.DOUBTFUL: Kind.DOUBTFUL}.get(result.status)
         if kind is None and result.interval is None and result.reasons:
             kind = Kind.NO_INTERVAL
         if kind is not None:
-            results_by_reason.setdefault((kind, result.reasons), []).append(result)
-    for (kind, reasons), results in results_by_reason.items():
+            results_by_reasons.setdefault((kind, result.reasons), []).append(result)
+    for (kind, reasons), results in results_by_reasons.items():
         names = tuple(result.name for result in results)
         labels = "; ".join(map(wording.format_label, names))
         reason, code = wording.join_sentences(reasons), _join_codes(reasons)
@@ -134,17 +138,17 @@ def _list_sample_issues(group: Group, sample: Sample) -> Iterator[Issue]:
         drop = wording.format_number(slip.drop, slip.drop_interval, force.factor)
         drop_text = f"{drop.value} {force.unit} ({drop.interval})"
         topic = f"{drop_text} lost at {position.value} {length.unit} ({position.interval})"
-        yield Issue(Kind.SLIP, group.name, tests, topic, reason=DECISIONS[slip.decision])
-    codes = {reason.code for result in sample.results for reason in result.reasons}
+        yield Issue(Kind.SLIP, group.name, tests, topic, reason=SLIP_TREATMENTS[slip.decision])
+    codes = {reason.code for _, reasons in results_by_reasons for reason in reasons}
     notes = [note for note in sample.quality if note.code not in codes]
     yield from _list_note_issues(group.name, tests, notes)
 
 
 def _list_number_issues(group: Group) -> Iterator[Issue]:
-    """Yield an issue for each sample left out of a mean without a failure, and each outlier."""
+    """Yield an issue for each outlier and each excluded value, except those of failed results."""
     failed_results = {
-        (sample.test, result.name)
-        for sample in group.samples
+        (test, result.name)
+        for test, sample in zip(name_samples(group.samples), group.samples, strict=True)
         for result in sample.results
         if result.status is Status.FAILED
     }
@@ -153,8 +157,7 @@ def _list_number_issues(group: Group) -> Iterator[Issue]:
         for test, reasons in number.exclusions.items():
             if (test, number.name) not in failed_results:
                 reason, code = wording.join_sentences(reasons), _join_codes(reasons)
-                issue = Issue(Kind.LEFT_OUT, group.name, (test,), label, reason=reason, code=code)
-                yield replace(issue, numbers=names)
+                yield Issue(Kind.LEFT_OUT, group.name, (test,), label, reason, code, numbers=names)
         scale = wording.choose_number_scale(group, number)
         for outlier in number.outliers:
             value_text = wording.format_number(outlier.value, None, scale.factor).value
@@ -165,7 +168,7 @@ def _list_number_issues(group: Group) -> Iterator[Issue]:
 
 
 _REPEATED_NOTE_CODES = {"doubtful_in_mean", *(f"slip_{decision}" for decision in SlipDecision)}
-"""Codes of notes that repeat the slips of a test, or the doubtful numbers of a group."""
+"""Codes of notes without an issue, because slips and doubtful numbers have issues of their own."""
 
 
 def _list_note_issues(
@@ -173,12 +176,13 @@ def _list_note_issues(
 ) -> Iterator[Issue]:
     """Yield one issue per combination of code and message in the notes.
 
+    All notes that tests were processed differently are one issue.
+
     Parameters
     ----------
     group : name of the group
     tests : name of the test of the notes; empty for notes of the group
-    notes : notes; those of severity ``info`` and with `_REPEATED_NOTE_CODES` are skipped. All
-        differences between the protocols of a group are one issue
+    notes : notes; those of severity ``info`` or with a code in `_REPEATED_NOTE_CODES` are skipped
     """
     notes_by_code: dict[tuple[str, str], list[QualityNote]] = {}
     for note in notes:
@@ -186,8 +190,9 @@ def _list_note_issues(
             message = "" if note.code == PROTOCOLS_DIFFER else note.message
             notes_by_code.setdefault((note.code, message), []).append(note)
     for (code, _), members in notes_by_code.items():
-        is_note = tests and members[0].severity is not Severity.ERROR
-        kind = Kind.NOTE if is_note else Kind.WARNING
+        # a warning in a test without an affected result has no consequence
+        is_harmless = tests and members[0].severity is not Severity.ERROR
+        kind = Kind.NOTE if is_harmless else Kind.WARNING
         sentences = dict.fromkeys(wording.make_sentence(note.message) for note in members)
         yield Issue(
             kind=Kind.PROCESSING if code == PROTOCOLS_DIFFER else kind,
@@ -205,9 +210,10 @@ class Effect(NamedTuple):
     Parameters
     ----------
     size : shift of the mean, relative to half the width of its interval, or relative widening of
-        the interval; infinite if no value is left, a fixed size for one value or if all values are
-        affected, and 0 for rejected tests
-    text : sentence on the effect without a full stop
+        the interval. It is infinite if no value is left, if the mean shifts and its interval has no
+        width, and for unreadable tests; a fixed size if one value is left or all values are
+        affected; 0 if the mean has no interval, and for rejected tests
+    text : sentence on the effect, without a full stop
     """
 
     size: float
@@ -220,8 +226,8 @@ class Cause:
 
     Parameters
     ----------
-    issues : at least one issue
-    effect : effect on the number that changes most; None if it is unknown
+    issues : issues of one kind, at least one
+    effect : effect on the number that changes most; None if the cause affects no mean
     """
 
     issues: tuple[Issue, ...]
@@ -234,7 +240,7 @@ class Cause:
 
     @property
     def code(self) -> str:
-        """Code of the first issue; may be empty."""
+        """Codes of the first issue, separated by commas; empty if it has none."""
         return self.issues[0].code
 
     @property
@@ -279,9 +285,9 @@ def find_causes(campaign: Campaign) -> tuple[list[Cause], list[Cause]]:
 
     Returns
     -------
-    causes : causes in the order of decreasing effect; causes of unknown effect are last. Causes of
-        equal effect are in the order of `Kind`
-    notes : notes without consequences, grouped by code, the most frequent first
+    causes : causes in the order of decreasing effect; causes that affect no mean are last, and
+        causes of equal effect are in the order of `Kind`
+    notes : causes of the kind `Kind.NOTE`, without an effect, the most frequent first
     """
     groups = {group.name: group for group in campaign.groups}
     causes, notes = [], []
@@ -294,24 +300,28 @@ def find_causes(campaign: Campaign) -> tuple[list[Cause], list[Cause]]:
     return causes, sorted(notes, key=lambda note: len(note.issues), reverse=True)
 
 
-def _group_by_cause(issues: Iterable[Issue]) -> list[Cause]:
-    """Group issues of the same kind with a common code; all slips have one cause."""
-    clusters: list[tuple[Kind, set[str], list[Issue]]] = []
-    for issue in issues:
-        code_text = issue.kind if issue.kind is Kind.SLIP else issue.code
-        codes = {str(code) for code in code_text.split(", ") if code}
-        for kind, cluster_codes, cluster_issues in clusters:
-            if kind is issue.kind and codes & cluster_codes:
-                cluster_codes.update(codes)
-                cluster_issues.append(issue)
-                break
-        else:
-            clusters.append((issue.kind, codes, [issue]))
-    return [Cause(tuple(cluster_issues)) for _, _, cluster_issues in clusters]
+def _group_by_cause(issues: Sequence[Issue]) -> list[Cause]:
+    """Group issues of one kind that share a code, directly or through other issues.
+
+    All slips have one cause. The order of the issues does not change the groups.
+    """
+    clusters: list[tuple[set[tuple[Kind, str]], list[int]]] = []
+    for index, issue in enumerate(issues):
+        code_text = "slip" if issue.kind is Kind.SLIP else issue.code
+        keys, indices = {(issue.kind, code) for code in code_text.split(", ") if code}, [index]
+        for cluster in [cluster for cluster in clusters if not keys.isdisjoint(cluster[0])]:
+            clusters.remove(cluster)
+            keys, indices = keys | cluster[0], indices + cluster[1]
+        clusters.append((keys, sorted(indices)))
+    clusters.sort(key=lambda cluster: cluster[1][0])
+    return [Cause(tuple(issues[index] for index in indices)) for _, indices in clusters]
 
 
 def _find_effect(cause: Cause, groups: Mapping[str, Group]) -> Effect | None:
-    """Find the largest effect of a cause on a number of a group; None if no mean is affected."""
+    """Find the largest effect of a cause on a number of any group; None if it affects no mean.
+
+    Numbers that the rig sets are ignored.
+    """
     if cause.kind is Kind.UNREADABLE:
         return Effect(inf, format_sentence("report.effect_unreadable"))
     if cause.kind is Kind.REJECTED:
@@ -337,16 +347,15 @@ def _compute_effect(group: Group, number: GroupNumber, tests: set[str]) -> Effec
     If any of the tests has no value, the effect is that of the missing values. Otherwise, it is the
     shift of the mean when the values of the tests are left out.
     """
-    lost_interval_size = 10.0  # size for a mean of a single value, which has no interval
+    single_value_size = 10.0  # size of the effect if one value is left, whose mean has no interval
     label, n = f"{wording.format_label(number.name)} of {group.name}", number.mean.chosen.n
     members, missing_tests = _get_members(group, number), tests & number.exclusions.keys()
-    n_missing = len(
-        {members[test] for test in missing_tests} - {members[test] for test in number.values}
-    )
+    averaged_members = {members[test] for test in number.values}
+    n_missing = len({members[test] for test in missing_tests} - averaged_members)
     if n_missing and not number.values:
         return Effect(inf, format_sentence("report.effect_no_value", number=label))
     if n_missing and n == 1:
-        return Effect(lost_interval_size, format_sentence("report.effect_one_value", number=label))
+        return Effect(single_value_size, format_sentence("report.effect_one_value", number=label))
     if n_missing:
         n_all = n + n_missing
         half_widths = [compute_t_quantile(count - 1) / sqrt(count) for count in (n, n_all)]
@@ -363,7 +372,7 @@ def _compute_effect(group: Group, number: GroupNumber, tests: set[str]) -> Effec
 
 
 def _get_members(group: Group, number: GroupNumber) -> dict[str, str]:
-    """Return what counts once in the mean, keyed by name of the sample: its spool, or the name."""
+    """Get what the mean averages, keyed by name of the sample: its spool, or the sample itself."""
     return {
         name: name if number.mean.is_pooled else sample.specimen.spool
         for name, sample in zip(name_samples(group.samples), group.samples, strict=True)
@@ -378,9 +387,9 @@ def _compute_shift(group: Group, number: GroupNumber, tests: set[str], label: st
     group : group of the tests
     number : number of the group
     tests : names of the tests whose values are left out
-    label : text that names number and group
+    label : text that names the number and the group
     """
-    all_values_size = 5.0  # size of a cause that affects all values
+    all_values_size = 5.0  # size of the effect if no other values are left to compare with
     members, values_by_member = _get_members(group, number), dict[str, list[float]]()
     for test, result in number.values.items():
         if test not in tests and result.value is not None:
@@ -388,11 +397,12 @@ def _compute_shift(group: Group, number: GroupNumber, tests: set[str], label: st
     if not values_by_member:
         return Effect(all_values_size, format_sentence("report.effect_all_values", number=label))
     value, half_width = number.mean.chosen.mean, number.mean.chosen.half_width
-    shift = float(np.mean([np.mean(values) for values in values_by_member.values()])) - value
-    size = abs(shift) / half_width if half_width > 0.0 else 0.0
+    new_value = float(np.mean([np.mean(values) for values in values_by_member.values()]))
+    shift = 0.0 if isclose(new_value, value) else new_value - value
     percentage = f"{wording.format_percent(abs(shift / value))} " if value else ""
     text = f"{label} would be {percentage}{'higher' if shift > 0.0 else 'lower'}"
     text += " without this test" if len(tests) == 1 else " without these tests"
-    if isnan(half_width) or isnan(size):
-        return Effect(0.0, text)
+    if not half_width > 0.0 or isnan(shift):
+        return Effect(inf if half_width == 0.0 and shift else 0.0, text)
+    size = abs(shift) / half_width
     return Effect(size, f"{text}, {size:.2g} times half its interval")

@@ -287,7 +287,8 @@ def find_open_decisions(causes: Iterable[Cause], tests: Iterable[PageTest]) -> l
     -------
     The causes in the same order, each with at least one test that has no decision.
     """
-    decisions, tests_by_name = [], {test.sample.test: test for test in tests}
+    included = (test for test in tests if test.state != page_tables.REJECTED_STATE)
+    decisions, tests_by_name = [], {test.sample.test: test for test in included}
     for cause in causes:
         names = dict.fromkeys(name for issue in cause.issues for name in issue.tests)
         affected_tests = filter(None, map(tests_by_name.get, names))

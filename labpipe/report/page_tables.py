@@ -17,7 +17,7 @@ from labpipe.records.quality import Reason, Severity
 from labpipe.records.result import Instrument, Result, Status, find_result
 from labpipe.report import budgets, wording
 from labpipe.report.figure_page import N_COLOURS, split_pages
-from labpipe.report.issues import DECISIONS, Cause
+from labpipe.report.issues import SLIP_TREATMENTS, Cause
 from labpipe.report.plot_records import MeanStrip, clip_range, make_mean_strip
 from labpipe.report.table_records import DASH, Cell, Record, Table, tabulate
 from labpipe.statistics.group_samples import NOT_STATED, SPOOL, list_fields
@@ -523,7 +523,7 @@ def make_slip_table(group: Group) -> Table | None:
                 "Sample": sample.test,
                 length.label("Displacement"): position,
                 force.label("Force lost"): drop,
-                "Treatment": DECISIONS[slip.decision],
+                "Treatment": SLIP_TREATMENTS[slip.decision],
             })  # fmt: skip
     return tabulate(f"{group.name}: slips in the grips", rows) if rows else None
 

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import permutations
 from math import inf, sqrt
 
 import pytest
 from scipy import stats
 
+from labpipe.records.curve import Interval
 from labpipe.records.group import Campaign, Group, Sample
 from labpipe.records.quality import QualityNote, Reason, Severity
 from labpipe.records.result import Result, Status
@@ -95,6 +97,17 @@ def test_one_cause_in_many_tests_is_one_line() -> None:
     assert cause.subject == "3 tests in 2 groups"
     assert [issue.code for issue in cause.issues] == ["switch, drift", "drift", "drift"]
     assert find_causes(campaign_of(first))[0][0].subject == "2 tests of A"
+
+
+@pytest.mark.parametrize("codes", [*permutations(["drift", "switch", "drift, switch"])])
+def test_the_order_of_tests_does_not_change_their_causes(codes: Sequence[str]) -> None:
+    group = group_of(TEN, "abc")
+    samples = []
+    for sample, text in zip(group.samples, codes, strict=True):
+        reasons = tuple(Reason(code, code) for code in text.split(", "))
+        samples.append(replace(sample, results=(replace(sample.results[0], reasons=reasons),)))
+    (cause,) = find_causes(campaign_of(replace(group, samples=tuple(samples))))[0]
+    assert [issue.tests for issue in cause.issues] == [("a",), ("b",), ("c",)]
 
 
 def test_a_rejected_test_is_named_and_ranked_as_decided() -> None:
@@ -193,4 +206,18 @@ def test_tests_of_one_name_are_members_of_a_mean_by_their_files() -> None:
     samples = [replace(sample, test="a", source=f"{sample.test}.h5") for sample in group.samples]
     group = groups.build_group("A", "p", samples, signed_names={"stiffness"})
     assert list(group.numbers[0].values) == ["a (a.h5)", "a (b.h5)"]
-    assert {cause.kind for cause in find_causes(campaign_of(group))[0]} >= {Kind.FAILED}
+    failed = next(
+        cause for cause in find_causes(campaign_of(group))[0] if cause.kind is Kind.FAILED
+    )
+    assert failed.subject == "a (c.h5) (A)"
+    assert failed.effect is not None
+    assert failed.effect.text.startswith("Stiffness of A is the mean of 2 of 3 values")
+
+
+def test_a_shift_of_a_mean_whose_interval_has_no_width_comes_first() -> None:
+    group = group_of(TEN, "a")
+    nested = group.numbers[0].mean
+    narrow = replace(nested.chosen, interval=Interval(12.0, 12.0), is_log=False)
+    number = replace(group.numbers[0], mean=replace(nested, chosen=narrow))
+    (cause,) = find_causes(campaign_of(replace(group, numbers=(number,))))[0]
+    assert cause.effect == (inf, "Stiffness of A would be 8.3 % higher without this test")

@@ -67,6 +67,18 @@ def test_a_bar_for_each_number_of_the_first_cycle(approved: Approve) -> None:
     approved(all_words(pages))
 
 
+def test_the_largest_difference_is_relative_on_a_linear_scale_too() -> None:
+    question = list_field_comparisons(bundle_campaign(conduit_cases()))[0]
+    relative, linear = question.pairs[0], question.pairs[1]
+    number = linear.first.find_number("bending_stiffness")
+    assert number is not None
+    doubled = replace(linear.differences[0].difference, mean=number.mean.chosen.mean)
+    shown = replace(linear.differences[0], contrast=None, difference=doubled, interval=None)
+    linear = replace(linear, differences=(replace(shown, verdict=relative.differences[0].verdict),))
+    difference = question._replace(pairs=(relative, linear)).summary[2]
+    assert difference.endswith("N·mm², largest of 2 pairs")
+
+
 def test_families_hold_all_that_differ_in_one_field() -> None:
     cases = list_field_comparisons(bundle_campaign(conduit_cases()))
     families = [family for question in cases for family in question.families]

@@ -110,6 +110,9 @@ def test_what_is_to_be_decided_until_somebody_did() -> None:
     headings = {decision.cause.heading for decision in open_decisions}
     assert headings == {"Failed", "Doubtful", "Outlier"}
     assert describe_campaign(campaign, open_decisions).endswith(" 3 to decide")
+    rejected = replace(campaign.groups[0].samples[0], decision="bent (me)")
+    tests = arrange_tests(replace(campaign, rejected_samples=(rejected,)))[1]
+    assert find_open_decisions(find_causes(campaign)[0], tests) == open_decisions
     group = campaign.groups[0]
     decided = tuple(replace(sample, decision="fine (me)") for sample in group.samples)
     settled = replace(campaign, groups=(replace(group, samples=decided),))
