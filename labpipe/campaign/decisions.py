@@ -119,7 +119,7 @@ def parse_decisions(content: bytes, path: Path, campaign: str = "") -> DecisionF
 
     Returns
     -------
-    Valid decisions, and the faults of the content and of single decisions.
+    Valid decisions, and the faults of the content and of the first 100 faulty decisions.
     """
     try:
         document = json.loads(content.decode("utf-8-sig"))
@@ -130,7 +130,8 @@ def parse_decisions(content: bytes, path: Path, campaign: str = "") -> DecisionF
     if not isinstance(document, dict) or not isinstance(document.get("decisions"), list):
         return _make_unreadable_file(path, "", "JSON without a list 'decisions'")
     if (schema := document.get("schema")) != _SCHEMA:
-        return _make_unreadable_file(path, "schema", f"{schema!r}; this labpipe reads {_SCHEMA}")
+        found = f"{repr(schema)[:60]}; this labpipe reads {_SCHEMA}"
+        return _make_unreadable_file(path, "schema", found)
     from labpipe.campaign.catalog import escape_surrogates  # not needed without decisions
 
     faults, decisions = [], []
@@ -139,13 +140,19 @@ def parse_decisions(content: bytes, path: Path, campaign: str = "") -> DecisionF
             "campaign.other_campaign", path, "campaign", expected=campaign, found=stated_campaign
         )
         faults.append(str(mismatch))
+    max_faults, n_faulty_entries = 100, 0  # messages about a million entries would take minutes
     for index, entry in enumerate(document["decisions"]):
         if fault := _find_entry_fault(entry):
-            faults.append(_format_fault(path, f"decisions.{index}", *fault))
+            n_faulty_entries += 1
+            if n_faulty_entries <= max_faults:
+                faults.append(_format_fault(path, f"decisions.{index}", *fault))
         else:
             decisions.append(
                 Decision(*(escape_surrogates(entry.get(key) or "") for key in _DECISION_KEYS))
             )
+    if n_faulty_entries > max_faults:
+        found = f"{n_faulty_entries - max_faults} more faulty ones"
+        faults.append(_format_fault(path, "decisions", "valid decisions", found))
     return DecisionFile(tuple(decisions), tuple(faults), document=document)
 
 
@@ -165,9 +172,11 @@ def _find_entry_fault(entry: Any) -> tuple[str, str] | None:
     """Find the fault of an entry: what is expected and what was found; None for a valid entry."""
     if not isinstance(entry, dict):
         return "a decision", repr(entry)[:60]
-    missing_keys = [key for key in _DECISION_KEYS[:-1] if not str(entry.get(key) or "").strip()]
-    if missing_keys:
-        return "test, run, decision, because and by", f"missing or empty: {', '.join(missing_keys)}"
+    values = {key: entry.get(key) for key in _DECISION_KEYS[:-1]}
+    if empty_keys := [key for key, value in values.items() if not str(value or "").strip()]:
+        return "test, run, decision, because and by", f"missing or empty: {', '.join(empty_keys)}"
+    if other_keys := [key for key, value in values.items() if not isinstance(value, str)]:
+        return "text", f"another value of {', '.join(other_keys)}"
     if entry["decision"] not in {ACCEPT, REJECT}:
         return f"{ACCEPT} or {REJECT}", repr(entry["decision"])[:60]
     return None

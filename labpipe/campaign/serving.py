@@ -13,6 +13,7 @@ import secrets
 import sys
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -93,7 +94,7 @@ class Site:
 
 
 class _HttpError(Exception):
-    """A request that is answered with the status of an HTTP error and a message."""
+    """Reason to refuse a request: an HTTP status, and a message for the page."""
 
     def __init__(self, status: HTTPStatus, message: str) -> None:
         super().__init__(message)
@@ -146,6 +147,7 @@ class _RequestHandler(BaseHTTPRequestHandler):
 
     server: ReportServer
     server_version, sys_version = "labpipe", ""
+    default_request_version = "HTTP/1.0"  # replies to malformed requests then have a status line
     timeout = 30.0  # s
 
     def do_GET(self) -> None:
@@ -177,6 +179,10 @@ class _RequestHandler(BaseHTTPRequestHandler):
         except OSError as error:
             message = {"error": describe_system_error(error)}
             self._send_json(message, HTTPStatus.INTERNAL_SERVER_ERROR)
+        except Exception:
+            message = {"error": format_sentence("campaign.server_fault")}
+            self._send_json(message, HTTPStatus.INTERNAL_SERVER_ERROR)
+            raise  # the server prints the traceback and accepts further requests
 
     def _send_reply(
         self, content: bytes, headers: dict[str, str], status: HTTPStatus = HTTPStatus.OK
@@ -245,12 +251,12 @@ class _RequestHandler(BaseHTTPRequestHandler):
         max_bytes = 5_000_000
         header = self.headers.get("Content-Length", "")
         length = parse_count(header)
-        if length is None or length > max_bytes:
-            self.close_connection = True
-            length_text = header[:20] or "no length"
-            message = format_sentence("campaign.large_request", limit=max_bytes, found=length_text)
-            raise _HttpError(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, message)
-        return self.rfile.read(length)
+        if length is not None and length <= max_bytes:
+            return self.rfile.read(length)
+        length_text = header[:20] or "no length"
+        message = format_sentence("campaign.large_request", limit=max_bytes, found=length_text)
+        status = HTTPStatus.REQUEST_ENTITY_TOO_LARGE if header else HTTPStatus.LENGTH_REQUIRED
+        raise _HttpError(status, message)
 
 
 def _require_same_origin(headers: Any, port: int) -> None:
@@ -278,10 +284,11 @@ def _find_file(path: list[str], site: Site) -> Path:
         raise _make_not_found_error()
     is_report_file = path[0] == REPORT_FOLDER
     top = (site.report_folder if is_report_file else site.results_folder).resolve()
-    file = top.joinpath(*path[1:] if is_report_file else path).resolve()
-    if not file.is_relative_to(top) or not file.is_file():
-        raise _make_not_found_error()
-    return file
+    with suppress(OSError, RuntimeError):  # RuntimeError: a loop of links, before Python 3.13
+        file = top.joinpath(*path[1:] if is_report_file else path).resolve(strict=True)
+        if file.is_relative_to(top) and file.is_file():
+            return file
+    raise _make_not_found_error()
 
 
 def _find_result(page: str, site: Site) -> Path:
