@@ -9,6 +9,7 @@ in a file, which can be imported.
 from __future__ import annotations
 
 import json
+import os
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
@@ -96,11 +97,13 @@ def read_decisions(folder: Path, campaign: str = "") -> DecisionFile:
     Decisions and faults of the file; both are empty if there is no file.
     """
     path = folder / DECISIONS_FILE
-    return _read_decision_file(path, campaign) if path.exists() else DecisionFile()
+    return _read_decision_file(path, campaign) if os.path.lexists(path) else DecisionFile()
 
 
 def _read_decision_file(path: Path, campaign: str) -> DecisionFile:
-    """Read a file of decisions that exists."""
+    """Read a file of decisions that exists; a broken link, a folder or a pipe has a fault."""
+    if not path.is_file():
+        return _make_unreadable_file(path, "", "a folder, a pipe or a broken link")
     try:
         return parse_decisions(path.read_bytes(), path, campaign)
     except OSError as error:
@@ -277,7 +280,7 @@ def find_decision_folder(file: Path, default_folder: Path) -> tuple[Path, str]:
     label : folder of the test relative to `decision_folder`, with slashes
     """
     test = file.resolve().parent
-    folders = (parent for parent in test.parents if (parent / DECISIONS_FILE).is_file())
+    folders = (parent for parent in test.parents if os.path.lexists(parent / DECISIONS_FILE))
     decision_folder = next(folders, default_folder.resolve())
     return decision_folder, test.relative_to(decision_folder).as_posix()
 

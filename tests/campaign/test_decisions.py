@@ -120,8 +120,13 @@ def test_unreadable_decisions_are_reported_and_kept(campaign: LabCampaign, text:
     with pytest.raises(UsageError, match="Repair the file, or move it away and decide again"):
         record_decision(campaign.folders, "T1", REJECT)
     assert path.read_text("utf-8") == text
+    results = [campaign.processed / "T1" / "result.h5"]
     with pytest.raises(StoreError, match="expected decisions in JSON"):
-        read_decisions_by_file([campaign.processed / "T1" / "result.h5"])
+        read_decisions_by_file(results)
+    path.unlink()
+    path.symlink_to(path.name)
+    with pytest.raises(StoreError, match="found a folder, a pipe or a broken link"):
+        read_decisions_by_file(results)
 
 
 def test_invalid_decisions_are_reported_and_stay_in_the_file(campaign: LabCampaign) -> None:
