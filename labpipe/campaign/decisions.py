@@ -137,26 +137,26 @@ def parse_decisions(content: bytes, path: Path, campaign: str = "") -> DecisionF
         return _make_unreadable_file(path, "schema", found)
     from labpipe.campaign.catalog import escape_surrogates  # not needed without decisions
 
-    faults, decisions = [], []
+    faults = []
     if campaign and (stated_campaign := document.get("campaign", campaign)) != campaign:
         mismatch = UsageError.about(
             "campaign.other_campaign", path, "campaign", expected=campaign, found=stated_campaign
         )
         faults.append(str(mismatch))
-    max_faults, n_faulty_entries = 100, 0  # messages about a million entries would take minutes
-    for index, entry in enumerate(document["decisions"]):
-        if fault := _find_entry_fault(entry):
-            n_faulty_entries += 1
-            if n_faulty_entries <= max_faults:
-                faults.append(_format_fault(path, f"decisions.{index}", *fault))
-        else:
-            decisions.append(
-                Decision(*(escape_surrogates(entry.get(key) or "") for key in _DECISION_KEYS))
-            )
-    if n_faulty_entries > max_faults:
-        found = f"{n_faulty_entries - max_faults} more faulty ones"
+    entries, max_faults = document["decisions"], 100  # a million messages would take minutes
+    entry_faults = [_find_entry_fault(entry) for entry in entries]
+    decisions = tuple(
+        Decision(*(escape_surrogates(entry.get(key) or "") for key in _DECISION_KEYS))
+        for entry, fault in zip(entries, entry_faults, strict=True)
+        if fault is None
+    )
+    numbered_faults = [(index, fault) for index, fault in enumerate(entry_faults) if fault]
+    for index, fault in numbered_faults[:max_faults]:
+        faults.append(_format_fault(path, f"decisions.{index}", *fault))
+    if (n_unlisted := len(numbered_faults) - max_faults) > 0:
+        found = f"{n_unlisted} more faulty ones"
         faults.append(_format_fault(path, "decisions", "valid decisions", found))
-    return DecisionFile(tuple(decisions), tuple(faults), document=document)
+    return DecisionFile(decisions, tuple(faults), document=document)
 
 
 def _make_unreadable_file(path: Path, place: str, found: str) -> DecisionFile:
@@ -276,13 +276,16 @@ def find_decision_folder(file: Path, default_folder: Path) -> tuple[Path, str]:
 
     Returns
     -------
-    decision_folder : absolute path of the nearest folder above the test that contains decisions
+    decision_folder : absolute path of the nearest folder above the test that contains decisions, or
+        of `default_folder`
     label : folder of the test relative to `decision_folder`, with slashes
     """
-    test = file.resolve().parent
-    folders = (parent for parent in test.parents if os.path.lexists(parent / DECISIONS_FILE))
-    decision_folder = next(folders, default_folder.resolve())
-    return decision_folder, test.relative_to(decision_folder).as_posix()
+    test = file.parent.resolve()  # decisions are also found if the folder of the test is a link
+    for folder in test.parents:
+        if os.path.lexists(folder / DECISIONS_FILE):
+            return folder, test.relative_to(folder).as_posix()
+    label = os.path.relpath(file.parent, default_folder)
+    return default_folder.resolve(), label.replace(os.sep, "/")
 
 
 def read_decisions_by_file(files: Iterable[Path]) -> dict[Path, Sequence[Decision]]:

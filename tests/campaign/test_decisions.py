@@ -14,6 +14,7 @@ from labpipe.campaign.catalog import OK, REJECTED, STALE
 from labpipe.campaign.decisions import (
     Decision,
     add_decisions,
+    find_decision_folder,
     import_decision_file,
     import_decisions,
     read_decisions,
@@ -191,6 +192,14 @@ def test_import_adds_new_applicable_decisions_only(processed: Path, tmp_path: Pa
     assert imported.faults == ()
     assert read_decisions(processed).decisions == (stored, accepted)
     assert import_decision_file(processed, "c", file).added == []
+
+
+def test_test_in_a_linked_folder_has_the_label_of_the_link(tmp_path: Path) -> None:
+    (tmp_path / "away").mkdir()
+    (tmp_path / "c").mkdir()
+    (tmp_path / "c" / "T").symlink_to(tmp_path / "away")
+    file = tmp_path / "c" / "T" / "result.h5"
+    assert find_decision_folder(file, tmp_path / "c") == ((tmp_path / "c").resolve(), "T")
 
 
 def test_import_uses_the_nearest_decision_file(processed: Path) -> None:

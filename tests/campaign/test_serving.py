@@ -277,7 +277,7 @@ def test_malformed_request_has_a_status(client: Client, request_text: str, statu
 def test_fault_of_the_server_is_answered_without_traceback(
     client: Client, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    client.site.make_report = lambda: {}["boom"]
+    client.site.make_report = lambda: json.loads("{}")["boom"]
     answer = client.post("report/report")
     assert answer.status == 500
     assert answer.json["error"].startswith("labpipe has a fault")
