@@ -304,6 +304,11 @@ class Claim(NamedTuple):
     start_time: str
     since: float
 
+    @property
+    def machine(self) -> str:
+        """Name of the machine."""
+        return self.host.split()[0]
+
 
 def is_alive(claim: Claim) -> bool:
     """Return whether the process of a claim is alive.
@@ -601,15 +606,15 @@ def open_catalog(folder: Path, notes: list[str]) -> Catalog:
         notes.append(format_sentence("campaign.catalog_in_memory", path=path))
         return Catalog(_make_tables(memory), path, is_in_memory=True)
     with convert_sqlite_errors(path):
-        connection = _open_usable_file(path)
-        if not isinstance(connection, str):
-            return Catalog(connection, path)
+        opened = _open_usable_file(path)
+        if isinstance(opened, sqlite3.Connection):
+            return Catalog(opened, path)
         with lock(folder, timeout=lock_timeout), map_errors(path):
-            reason = _open_usable_file(path)
-            if not isinstance(reason, str):  # another process has just made it
-                return Catalog(reason, path)
+            opened = _open_usable_file(path)
+            if isinstance(opened, sqlite3.Connection):  # another process has just made it
+                return Catalog(opened, path)
             if path.exists():
-                notes.append(format_sentence("campaign.catalog_rebuilt", path=path, why=reason))
+                notes.append(format_sentence("campaign.catalog_rebuilt", path=path, why=opened))
                 path.replace(path.with_name(f"{CATALOG}.damaged"))
             for suffix in ("-wal", "-shm", "-journal"):
                 path.with_name(CATALOG + suffix).unlink(missing_ok=True)

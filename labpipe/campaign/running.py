@@ -506,7 +506,7 @@ def rebuild_catalog(campaign: CampaignFolders) -> Overview:
         for folder, claim in sync.catalog.read_claims().items():
             raise StoreError.about(
                 "campaign.process_at_work", sync.catalog.path,
-                pid=claim.pid, host=claim.host.split()[0], test=folder,
+                pid=claim.pid, host=claim.machine, test=folder,
             )  # fmt: skip
         sync.catalog.remove_tests(sync.catalog.read_rows())
         return sync.refresh()

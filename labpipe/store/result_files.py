@@ -270,7 +270,6 @@ def _check_schema(path: Path, root: Any) -> None:
 
 def _check_links(path: Path, root: Any) -> None:
     """Raise StoreError if a result file has links to other files, because it must be complete."""
-
     internal_types = h5py.h5l.TYPE_HARD, h5py.h5l.TYPE_SOFT
     link = root.id.links.visit(
         lambda name, link: None if link.type in internal_types else name, info=True
