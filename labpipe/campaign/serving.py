@@ -68,7 +68,7 @@ _PAGE_HEADERS: Final = {
 }
 """Headers of labpipe's own pages, which may run scripts."""
 _MAX_LISTED_ERRORS: Final = 10
-"""Largest number of faults, or of decisions that were not saved, that a reply lists."""
+"""Largest number of faulty or unsaved decisions that a reply lists."""
 
 
 @dataclass(slots=True)
@@ -82,7 +82,7 @@ class Site:
     report_folder : folder that contains report.html
     make_report : function that makes the report again
     token : secret first segment of the path of every URL; a request without it is refused
-    lock : lock that is held while a page is made or decisions are saved
+    lock : lock that is held while the report or the page of a test is made, or decisions are saved
     """
 
     results_folder: Path
@@ -162,7 +162,7 @@ class _RequestHandler(BaseHTTPRequestHandler):
         """Suppress the log line that the base class prints for each request."""
 
     def _answer_request(self, send_reply: Callable[[list[str]], None]) -> None:
-        """Reply to an authorised request, or send the message of an error.
+        """Reply to an authorised request, or send the status and the message of an error.
 
         Parameters
         ----------
@@ -221,7 +221,7 @@ class _RequestHandler(BaseHTTPRequestHandler):
             self._send_reply(allow_own_server(html).encode(), _PAGE_HEADERS)
         elif len(path) == 3 and path[:2] == [REPORT_FOLDER, _TEST_PAGES_FOLDER]:
             with site.lock:
-                html = render_test(read_result(_find_result("/".join(path[1:]), site)))
+                html = render_test(read_result(_find_result_file("/".join(path[1:]), site)))
             self._send_reply(html.encode(), _PAGE_HEADERS)
         else:
             file = _find_file(path, site)
@@ -291,7 +291,7 @@ def _find_file(path: list[str], site: Site) -> Path:
     raise _make_not_found_error()
 
 
-def _find_result(page: str, site: Site) -> Path:
+def _find_result_file(page: str, site: Site) -> Path:
     """Find the result file of the test that has a given page."""
     for file in list_files_below(site.results_folder, RESULT_FILE):
         if name_page_file(find_decision_folder(file, site.results_folder)[1]) == page:
@@ -300,7 +300,7 @@ def _find_result(page: str, site: Site) -> Path:
 
 
 def _save_decisions(body: bytes, site: Site) -> dict[str, Any]:
-    """Import the decisions of a request; return a message and all decisions of the campaign."""
+    """Import the decisions of a request; return a message and the decisions on processed tests."""
     content = parse_decisions(body, Path("decisions"))
     if content.faults:
         raise _HttpError(HTTPStatus.BAD_REQUEST, "\n".join(content.faults[:_MAX_LISTED_ERRORS]))

@@ -43,7 +43,7 @@ class Client:
         self.host = f"127.0.0.1:{server.server_port}"
 
     def raw(self, method: str, path: str, body: str | None = None, **headers: str) -> Answer:
-        connection = HTTPConnection("127.0.0.1", self.server.server_port, timeout=10)
+        connection = HTTPConnection("127.0.0.1", self.server.server_port, timeout=60)
         sent = {"Host": self.host} | {
             key.replace("_", "-"): header for key, header in headers.items()
         }
@@ -280,7 +280,7 @@ def test_fault_of_the_server_is_answered_without_traceback(
     client.site.make_report = lambda: json.loads("{}")["boom"]
     answer = client.post("report/report")
     assert answer.status == 500
-    assert answer.json["error"].startswith("labpipe has a fault")
+    assert answer.json["error"].startswith("The server failed")
     assert client.get("report/report.html").status == 200
     assert "KeyError: 'boom'" in capfd.readouterr().err
 
