@@ -537,12 +537,11 @@ def convert_sqlite_errors(path: Path) -> Iterator[None]:
     try:
         yield
     except sqlite3.Error as error:
-        code = _get_primary_code(error)
-        if code in _BUSY_CODES:
-            raise StoreError.about("campaign.catalog_in_use", path, found=error) from error
-        if code in _REFUSED_CODES:
-            raise StoreError.about("campaign.catalog_refused", path, found=error) from error
-        raise StoreError.about("campaign.bad_catalog", path, found=error) from error
+        code, message = _get_primary_code(error), "campaign.bad_catalog"
+        if code in _BUSY_CODES | _REFUSED_CODES:
+            is_busy = code in _BUSY_CODES
+            message = "campaign.catalog_in_use" if is_busy else "campaign.catalog_refused"
+        raise StoreError.about(message, path, found=error) from error
 
 
 _BUSY_CODES: Final = {sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED}
@@ -607,30 +606,30 @@ def open_catalog(folder: Path, notes: list[str]) -> Catalog:
         notes.append(format_sentence("campaign.catalog_in_memory", path=path))
         return Catalog(_make_tables(memory), path, is_in_memory=True)
     with convert_sqlite_errors(path):
-        try:
-            return Catalog(_open_file(path), path)
-        except sqlite3.DatabaseError as error:
-            _raise_if_refused(error, path)
+        opened = _open_usable_file(path)
+        if isinstance(opened, sqlite3.Connection):
+            return Catalog(opened, path)
         with lock(folder, timeout=lock_timeout), map_errors(path):
-            try:
-                return Catalog(_open_file(path), path)  # another process has just made it
-            except sqlite3.DatabaseError as error:
-                _raise_if_refused(error, path)
-                is_damaged = _get_primary_code(error) != 0  # an error of SQLite itself
-                damage = format_sentence("campaign.damaged_catalog", why=error)
-                reason = damage if is_damaged else str(error)
+            opened = _open_usable_file(path)
+            if isinstance(opened, sqlite3.Connection):  # another process has just made it
+                return Catalog(opened, path)
             if path.exists():
-                notes.append(format_sentence("campaign.catalog_rebuilt", path=path, why=reason))
+                notes.append(format_sentence("campaign.catalog_rebuilt", path=path, why=opened))
                 path.replace(path.with_name(f"{CATALOG}.damaged"))
             for suffix in ("-wal", "-shm", "-journal"):
                 path.with_name(CATALOG + suffix).unlink(missing_ok=True)
             return Catalog(_make_tables(_connect(path)), path)
 
 
-def _raise_if_refused(error: sqlite3.DatabaseError, path: Path) -> None:
-    """Raise an error again if the file exists and may be usable, but cannot be opened now."""
-    if path.exists() and _get_primary_code(error) in _BUSY_CODES | _REFUSED_CODES:
-        raise error
+def _open_usable_file(path: Path) -> sqlite3.Connection | str:
+    """Connect to a catalog, or return why it must be made again; raise an error if it is in use."""
+    try:
+        return _open_file(path)
+    except sqlite3.DatabaseError as error:
+        code = _get_primary_code(error)  # 0 if the error is not of SQLite itself
+        if path.exists() and code in _BUSY_CODES | _REFUSED_CODES:
+            raise
+        return format_sentence("campaign.damaged_catalog", why=error) if code else str(error)
 
 
 def _open_file(path: Path) -> sqlite3.Connection:

@@ -9,6 +9,7 @@ in a file, which can be imported.
 from __future__ import annotations
 
 import json
+import os
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
@@ -96,11 +97,13 @@ def read_decisions(folder: Path, campaign: str = "") -> DecisionFile:
     Decisions and faults of the file; both are empty if there is no file.
     """
     path = folder / DECISIONS_FILE
-    return _read_decision_file(path, campaign) if path.exists() else DecisionFile()
+    return _read_decision_file(path, campaign) if os.path.lexists(path) else DecisionFile()
 
 
 def _read_decision_file(path: Path, campaign: str) -> DecisionFile:
-    """Read a file of decisions that exists."""
+    """Read a file of decisions that exists; a broken link, a folder or a pipe has a fault."""
+    if not path.is_file():
+        return _make_unreadable_file(path, "", "a folder, a pipe or a broken link")
     try:
         return parse_decisions(path.read_bytes(), path, campaign)
     except OSError as error:
@@ -119,7 +122,7 @@ def parse_decisions(content: bytes, path: Path, campaign: str = "") -> DecisionF
 
     Returns
     -------
-    Valid decisions, and the faults of the content and of single decisions.
+    Valid decisions, and the faults of the content and of the first 100 faulty decisions.
     """
     try:
         document = json.loads(content.decode("utf-8-sig"))
@@ -130,23 +133,30 @@ def parse_decisions(content: bytes, path: Path, campaign: str = "") -> DecisionF
     if not isinstance(document, dict) or not isinstance(document.get("decisions"), list):
         return _make_unreadable_file(path, "", "JSON without a list 'decisions'")
     if (schema := document.get("schema")) != _SCHEMA:
-        return _make_unreadable_file(path, "schema", f"{schema!r}; this labpipe reads {_SCHEMA}")
+        found = f"{repr(schema)[:60]}; this labpipe reads {_SCHEMA}"
+        return _make_unreadable_file(path, "schema", found)
     from labpipe.campaign.catalog import escape_surrogates  # not needed without decisions
 
-    faults, decisions = [], []
+    faults = []
     if campaign and (stated_campaign := document.get("campaign", campaign)) != campaign:
         mismatch = UsageError.about(
             "campaign.other_campaign", path, "campaign", expected=campaign, found=stated_campaign
         )
         faults.append(str(mismatch))
-    for index, entry in enumerate(document["decisions"]):
-        if fault := _find_entry_fault(entry):
-            faults.append(_format_fault(path, f"decisions.{index}", *fault))
-        else:
-            decisions.append(
-                Decision(*(escape_surrogates(entry.get(key) or "") for key in _DECISION_KEYS))
-            )
-    return DecisionFile(tuple(decisions), tuple(faults), document=document)
+    entries, max_faults = document["decisions"], 100  # a million messages would take minutes
+    entry_faults = [_find_entry_fault(entry) for entry in entries]
+    decisions = tuple(
+        Decision(*(escape_surrogates(entry.get(key) or "") for key in _DECISION_KEYS))
+        for entry, fault in zip(entries, entry_faults, strict=True)
+        if fault is None
+    )
+    numbered_faults = [(index, fault) for index, fault in enumerate(entry_faults) if fault]
+    for index, fault in numbered_faults[:max_faults]:
+        faults.append(_format_fault(path, f"decisions.{index}", *fault))
+    if (n_unlisted := len(numbered_faults) - max_faults) > 0:
+        found = f"{n_unlisted} more faulty ones"
+        faults.append(_format_fault(path, "decisions", "valid decisions", found))
+    return DecisionFile(decisions, tuple(faults), document=document)
 
 
 def _make_unreadable_file(path: Path, place: str, found: str) -> DecisionFile:
@@ -165,9 +175,11 @@ def _find_entry_fault(entry: Any) -> tuple[str, str] | None:
     """Find the fault of an entry: what is expected and what was found; None for a valid entry."""
     if not isinstance(entry, dict):
         return "a decision", repr(entry)[:60]
-    missing_keys = [key for key in _DECISION_KEYS[:-1] if not str(entry.get(key) or "").strip()]
-    if missing_keys:
-        return "test, run, decision, because and by", f"missing or empty: {', '.join(missing_keys)}"
+    values = {key: entry.get(key) for key in _DECISION_KEYS[:-1]}
+    if empty_keys := [key for key, value in values.items() if not str(value or "").strip()]:
+        return "test, run, decision, because and by", f"missing or empty: {', '.join(empty_keys)}"
+    if other_keys := [key for key, value in values.items() if not isinstance(value, str)]:
+        return "text", f"another value of {', '.join(other_keys)}"
     if entry["decision"] not in {ACCEPT, REJECT}:
         return f"{ACCEPT} or {REJECT}", repr(entry["decision"])[:60]
     return None
@@ -264,13 +276,16 @@ def find_decision_folder(file: Path, default_folder: Path) -> tuple[Path, str]:
 
     Returns
     -------
-    decision_folder : absolute path of the nearest folder above the test that contains decisions
+    decision_folder : absolute path of the nearest folder above the test that contains decisions, or
+        of `default_folder`
     label : folder of the test relative to `decision_folder`, with slashes
     """
-    test = file.resolve().parent
-    folders = (parent for parent in test.parents if (parent / DECISIONS_FILE).is_file())
-    decision_folder = next(folders, default_folder.resolve())
-    return decision_folder, test.relative_to(decision_folder).as_posix()
+    test = file.parent.resolve()  # decisions are also found if the folder of the test is a link
+    for folder in test.parents:
+        if os.path.lexists(folder / DECISIONS_FILE):
+            return folder, test.relative_to(folder).as_posix()
+    label = os.path.relpath(file.parent, default_folder)
+    return default_folder.resolve(), label.replace(os.sep, "/")
 
 
 def read_decisions_by_file(files: Iterable[Path]) -> dict[Path, Sequence[Decision]]:

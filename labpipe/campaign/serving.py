@@ -13,6 +13,7 @@ import secrets
 import sys
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -67,7 +68,7 @@ _PAGE_HEADERS: Final = {
 }
 """Headers of labpipe's own pages, which may run scripts."""
 _MAX_LISTED_ERRORS: Final = 10
-"""Largest number of faults, or of decisions that were not saved, that a reply lists."""
+"""Largest number of faulty or unsaved decisions that a reply lists."""
 
 
 @dataclass(slots=True)
@@ -81,7 +82,7 @@ class Site:
     report_folder : folder that contains report.html
     make_report : function that makes the report again
     token : secret first segment of the path of every URL; a request without it is refused
-    lock : lock that is held while a page is made or decisions are saved
+    lock : lock that is held while the report or the page of a test is made, or decisions are saved
     """
 
     results_folder: Path
@@ -93,7 +94,7 @@ class Site:
 
 
 class _HttpError(Exception):
-    """A request that is answered with the status of an HTTP error and a message."""
+    """Reason to refuse a request: an HTTP status, and a message for the page."""
 
     def __init__(self, status: HTTPStatus, message: str) -> None:
         super().__init__(message)
@@ -146,6 +147,7 @@ class _RequestHandler(BaseHTTPRequestHandler):
 
     server: ReportServer
     server_version, sys_version = "labpipe", ""
+    default_request_version = "HTTP/1.0"  # replies to malformed requests then have a status line
     timeout = 30.0  # s
 
     def do_GET(self) -> None:
@@ -160,7 +162,7 @@ class _RequestHandler(BaseHTTPRequestHandler):
         """Suppress the log line that the base class prints for each request."""
 
     def _answer_request(self, send_reply: Callable[[list[str]], None]) -> None:
-        """Reply to an authorised request, or send the message of an error.
+        """Reply to an authorised request, or send the status and the message of an error.
 
         Parameters
         ----------
@@ -177,6 +179,10 @@ class _RequestHandler(BaseHTTPRequestHandler):
         except OSError as error:
             message = {"error": describe_system_error(error)}
             self._send_json(message, HTTPStatus.INTERNAL_SERVER_ERROR)
+        except Exception:
+            message = {"error": format_sentence("campaign.server_fault")}
+            self._send_json(message, HTTPStatus.INTERNAL_SERVER_ERROR)
+            raise  # the server prints the traceback and accepts further requests
 
     def _send_reply(
         self, content: bytes, headers: dict[str, str], status: HTTPStatus = HTTPStatus.OK
@@ -215,7 +221,7 @@ class _RequestHandler(BaseHTTPRequestHandler):
             self._send_reply(allow_own_server(html).encode(), _PAGE_HEADERS)
         elif len(path) == 3 and path[:2] == [REPORT_FOLDER, _TEST_PAGES_FOLDER]:
             with site.lock:
-                html = render_test(read_result(_find_result("/".join(path[1:]), site)))
+                html = render_test(read_result(_find_result_file("/".join(path[1:]), site)))
             self._send_reply(html.encode(), _PAGE_HEADERS)
         else:
             file = _find_file(path, site)
@@ -245,12 +251,12 @@ class _RequestHandler(BaseHTTPRequestHandler):
         max_bytes = 5_000_000
         header = self.headers.get("Content-Length", "")
         length = parse_count(header)
-        if length is None or length > max_bytes:
-            self.close_connection = True
-            length_text = header[:20] or "no length"
-            message = format_sentence("campaign.large_request", limit=max_bytes, found=length_text)
-            raise _HttpError(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, message)
-        return self.rfile.read(length)
+        if length is not None and length <= max_bytes:
+            return self.rfile.read(length)
+        length_text = header[:20] or "no length"
+        message = format_sentence("campaign.large_request", limit=max_bytes, found=length_text)
+        status = HTTPStatus.REQUEST_ENTITY_TOO_LARGE if header else HTTPStatus.LENGTH_REQUIRED
+        raise _HttpError(status, message)
 
 
 def _require_same_origin(headers: Any, port: int) -> None:
@@ -278,13 +284,14 @@ def _find_file(path: list[str], site: Site) -> Path:
         raise _make_not_found_error()
     is_report_file = path[0] == REPORT_FOLDER
     top = (site.report_folder if is_report_file else site.results_folder).resolve()
-    file = top.joinpath(*path[1:] if is_report_file else path).resolve()
-    if not file.is_relative_to(top) or not file.is_file():
-        raise _make_not_found_error()
-    return file
+    with suppress(OSError, RuntimeError):  # RuntimeError: a loop of links, before Python 3.13
+        file = top.joinpath(*path[1:] if is_report_file else path).resolve(strict=True)
+        if file.is_relative_to(top) and file.is_file():
+            return file
+    raise _make_not_found_error()
 
 
-def _find_result(page: str, site: Site) -> Path:
+def _find_result_file(page: str, site: Site) -> Path:
     """Find the result file of the test that has a given page."""
     for file in list_files_below(site.results_folder, RESULT_FILE):
         if name_page_file(find_decision_folder(file, site.results_folder)[1]) == page:
@@ -293,7 +300,7 @@ def _find_result(page: str, site: Site) -> Path:
 
 
 def _save_decisions(body: bytes, site: Site) -> dict[str, Any]:
-    """Import the decisions of a request; return a message and all decisions of the campaign."""
+    """Import the decisions of a request; return a message and the decisions on processed tests."""
     content = parse_decisions(body, Path("decisions"))
     if content.faults:
         raise _HttpError(HTTPStatus.BAD_REQUEST, "\n".join(content.faults[:_MAX_LISTED_ERRORS]))

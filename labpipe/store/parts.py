@@ -285,20 +285,18 @@ def _read_recording(group: Any) -> Recording:
         metadata=dict(json.loads(read_text(group, "metadata")).items()),
         notes=read_table(group, "notes", QualityNote),
     )
-    _require_equal_lengths(recording)
+    for channel in recording.channels:
+        time = recording.get_clock(channel.clock).time
+        _require_equal_lengths(time, {channel.name: channel.values})
+    if recording.markers is not None:
+        positions = {body.name: body.position for body in recording.markers.bodies}
+        _require_equal_lengths(recording.markers.time, positions)
     return recording
 
 
-def _require_equal_lengths(recording: Recording) -> None:
-    """Raise ValueError if a channel or body has another length than its times."""
-    pairs = [
-        (channel.name, channel.values, recording.get_clock(channel.clock).time)
-        for channel in recording.channels
-    ]
-    if recording.markers is not None:
-        time = recording.markers.time
-        pairs += [(body.name, body.position, time) for body in recording.markers.bodies]
-    for name, values, time in pairs:
+def _require_equal_lengths(time: Floats, arrays: Mapping[str, Floats]) -> None:
+    """Raise ValueError if one of the arrays, keyed by name, has another length than its times."""
+    for name, values in arrays.items():
         if len(values) != len(time):
             message = f"{name} has {len(values)} values at {len(time)} times"
             raise ValueError(message)
@@ -369,7 +367,10 @@ def _read_aligned(root: Any) -> Aligned | None:
     if "events" in group:
         events = read_arrays(group["events"], ClockFit)
         fit = ClockFit(**events, **read_attributes(group, ClockFit))
-    return read_record(group, Aligned, series=series, clock_fit=fit)
+    aligned = read_record(group, Aligned, series=series, clock_fit=fit)
+    values = {name: channel.values for name, channel in series.items()}
+    _require_equal_lengths(aligned.time, values)
+    return aligned
 
 
 def _write_curve(target: GroupWriter, result: TestResult, curve: Curve) -> None:
@@ -400,8 +401,13 @@ def _read_curve(root: Any) -> dict[str, Any]:
     group = root["curve"]
     time_unit = read_text(group["time"], "unit")
     branches = read_table(group, "branches", Branch, time_unit)
+    curve = read_record(group, Curve, branches=branches)
+    for branch in branches:
+        if branch.cycle < 1 or not 0 <= branch.start <= branch.stop <= len(curve.time):
+            message = f"a branch of cycle {branch.cycle}: {branch.start} to {branch.stop}"
+            raise ValueError(message)
     return {
-        "curve": read_record(group, Curve, branches=branches),
+        "curve": curve,
         "slips": _read_optional_table(group, "slips", Slip),
         "lines": _read_optional_table(group, "lines", FittedLine),
     }

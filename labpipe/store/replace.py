@@ -205,7 +205,9 @@ class _Move(NamedTuple):
 def _list_moves(folder: Path) -> list[_Move]:
     """List the moves of removed files, then of new files, with result files last."""
     committed_folder = folder / _COMMITTED_FOLDER
-    names = (committed_folder / _REMOVED_NAMES).read_text(encoding="utf-8").splitlines()
+    # A damaged list has names of files that do not exist.
+    text = (committed_folder / _REMOVED_NAMES).read_text(encoding="utf-8", errors="replace")
+    names = text.splitlines()
     names += sorted(_list_files(committed_folder / _FILES), key=lambda name: name.endswith(".h5"))
     _check_destinations(folder, names)
     return [

@@ -270,10 +270,9 @@ def _check_schema(path: Path, root: Any) -> None:
 
 def _check_links(path: Path, root: Any) -> None:
     """Raise StoreError if a result file has links to other files, because it must be complete."""
-
-    def find_external(name: bytes, link_info: Any) -> bytes | None:
-        return None if link_info.type in (h5py.h5l.TYPE_HARD, h5py.h5l.TYPE_SOFT) else name
-
-    link = root.id.links.visit(find_external, info=True)
+    internal_types = h5py.h5l.TYPE_HARD, h5py.h5l.TYPE_SOFT
+    link = root.id.links.visit(
+        lambda name, link: None if link.type in internal_types else name, info=True
+    )
     if link is not None:
         raise StoreError.about("store.link", path, link.decode(errors="replace"))

@@ -222,7 +222,7 @@ def read_summary(path: Path) -> dict[str, Any]:
     max_bytes = 1 << 26  # a hundred times the summary of a test with a hundred cycles
     try:
         is_readable = path.is_file() and path.stat().st_size <= max_bytes
-        content = json.loads(path.read_bytes()) if is_readable else None
+        content = json.loads(path.read_bytes(), parse_int=_parse_integer) if is_readable else None
     except (OSError, ValueError, RecursionError) as error:
         raise StoreError.about("store.damaged_summary", path, reason=error) from error
     if not isinstance(content, dict) or not isinstance(schema := content.get("schema"), int):
@@ -233,6 +233,12 @@ def read_summary(path: Path) -> dict[str, Any]:
             "store.newer_summary" if is_newer else "store.other_summary", path, schema=schema
         )
     return content
+
+
+def _parse_integer(digits: str) -> float:
+    """Parse an integer of JSON; one with more digits than a float can resolve is a float."""
+    max_digits = 15
+    return int(digits) if len(digits) <= max_digits else float(digits)
 
 
 @dataclass(frozen=True, slots=True)

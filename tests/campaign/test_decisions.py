@@ -14,6 +14,7 @@ from labpipe.campaign.catalog import OK, REJECTED, STALE
 from labpipe.campaign.decisions import (
     Decision,
     add_decisions,
+    find_decision_folder,
     import_decision_file,
     import_decisions,
     read_decisions,
@@ -120,30 +121,39 @@ def test_unreadable_decisions_are_reported_and_kept(campaign: LabCampaign, text:
     with pytest.raises(UsageError, match="Repair the file, or move it away and decide again"):
         record_decision(campaign.folders, "T1", REJECT)
     assert path.read_text("utf-8") == text
+    results = [campaign.processed / "T1" / "result.h5"]
     with pytest.raises(StoreError, match="expected decisions in JSON"):
-        read_decisions_by_file([campaign.processed / "T1" / "result.h5"])
+        read_decisions_by_file(results)
+    path.unlink()
+    path.symlink_to(path.name)
+    with pytest.raises(StoreError, match="found a folder, a pipe or a broken link"):
+        read_decisions_by_file(results)
 
 
 def test_invalid_decisions_are_reported_and_stay_in_the_file(campaign: LabCampaign) -> None:
     record_decision(campaign.folders, "T1", REJECT)
     path = campaign.processed / "decisions.json"
     document = written(campaign)
-    faulty = ["a word", {"test": "T1"}, document["decisions"][0] | {"decision": "perhaps"}]
+    (stored,) = document["decisions"]
+    others = [stored | {"decision": "perhaps"}, stored | {"decision": {"a": 1}, "by": 5}]
+    faulty = ["a word", {"test": "T1"}, *others, *98 * ["a word"]]
     path.write_text(json.dumps(document | {"remark": "by hand", "decisions": [
-        *faulty, *document["decisions"]
+        *faulty, stored
     ]}), "utf-8-sig")  # fmt: skip
     overview = read_overview(campaign.folders)
     assert overview.rows["T1"].state == REJECTED
-    assert [note.partition(": expected ")[2].partition(". ")[0] for note in overview.notes] == [
+    found = [note.partition(": expected ")[2].partition(". ")[0] for note in overview.notes]
+    assert found[-1] == "valid decisions, found 2 more faulty ones"
+    assert found[:4] == [
         "a decision, found 'a word'",
         "test, run, decision, because and by, found missing or empty: run, decision, because, by",
         "accept or reject, found 'perhaps'",
+        "text, found another value of decision, by",
     ]
     record_decision(campaign.folders, "T1", ACCEPT)
     decided = written(campaign)
     assert decided["remark"] == "by hand"
-    assert decided["decisions"][:3] == faulty
-    assert len(decided["decisions"]) == 5
+    assert decided["decisions"][:-2] == faulty
 
 
 @pytest.fixture(scope="module")
@@ -182,6 +192,14 @@ def test_import_adds_new_applicable_decisions_only(processed: Path, tmp_path: Pa
     assert imported.faults == ()
     assert read_decisions(processed).decisions == (stored, accepted)
     assert import_decision_file(processed, "c", file).added == []
+
+
+def test_test_in_a_linked_folder_has_the_label_of_the_link(tmp_path: Path) -> None:
+    (tmp_path / "away").mkdir()
+    (tmp_path / "c").mkdir()
+    (tmp_path / "c" / "T").symlink_to(tmp_path / "away")
+    file = tmp_path / "c" / "T" / "result.h5"
+    assert find_decision_folder(file, tmp_path / "c") == ((tmp_path / "c").resolve(), "T")
 
 
 def test_import_uses_the_nearest_decision_file(processed: Path) -> None:

@@ -133,6 +133,7 @@ def test_newer_results_are_kept_until_cleared(campaign: LabCampaign) -> None:
         {"specimen": None},
         {"inputs": [1]},
         {"results": [{"name": "x", "value": "many"}]},
+        {"results": [{"name": "x", "unit": "", "status": "", "seal": "x", "value": 10**400}]},
     ],
 )
 def test_test_with_damaged_summary_is_processed_again(

@@ -43,7 +43,7 @@ class Client:
         self.host = f"127.0.0.1:{server.server_port}"
 
     def raw(self, method: str, path: str, body: str | None = None, **headers: str) -> Answer:
-        connection = HTTPConnection("127.0.0.1", self.server.server_port, timeout=10)
+        connection = HTTPConnection("127.0.0.1", self.server.server_port, timeout=60)
         sent = {"Host": self.host} | {
             key.replace("_", "-"): header for key, header in headers.items()
         }
@@ -123,13 +123,15 @@ def test_get_files_of_the_campaign(client: Client) -> None:
     [
         "../../beside.json", "%2e%2e/%2e%2e/beside.json", "report/../../../beside.json",
         "..\\..\\beside.json", "%2fetc/passwd", ".secret.json", "report/%00", "link.json", "T-1",
-        "report/C:/x", "report//report.html", "%ff", "report/tests/..%2fT-1.html",
+        "report/C:/x", "report//report.html", "%ff", "report/tests/..%2fT-1.html", "loop", "loop/x",
+        5000 * "a",
     ],
 )  # fmt: skip
 def test_other_files_are_not_found(client: Client, path: str) -> None:
     (client.site.results_folder / "link.json").symlink_to(
         client.site.results_folder.parent.parent / "beside.json"
     )
+    (client.site.results_folder / "loop").symlink_to(client.site.results_folder / "loop")
     answer = client.get(path)
     assert answer.status == 404
     assert answer.json == {"error": "There is no such file in this campaign."}
@@ -256,6 +258,31 @@ def test_lost_connection_prints_nothing(
     client.server.shutdown()
     client.server.server_close()
     assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize(
+    ("request_text", "status"),
+    [
+        ("POST /{token}/report/decisions HTTP/1.1\r\nHost: {host}\r\nOrigin: http://{host}", 411),
+        ("GET /{token}/report/report.html", 403), ("no request", 400), ("GET / FTP/1.1", 400),
+    ],
+)  # fmt: skip
+def test_malformed_request_has_a_status(client: Client, request_text: str, status: int) -> None:
+    content = request_text.format(token=client.site.token, host=client.host).encode()
+    with socket.create_connection(("127.0.0.1", client.server.server_port)) as browser:
+        browser.sendall(content + b"\r\n\r\n")
+        assert browser.makefile("rb").readline().startswith(f"HTTP/1.0 {status} ".encode())
+
+
+def test_fault_of_the_server_is_answered_without_traceback(
+    client: Client, capfd: pytest.CaptureFixture[str]
+) -> None:
+    client.site.make_report = lambda: json.loads("{}")["boom"]
+    answer = client.post("report/report")
+    assert answer.status == 500
+    assert answer.json["error"].startswith("The server failed")
+    assert client.get("report/report.html").status == 200
+    assert "KeyError: 'boom'" in capfd.readouterr().err
 
 
 @pytest.mark.parametrize("when", ["9999999-99", "yesterday", "2026-13-01", 10_000 * "9"])

@@ -96,6 +96,17 @@ def with_attribute(name: str, value: object) -> Callable[[Path], None]:
     return change
 
 
+def shortened(path: Path) -> None:
+    with h5py.File(path, "a") as root:
+        (name, *_) = root["aligned"].attrs["series"]
+        root[f"aligned/{name}"].resize(3, axis=0)
+
+
+def with_cycle_zero(path: Path) -> None:
+    with h5py.File(path, "a") as root:
+        root["curve/branches/cycle"][:] = 0
+
+
 def with_damaged_chunk(path: Path) -> None:
     with h5py.File(path) as root:
         chunk = root["raw/force/Out1"].id.get_chunk_info(0)
@@ -117,6 +128,8 @@ REFUSED: dict[str, tuple[Callable[[Path], object], str]] = {
         r"found a file made by a newer labpipe, schema 3\. Update labpipe\.",
     ),
     "no UTF-8": (with_attribute("specimen_type", NO_UTF_8), "found a damaged one"),
+    "short signal": (shortened, r"found a damaged one \(\w+ has 3 values at"),
+    "no cycle": (with_cycle_zero, r"found a damaged one \(a branch of cycle 0: "),
     "a flipped bit": (with_damaged_chunk, r"found a damaged one \(.*(checksum|filter|read)"),
 }
 

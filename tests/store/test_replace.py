@@ -184,7 +184,7 @@ def test_who_writes_next_finishes_it(tmp_path: Path) -> None:
     commit = tmp_path / ".labpipe.commit"
     (commit / "files").mkdir(parents=True)
     (commit / "files" / "r.h5").write_text("new")
-    (commit / "gone").write_text("a")
+    (commit / "gone").write_bytes(b"a\n\xff\0")
     (tmp_path / "a").write_text("old")
     assert exists_or_is_staged(tmp_path / "r.h5")
     assert not exists_or_is_staged(tmp_path / "s.h5")

@@ -92,3 +92,5 @@ def test_numbers_that_were_changed_are_refused(tmp_path: Path, key: str, other: 
     assert_refused("the numbers of result")
     del entry["seal"]
     assert_refused(r"a damaged one \('seal'\)")
+    entry["seal"], entry["value"] = "", 10**400
+    assert_refused("the numbers of result")
