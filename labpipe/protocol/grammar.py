@@ -121,10 +121,11 @@ _DIMENSION_NAMES = {si_unit: quantity for quantity, si_unit in SI_UNITS.items()}
 }
 """Name of each dimension in messages, keyed by SI unit."""
 _NUMBER_AND_UNIT = re.compile(
-    r"([-+]?\d+(?:[.,' \u2019\u00a0\u202f]\d{3}(?!\d))*(?:[.,]\d*)?)\s*+(.*)"
+    r"([-+]?(?:\d+(?:[.,' \u2019\u00a0\u202f]\d{3}(?!\d))*(?:[.,]\d*+)?+|\.\d+)(?:[eE][-+]?\d+)?)"
+    r"\s*+(?![.,'\u2019])(.*)"
 )
 """A number, which may have thousands separators or a decimal comma, and the text after it."""
-_DECIMAL_COMMA = re.compile(r"[-+]?\d+,(?!\d{3}$)\d+")
+_DECIMAL_COMMA = re.compile(r"[-+]?(?:0,\d+|\d+,(?!\d{3}$)\d+)(?:[eE][-+]?\d+)?")
 """A number whose comma cannot separate thousands."""
 _RATIO_TEXT = re.compile(rf"\s*{NUMBER_PATTERN}\s*(1|%|percent|ppm)?\s*")
 """A pure number, which may be in % or ppm."""
@@ -175,21 +176,6 @@ def explain_unit(unit: str, si_unit: str) -> str:
     return ""
 
 
-def suggest_quantity(text: object, si_unit: str, example: str) -> str:
-    """Suggest how to write a quantity that `parse_quantity` refuses.
-
-    Parameters
-    ----------
-    text : quantity as written
-    si_unit : SI unit of the expected dimension
-    example : a correct quantity
-    """
-    match = _NUMBER_AND_UNIT.fullmatch(str(text).strip())
-    number, unit = match.groups() if match else ("", "")
-    remedy = f"{explain_unit(unit, si_unit)} Write it with its unit, such as {example!r}.".lstrip()
-    return suggest_number(number, unit) or remedy
-
-
 def find_si_unit(unit: str) -> str | None:
     """Find the SI unit for a unit such as ``mV``; None if no quantity of `SI_UNITS` fits."""
     units = SI_UNITS.values()
@@ -197,9 +183,23 @@ def find_si_unit(unit: str) -> str | None:
 
 
 def try_parse_quantity(text: object, si_unit: str) -> float | None:
-    """Parse a value with its unit, such as ``53 mm``, into SI; None if the text is invalid."""
+    """Parse a value with its unit, such as ``53 mm``, into SI.
+
+    Parameters
+    ----------
+    text : quantity as written
+    si_unit : SI unit of the expected dimension
+
+    Returns
+    -------
+    The value, infinite if it is too large for a float; None if the text is no such quantity.
+    """
+    if si_unit == "1" and _RATIO_TEXT.fullmatch(str(text)) is None:  # pint converts deg to a ratio
+        return None
     try:
         return parse_quantity(text, si_unit)
+    except NotFiniteError:
+        return math.inf
     except ValueError:
         return None
 
@@ -228,24 +228,28 @@ class QuantityText:
             If the text is no quantity of this dimension, or the value is out of range or not
             finite.
         """
-        unit, example = self.quantity.unit, self.quantity.example
-        try:
-            value = parse_quantity(text, unit)
-        except NotFiniteError:
-            value = math.inf
-        except ValueError as error:
-            remedy = suggest_quantity(text, unit, example)
-            raise build_refusal(
-                "protocol.no_quantity", found=text, kind=self._kind, remedy=remedy
-            ) from error
-        if unit == "1" and _RATIO_TEXT.fullmatch(str(text)) is None:  # pint converts deg to a ratio
-            raise build_refusal("protocol.no_ratio", found=text, kind=self._kind, example=example)
+        value = try_parse_quantity(text, self.quantity.unit)
+        if value is None:
+            remedy = self._suggest(text)
+            raise build_refusal("protocol.no_quantity", found=text, kind=self._kind, remedy=remedy)
         is_above_bound = self.quantity.lower_bound is None or value > self.quantity.lower_bound
         is_in_range = is_above_bound and self.quantity.minimum <= value <= self.quantity.maximum
         if not is_in_range or math.isinf(value):
             kind, range_text = self._kind, self._range_text
             raise build_refusal("protocol.out_of_range", found=text, kind=kind, range=range_text)
         return value
+
+    def _suggest(self, text: object) -> str:
+        """Suggest how to write a text that is no quantity of this dimension."""
+        match = _NUMBER_AND_UNIT.fullmatch(str(text).strip())
+        number, unit = match.groups() if match else ("", "")
+        remedy = suggest_number(number, unit)
+        if remedy and try_parse_quantity(f"1 {unit}", self.quantity.unit) is not None:
+            return remedy
+        separator = "a decimal point, and with " if remedy else ""
+        how = "like" if self.quantity.unit == "1" else f"with {separator}its unit, such as"
+        explanation = explain_unit(unit, self.quantity.unit)
+        return f"{explanation} Write it {how} {self.quantity.example!r}.".lstrip()
 
     def format(self, value: float) -> str:
         """Format an SI value to 12 digits in the display unit, or in SI if that overflows."""
@@ -322,17 +326,18 @@ def _parse_span(text: object) -> Span:
     """Parse the length of a filter's window: ``0.1 s``, ``2 mm``, ``5 %`` or ``51 samples``."""
     if isinstance(text, Span):
         return text
-    stripped_text = str(text).strip()
-    if match := re.fullmatch(r"([0-9]{1,9})\s*samples", stripped_text):
-        if int(match[1]) < 1:
+    match = _NUMBER_AND_UNIT.fullmatch(str(text).strip())
+    number, unit = match.groups() if match else ("", "")
+    if unit == "samples" and re.fullmatch(r"[0-9]{1,9}", number):
+        if int(number) < 1:
             raise build_refusal("protocol.no_sample", found=text)
-        return Span("samples", float(match[1]))
+        return Span("samples", float(number))
+    si_unit = "1" if unit == "%" else find_si_unit(unit)
     for kind, quantity_text in _SPAN_TEXTS.items():
-        is_percentage = kind == "branch" and stripped_text.endswith("%")
-        has_unit = try_parse_quantity(stripped_text, quantity_text.quantity.unit) is not None
-        if is_percentage or (kind != "branch" and has_unit):
+        if si_unit == quantity_text.quantity.unit and unit:
             return Span(kind, quantity_text.parse(text))
-    raise build_refusal("protocol.no_span", found=text, remedy=suggest_quantity(text, "s", "0.1 s"))
+    remedy = explain_unit(unit, "s") if si_unit else ""
+    raise build_refusal("protocol.no_span", found=text, remedy=remedy)
 
 
 def format_span(span: Span) -> str:
@@ -497,9 +502,10 @@ class Block(BaseModel):
         Returns
         -------
         The block and all faults. With faults, the block is a draft: an invalid mapping keeps its
-        valid entries, see `_validate_draft`. Any other invalid value is replaced by the default of
-        its key if the default is a block, a list or a mapping, and by None otherwise. The block is
-        None if the content is no block.
+        valid entries, see `_validate_draft`. In place of any other invalid value, the draft has the
+        default of its key if this is a block or a mapping, a list of one None if it is a list, and
+        None otherwise, also for blocks of several kinds. The block is None if the content is no
+        block.
         """
         faults: list[Fault] = []
         try:
@@ -579,10 +585,11 @@ def _build_draft(block: type[_B], data: Values) -> _B:
     for key, name in names_by_key.items():
         field = block.model_fields[name]
         default = None if field.is_required() else field.get_default()
-        has_default = key not in data or isinstance(default, Block | tuple | dict)
-        values[name] = default if has_default else None
+        values[name] = default
         if key in data:
-            values[name] = _validate_draft(_build_adapter(block, name), data[key], values[name])
+            has_default = isinstance(default, Block | dict) and not field.discriminator
+            substitute = default if has_default else (None,) if isinstance(default, tuple) else None
+            values[name] = _validate_draft(_build_adapter(block, name), data[key], substitute)
     stated_names = {name for key, name in names_by_key.items() if key in data}
     return cast("_B", block.model_construct(stated_names, **values))
 

@@ -27,12 +27,11 @@ from labpipe.protocol.grammar import (
     Text,
     build_count_validator,
     build_path_validator,
-    suggest_quantity,
     try_parse_quantity,
 )
 from labpipe.protocol.schema import Version
 from labpipe.protocol.source import Plausible, find_implausible_sizes
-from labpipe.protocol.yaml_text import build_refusal
+from labpipe.protocol.yaml_text import FaultsError, build_refusal
 from labpipe.records.arrays import Floats
 from labpipe.records.declarations import (
     Curvature,
@@ -92,8 +91,8 @@ def _parse_place(value: object) -> float:
         return _NAMED_PLACES[str(value)]
     try:
         return _LENGTH_FROM_START.parse(value)
-    except ValueError as error:
-        remedy = suggest_quantity(value, "m", "120 mm")
+    except FaultsError as error:
+        remedy = error.faults[0].remedy
         raise build_refusal("protocol.no_place", found=value, remedy=remedy) from error
 
 

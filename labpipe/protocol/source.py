@@ -6,7 +6,7 @@ A source is an export with its channels, their units and their calibrations.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
-from math import hypot, isclose
+from math import hypot, inf, isclose
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeAlias, get_args
 
@@ -25,12 +25,12 @@ from labpipe.protocol.grammar import (
     Block,
     Day,
     QuantityName,
+    QuantityText,
     Text,
     explain_unit,
     find_si_unit,
     list_blocks,
     list_items,
-    suggest_quantity,
     try_parse_quantity,
     wrap_in_list,
 )
@@ -118,6 +118,14 @@ class Section(Block):
     thickness: Length | None = None
     area: Area | None = None
 
+    def find_value_faults(self) -> Iterator[Fault]:
+        """Find an inner diameter and a wall that are too large for the outer diameter."""
+        outer = self.outer_diameter or inf
+        for key, bound in {"inner_diameter": outer, "wall": 0.5 * outer}.items():
+            if (size := getattr(self, key) or 0.0) >= bound:
+                facts = {"bound": 1e3 * bound, "outer": 1e3 * outer, "found": 1e3 * size}
+                yield Fault.of("protocol.section_size", (key,), **facts)
+
 
 class SizeUncertainties(Block):
     """Standard uncertainties of the specimen's dimensions; a dimension without one is exact."""
@@ -154,7 +162,8 @@ def _complete_ranges(data: object) -> Any:
     shipped_ranges = PLAUSIBLE_RANGES.items()
     ranges: Any = {kind: {"from": start, "to": stop} for kind, (_, start, stop) in shipped_ranges}
     for kind, ends in data.items():
-        ranges[kind] = {**ranges.get(kind, {}), **ends} if isinstance(ends, Mapping) else ends
+        shipped_ends = ranges.get(kind, ranges["other"])  # an unknown kind is a fault by itself
+        ranges[kind] = {**shipped_ends, **ends} if isinstance(ends, Mapping) else ends
     return ranges
 
 
@@ -162,20 +171,24 @@ def _find_quantity_faults(
     text: str | None, unit: str, key: str, example_number: str
 ) -> Iterator[Fault]:
     """Find a text at a key that is no quantity of the dimension of a unit."""
-    if text is not None and try_parse_quantity(text, unit) is None:
-        plain_unit = unit.replace("(", "").replace(")", "")
-        remedy = suggest_quantity(text, unit, f"{example_number} {plain_unit}")
-        kind = f"quantity with a unit such as {plain_unit}"
-        yield Fault.of("protocol.no_quantity", (key,), kind=kind, found=repr(text), remedy=remedy)
+    plain_unit = unit.replace("(", "").replace(")", "")
+    quantity = Quantity(unit, plain_unit, f"{example_number} {plain_unit}".removesuffix(" 1"))
+    try:
+        if text is not None:
+            QuantityText(quantity).parse(text)
+    except FaultsError as error:
+        yield from prefix_paths((key,), error.faults)
 
 
-def _find_range_faults(ends: PlausibleRange, unit: str) -> Iterator[Fault]:
+def _find_range_faults(ends: PlausibleRange, unit: str) -> list[Fault]:
     """Find ends of a plausible range that are no quantities, are negative, or do not increase."""
-    yield from _find_quantity_faults(ends.start, unit, "from", "20")
-    yield from _find_quantity_faults(ends.stop, unit, "to", "20")
-    start, stop = try_parse_quantity(ends.start, unit), try_parse_quantity(ends.stop, unit)
-    if start is not None and stop is not None and not 0.0 <= start < stop:
-        yield Fault.of("protocol.range_reversed", low=start, high=stop, unit=unit)
+    faults = [*_find_quantity_faults(ends.start, unit, "from", "20")]
+    faults += _find_quantity_faults(ends.stop, unit, "to", "20")
+    if not faults:
+        start, stop = parse_quantity(ends.start, unit), parse_quantity(ends.stop, unit)
+        if not 0.0 <= start < stop:
+            faults.append(Fault.of("protocol.range_reversed", low=start, high=stop, unit=unit))
+    return faults
 
 
 def _check_ranges(ranges: dict[str, PlausibleRange]) -> dict[str, PlausibleRange]:
