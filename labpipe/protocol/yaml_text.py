@@ -433,8 +433,8 @@ def _join_decimal_commas(node: yaml.MappingNode) -> list[tuple[yaml.Node, yaml.N
             and not value.value
         ):
             text = f"{number.value},{key.value}"
-            value = yaml.ScalarNode(number.tag, text, number.start_mark, key.end_mark)
-            pairs[-1] = first_key, value
+            joined = yaml.ScalarNode(number.tag, text, number.start_mark, key.end_mark)
+            pairs[-1] = first_key, joined
         else:
             pairs.append((key, value))
     return pairs
