@@ -123,8 +123,10 @@ class Section(Block):
         outer = self.outer_diameter or inf
         for key, bound in {"inner_diameter": outer, "wall": 0.5 * outer}.items():
             if (size := getattr(self, key) or 0.0) >= bound:
-                facts = {"bound": 1e3 * bound, "outer": 1e3 * outer, "found": 1e3 * size}
-                yield Fault.of("protocol.section_size", (key,), **facts)
+                limit, outer_mm, found = 1e3 * bound, 1e3 * outer, 1e3 * size
+                yield Fault.of(
+                    "protocol.section_size", (key,), bound=limit, outer=outer_mm, found=found
+                )
 
 
 class SizeUncertainties(Block):
