@@ -529,7 +529,9 @@ def _set_value(
 def _remove_main_results(protocol: Document, names: list[str]) -> None:
     """Remove results from the main results of groups."""
     main = get_block(protocol.data, "groups").get("main")
-    for index in reversed(range(len(main)) if isinstance(main, LocatedList) else ()):
+    if not isinstance(main, LocatedList):
+        return
+    for index in reversed(range(len(main))):
         if str(main[index]).partition(".")[0] in names:
             del main[index], main.locations[index]
 
