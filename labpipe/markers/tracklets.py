@@ -127,17 +127,19 @@ def cut_tracklets(
 
 
 def _find_jumps(positions: Floats, relative: Floats, time: Floats, max_jump: float) -> Flags:
-    """Find the steps that are jumps or exchanges of labels, shape (frames - 1, tracks)."""
-    min_exchange = 0.25 * max_jump  # m, shortest step in an exchange of labels
+    """Find the steps that are jumps or changes of label, shape (frames - 1, tracks)."""
+    min_step = 0.25 * max_jump  # m, shortest step at a change of label
     n_periods = np.maximum(1.0, np.diff(time) / compute_frame_period(time))
     squared_steps = np.minimum(_compute_squared_steps(positions), _compute_squared_steps(relative))
     is_jump: Flags = np.asarray(squared_steps > (max_jump * n_periods[:, None]) ** 2, np.bool_)
-    # Two markers closer than max_jump can exchange labels without a jump.
-    frames = np.flatnonzero((squared_steps > min_exchange**2).sum(axis=1) > 1)
+    # Markers closer than max_jump can change labels without a jump: a track steps to the place of
+    # another marker, whose track steps away or ends.
+    has_stepped, has_left = squared_steps > min_step**2, ~(squared_steps <= min_step**2)
+    frames = np.flatnonzero(has_stepped.any(axis=1))
     offsets = relative[frames + 1][:, :, None] - relative[frames][:, None]
     distances = np.linalg.norm(offsets, axis=3)
     is_nearer = distances < np.einsum("fii->fi", distances)[:, :, None]
-    is_jump[frames] |= (is_nearer & is_nearer.transpose(0, 2, 1)).any(axis=2)
+    is_jump[frames] |= (is_nearer & has_left[frames, None]).any(axis=2) & has_stepped[frames]
     return is_jump
 
 

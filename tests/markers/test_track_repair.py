@@ -88,6 +88,18 @@ def test_a_frozen_pose_is_removed_and_filled() -> None:
     assert (repaired.flags[300:321, 2] == [1] + 19 * [PointFlag.FILLED] + [1]).all()
 
 
+@pytest.mark.parametrize("last", [3, 5])
+def test_labels_that_move_on_by_one_marker_as_one_is_lost(last: int) -> None:
+    """The markers are nearer to each other than `max_jump`."""
+    take = wire_take()
+    truth, mixed = take.tracks.positions.copy(), take.tracks.positions.copy()
+    truth[300:, 2] = np.nan
+    mixed[300:, 2:last], mixed[300:, last] = truth[300:, 3 : last + 1], np.nan
+    repaired = repair(with_positions(take, mixed), max_jump=0.012)
+    np.testing.assert_array_equal(repaired.positions, truth)
+    assert codes(repaired) == ["label_switch", "gap_left"]
+
+
 @pytest.mark.parametrize("back", [312, 420])
 def test_labels_that_switch_while_one_marker_is_hidden(back: int) -> None:
     # hidden 300 to back, switched at 305 and ever after: in half a second by position, later
