@@ -19,7 +19,6 @@ from importlib.resources import files
 from pathlib import PurePosixPath, PureWindowsPath
 from types import MappingProxyType, UnionType
 from typing import (
-    TYPE_CHECKING,
     Annotated,
     Any,
     Final,
@@ -107,10 +106,25 @@ SI_UNITS: Final = MappingProxyType(
     }
 )
 """SI unit of each quantity that a protocol can name."""
-if TYPE_CHECKING:
-    QuantityName = str
-else:
-    QuantityName = Literal[tuple(SI_UNITS)]
+
+
+@dataclass(frozen=True, slots=True)
+class OneOf:
+    """Annotation of a text that is one of the given words.
+
+    Parameters
+    ----------
+    words : the valid words
+    """
+
+    words: tuple[str, ...]
+
+    def __get_pydantic_core_schema__(self, _source: object, _handler: object) -> CoreSchema:
+        return core_schema.literal_schema([*self.words])
+
+
+QuantityName = Annotated[str, OneOf(tuple(SI_UNITS))]
+"""Name of a quantity."""
 
 NUMBER_PATTERN: Final = r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?"
 """Pattern of a number, which may have a decimal point and an exponent."""
@@ -408,13 +422,13 @@ def _parse_pattern_text(pattern_text: PatternText, value: object) -> str:
     return str(value)
 
 
-def build_path_validator(folder: str, remedy: str) -> BeforeValidator:
+def build_path_validator(folder: str, noun: str) -> BeforeValidator:
     """Build the validator of a file name in a folder or below it.
 
     Parameters
     ----------
     folder : name of the folder in messages, such as ``the folder of the test``
-    remedy : what to do with a file elsewhere
+    noun : kind of file, such as ``export``
 
     Returns
     -------
@@ -427,9 +441,7 @@ def build_path_validator(folder: str, remedy: str) -> BeforeValidator:
             raise build_refusal("protocol.no_file_name", found=value)
         is_absolute = PurePosixPath(value).is_absolute() or PureWindowsPath(value).anchor
         if is_absolute or ".." in PureWindowsPath(value).parts:
-            raise build_refusal(
-                "protocol.file_elsewhere", found=value, folder=folder, remedy=remedy
-            )
+            raise build_refusal("protocol.file_elsewhere", found=value, folder=folder, noun=noun)
         return value
 
     return BeforeValidator(check_path)
@@ -620,10 +632,6 @@ def _build_adapter(block: type[Block], name: str) -> TypeAdapter[Any]:
     return TypeAdapter(field_type)
 
 
-_PLAIN_TYPES = frozenset((str, float, int, bool, date, type(None)))
-"""Types of values that contain no other values."""
-
-
 def list_blocks(node: object, path: KeyPath = ()) -> Iterator[tuple[KeyPath, Any]]:
     """Yield the path and value of a block, list or mapping, and of all blocks and lists in it.
 
@@ -634,7 +642,7 @@ def list_blocks(node: object, path: KeyPath = ()) -> Iterator[tuple[KeyPath, Any
     """
     yield path, node
     for key, value in list_items(node):
-        if type(value) not in _PLAIN_TYPES:
+        if not isinstance(value, str | float | int | date | None):
             yield from list_blocks(value, (*path, key))
 
 

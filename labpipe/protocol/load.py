@@ -24,7 +24,6 @@ from labpipe.protocol.schema import (
     list_unmet_needs,
 )
 from labpipe.protocol.sheet_grammar import (
-    COPY_REMEDY,
     SHEET_NAME,
     CampaignPlan,
     TestSheet,
@@ -443,7 +442,7 @@ def _find_link_faults(sheet: TestSheet, folder: Path, *, follow_links: bool) -> 
             yield Fault.of("protocol.link_to_itself", ("files", role), name=name)
             continue
         if not (is_inside or follow_links):
-            yield Fault.of("protocol.link_out", ("files", role), name=name, copy=COPY_REMEDY)
+            yield Fault.of("protocol.link_out", ("files", role), name=name)
 
 
 _DIMENSION_KEYS = ("length", "gauge_length", "span", "mass_per_length", "section")

@@ -98,8 +98,7 @@ def _parse_place(value: object) -> float:
 
 def _format_place(place: float) -> str:
     """Format a place on the line, m from its start, for YAML."""
-    names_by_place = {named_place: name for name, named_place in _NAMED_PLACES.items()}
-    return names_by_place.get(place) or _LENGTH_FROM_START.format(place)
+    return {START: "start", END: "end"}.get(place) or _LENGTH_FROM_START.format(place)
 
 
 Place: TypeAlias = Annotated[float, PlainValidator(_parse_place), PlainSerializer(_format_place)]
@@ -594,9 +593,6 @@ def find_missing_files(harness: HarnessFile, path: Path) -> Iterator[Fault]:
             )
 
 
-_COPY_REMEDY = "Copy the curve into the folder of the plan and name it from there."
-
-
 def _parse_unit(si_unit: str, value: object) -> str:
     """Parse a unit that must have the dimension of an SI unit."""
     if try_parse_quantity(f"1 {value}", si_unit) is None:
@@ -643,7 +639,7 @@ class Comparison(Block):
     """External curve: from finite elements, a digitised figure or another lab."""
 
     name: Text
-    file: Annotated[str, build_path_validator("the folder of the plan", _COPY_REMEDY)]
+    file: Annotated[str, build_path_validator("the folder of the plan", "curve")]
     """File (csv or xlsx) in the folder of the plan, or below it."""
     wire: Text
     """Name of the wire in the wire sheet."""

@@ -20,6 +20,7 @@ from labpipe.protocol.grammar import (
     SI_UNITS,
     Block,
     FileStem,
+    OneOf,
     QuantityName,
     Remark,
     Text,
@@ -93,11 +94,10 @@ FIGURE_NEEDS: Final = MappingProxyType(
 
 if TYPE_CHECKING:
     ResultEntry: TypeAlias = Kind
-    _FigureName = str
 else:
     ResultEntry = Annotated[Union[KINDS], TaggedChoice("result")]  # noqa: UP007 - the members are computed
-    _FigureName = Literal[tuple(FIGURE_NEEDS)]
 
+_FigureName: TypeAlias = Annotated[str, OneOf(tuple(FIGURE_NEEDS))]
 KINDS_BY_NAME: Final[Mapping[str, Any]] = {kind.result: kind for kind in KINDS}
 """Kind of result, keyed by its name in YAML."""
 Faults: TypeAlias = Iterator[Fault]
@@ -389,11 +389,6 @@ def _parse_version(value: object) -> int:
 Version: TypeAlias = Annotated[Literal[1], BeforeValidator(_parse_version)]
 
 
-def _number_steps(steps: tuple[Step, ...]) -> tuple[Step, ...]:
-    # In a draft, None stands for a step of an unknown kind.
-    return tuple(step and step.with_index(index) for index, step in enumerate(steps))
-
-
 class Protocol(Block):
     """Settings that process one kind of test, from its exports to its results."""
 
@@ -412,7 +407,11 @@ class Protocol(Block):
     """Valid answers to each question; a test sheet answers in specimen.observed."""
     markers: Markers | None = None
     align: Align = AlignNone.model_construct()
-    steps: Annotated[tuple[Step, ...], AfterValidator(_number_steps)] = ()
+    steps: Annotated[
+        tuple[Step, ...],
+        # In a draft, None stands for a step of an unknown kind.
+        AfterValidator(lambda x: tuple(step and step.with_index(i) for i, step in enumerate(x))),
+    ] = ()
     curve: CurveBlock | None = None
     branches: Branches | None = None
     results: tuple[ResultEntry, ...] = ()

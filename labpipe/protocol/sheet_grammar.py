@@ -38,6 +38,7 @@ from labpipe.protocol.grammar import (
     build_count_validator,
     build_path_validator,
     try_parse_quantity,
+    wrap_in_list,
 )
 from labpipe.protocol.schema import Version
 from labpipe.protocol.source import Role, Section, SizeUncertainties
@@ -262,20 +263,9 @@ class SheetSpecimen(Block):
             yield Fault.of("protocol.label_as_key", ("labels", key), is_key=True, key=key)
 
 
-COPY_REMEDY = "Copy the export into the folder of the test and name it from there."
-"""Remedy for an export outside the folder of its test."""
-
-
-def _wrap_file_name(value: object) -> object:
-    """Wrap a single file name in a list, and refuse null."""
-    if value is None:
-        raise build_refusal("protocol.no_export", found=value)
-    return [value] if isinstance(value, str) else value
-
-
 FileNames = Annotated[
-    tuple[Annotated[str, build_path_validator("the folder of the test", COPY_REMEDY)], ...],
-    BeforeValidator(_wrap_file_name, json_schema_input_type=str | tuple[str, ...]),
+    tuple[Annotated[str, build_path_validator("the folder of the test", "export")], ...],
+    BeforeValidator(wrap_in_list, json_schema_input_type=str | tuple[str, ...]),
     Field(min_length=1),
 ]
 

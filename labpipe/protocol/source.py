@@ -24,6 +24,7 @@ from labpipe.protocol.grammar import (
     SI_UNITS,
     Block,
     Day,
+    OneOf,
     QuantityName,
     QuantityText,
     Text,
@@ -83,13 +84,12 @@ DIMENSION_KINDS: Final = MappingProxyType(
 
 if TYPE_CHECKING:
     RoleKey = Role
-    _ReaderName = str
-    _Kind = str
 else:
     # A protocol with a misspelt role is checked further, see `assign_roles`.
     RoleKey = Annotated[str, WithJsonSchema({"enum": list(ROLES), "type": "string"})]
-    _ReaderName = Literal[READER_NAMES]
-    _Kind = Literal[tuple(PLAUSIBLE_RANGES)]
+
+_ReaderName = Annotated[str, OneOf(READER_NAMES)]
+_Kind = Annotated[str, OneOf(tuple(PLAUSIBLE_RANGES))]
 
 ReaderNames = Annotated[
     tuple[_ReaderName, ...],
@@ -170,22 +170,22 @@ def _complete_ranges(data: object) -> Any:
 
 
 def _find_quantity_faults(
-    text: str | None, unit: str, key: str, example_number: str
+    text: str | None, unit: str, path: KeyPath, example_number: str
 ) -> Iterator[Fault]:
-    """Find a text at a key that is no quantity of the dimension of a unit."""
+    """Find a text at a path that is no quantity of the dimension of a unit."""
     plain_unit = unit.replace("(", "").replace(")", "")
     quantity = Quantity(unit, plain_unit, f"{example_number} {plain_unit}".removesuffix(" 1"))
     try:
         if text is not None:
             QuantityText(quantity).parse(text)
     except FaultsError as error:
-        yield from prefix_paths((key,), error.faults)
+        yield from prefix_paths(path, error.faults)
 
 
 def _find_range_faults(ends: PlausibleRange, unit: str) -> list[Fault]:
     """Find ends of a plausible range that are no quantities, are negative, or do not increase."""
-    faults = [*_find_quantity_faults(ends.start, unit, "from", "20")]
-    faults += _find_quantity_faults(ends.stop, unit, "to", "20")
+    faults = [*_find_quantity_faults(ends.start, unit, ("from",), "20")]
+    faults += _find_quantity_faults(ends.stop, unit, ("to",), "20")
     if not faults:
         start, stop = parse_quantity(ends.start, unit), parse_quantity(ends.stop, unit)
         if not 0.0 <= start < stop:
@@ -293,11 +293,6 @@ class Certificate(Block):
     k: CoverageFactor = 2.0
     """Coverage factor; 1 for a standard uncertainty."""
 
-    @property
-    def scale_uncertainty(self) -> float | None:
-        """Return the relative standard uncertainty of the scale; None if it is not stated."""
-        return None if self.uncertainty is None else self.uncertainty / self.k
-
 
 class Calibration(Block):
     """Linear calibration of a channel."""
@@ -308,23 +303,6 @@ class Calibration(Block):
     """Offset, such as 0.01 N, which is added after the gain."""
     gain_uncertainty: Uncertainty = 0.0
     """Relative standard uncertainty of the gain, such as 1 %."""
-
-    def find_unit_faults(self, target_unit: str, channel_unit: str) -> Iterator[Fault]:
-        """Find a gain or an offset of another dimension, and a gain of zero.
-
-        Parameters
-        ----------
-        target_unit, channel_unit : SI units after and before the calibration
-
-        Yields
-        ------
-        Faults, with their paths in the block of the calibration.
-        """
-        gain_unit = f"{target_unit}/({channel_unit})"
-        yield from _find_quantity_faults(self.offset, target_unit, "offset", "0.5")
-        yield from _find_quantity_faults(self.gain, gain_unit, "gain", "0.5")
-        if try_parse_quantity(self.gain, gain_unit) == 0.0:
-            yield Fault.of("protocol.no_gain", ("gain",), found=repr(self.gain))
 
 
 class ChannelSource(Block):
@@ -372,7 +350,9 @@ class ChannelSource(Block):
     def _get_scale_errors(self) -> tuple[float | None, float]:
         """Return the certified standard uncertainty or None, and that stated for gain and scale."""
         gain = 0.0 if self.calibration is None else self.calibration.gain_uncertainty
-        certified_error = self.certificate.scale_uncertainty if self.certificate else None
+        certificate, certified_error = self.certificate, None
+        if certificate is not None and certificate.uncertainty is not None:
+            certified_error = certificate.uncertainty / certificate.k
         return certified_error, hypot(gain, self.scale_uncertainty or 0.0)
 
     @property
@@ -461,8 +441,12 @@ class ChannelSource(Block):
                 "protocol.wrong_unit", path, quantity=quantity, unit=si_unit, found=text, hint=hint
             )
         elif self.calibration is not None:
-            faults = self.calibration.find_unit_faults(self.target_unit, si_unit)
-            yield from prefix_paths(("calibration",), faults)
+            offset, gain = self.calibration.offset, self.calibration.gain
+            gain_unit, path = f"{self.target_unit}/({si_unit})", ("calibration",)
+            yield from _find_quantity_faults(offset, self.target_unit, (*path, "offset"), "0.5")
+            yield from _find_quantity_faults(gain, gain_unit, (*path, "gain"), "0.5")
+            if try_parse_quantity(gain, gain_unit) == 0.0:
+                yield Fault.of("protocol.no_gain", (*path, "gain"), found=repr(gain))
 
 
 class _ListedChannel(ChannelSource):

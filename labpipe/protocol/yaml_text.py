@@ -405,8 +405,17 @@ def _convert_node(node: yaml.Node, path: KeyPath, document: Document) -> Any:
 def _convert_mapping(node: yaml.MappingNode, path: KeyPath, document: Document) -> LocatedBlock:
     """Convert a node of keys and values to a block; a key that is no unique word is a fault."""
     file, block = document.location.file, LocatedBlock()
-    for key, value in _join_decimal_commas(node):
+    previous_name, number_end = "", -1  # end of the previous value if this may be a number
+    for key, value in node.value:
         name, mark = key.value, _get_mark(key)
+        has_text = isinstance(value, yaml.ScalarNode) and not value.style
+        is_next = key.start_mark.index == number_end + 1 and str(name)[:1].isdigit()
+        if has_text and not value.value and is_next:
+            # YAML splits {length: 8,5 mm} into a length and a key.
+            block[previous_name] += f",{name}"
+            continue
+        is_number = node.flow_style and has_text and value.value[-1:].isdigit()
+        previous_name, number_end = name, value.end_mark.index if is_number else -1
         if not isinstance(key, yaml.ScalarNode):
             fault = Fault.of("protocol.no_word_as_key", path, found=describe_value(name))
             document.faults.append(_place_fault(file, mark, fault))
@@ -418,26 +427,6 @@ def _convert_mapping(node: yaml.MappingNode, path: KeyPath, document: Document) 
             block.locations[name] = Location(file, name, mark, _get_mark(value))
             block[name] = _convert_node(value, (*path, name), document)
     return block
-
-
-def _join_decimal_commas(node: yaml.MappingNode) -> list[tuple[yaml.Node, yaml.Node]]:
-    """List keys and values; join a number that YAML has split: ``{a: 8,5 mm}`` has no key 5 mm."""
-    pairs: list[tuple[yaml.Node, yaml.Node]] = []
-    for key, value in node.value:
-        first_key, number = pairs[-1] if pairs else (key, value)
-        if (
-            node.flow_style
-            and all(isinstance(x, yaml.ScalarNode) and not x.style for x in (number, key, value))
-            and key.start_mark.index == number.end_mark.index + 1
-            and (number.value[-1:] + key.value[:1]).isdigit()
-            and not value.value
-        ):
-            text = f"{number.value},{key.value}"
-            joined = yaml.ScalarNode(number.tag, text, number.start_mark, key.end_mark)
-            pairs[-1] = first_key, joined
-        else:
-            pairs.append((key, value))
-    return pairs
 
 
 def _get_mark(node: yaml.Node | yaml.Token) -> Mark:
