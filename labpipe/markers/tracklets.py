@@ -12,6 +12,8 @@ import numpy as np
 from labpipe.messages import format_sentence
 from labpipe.records.arrays import Flags, Floats, Ints, compute_median_step, find_runs
 
+VELOCITY_FRAMES = 5
+"""Largest number of steps over which the velocity at the end of a tracklet is computed."""
 _LABEL_CHANGE_COST = 0.25
 """Cost of a change of label, as a fraction of `max_jump`."""
 
@@ -252,23 +254,35 @@ def _compute_distances(
 
     The tracklets with the indices `end` end before the tracklets with the indices `start` start.
     """
-    velocity_frames = 5
     column, first, last = tracklets.column, tracklets.start, tracklets.stop - 1
-    inside_end = np.maximum(first, last - velocity_frames)
-    inside_start = np.minimum(last, first + velocity_frames)
-
-    def compute_velocity(before: Ints, after: Ints) -> Floats:
-        """Compute the mean velocity of each tracklet between two frames, m/s."""
-        duration = np.where(after > before, time[after] - time[before], 1.0)
-        return np.asarray((relative[after, column] - relative[before, column]) / duration[:, None])
-
-    end_velocity = compute_velocity(inside_end, last)
-    start_velocity = compute_velocity(first, inside_start)
+    inside_end = np.maximum(first, last - VELOCITY_FRAMES)
+    inside_start = np.minimum(last, first + VELOCITY_FRAMES)
+    end_velocity = compute_velocity(time, relative, (inside_end, column), (last, column))
+    start_velocity = compute_velocity(time, relative, (first, column), (inside_start, column))
     gap = relative[first[start], column[start]] - relative[last[end], column[end]]
     duration = (time[first[start]] - time[last[end]])[:, None]
     extrapolated_gap = gap - duration * (end_velocity[end] + start_velocity[start]) / 2
     distance = np.minimum(np.linalg.norm(gap, axis=1), np.linalg.norm(extrapolated_gap, axis=1))
     return np.asarray(distance, dtype=np.float64)
+
+
+def compute_velocity(
+    time: Floats, positions: Floats, start: tuple[Ints, ...], stop: tuple[Ints, ...]
+) -> Floats:
+    """Compute mean velocities between two frames, m/s; 0 if both are the same frame.
+
+    Parameters
+    ----------
+    time : shape (frames,), s
+    positions : shape (frames, ..., 3), m
+    start, stop : indices of `positions`; the first ones are those of the frames, shape (n,)
+
+    Returns
+    -------
+    Shape (n, 3), m/s.
+    """
+    duration = np.where(stop[0] > start[0], time[stop[0]] - time[start[0]], 1.0)
+    return np.asarray((positions[stop] - positions[start]) / duration[:, None], dtype=np.float64)
 
 
 def _choose_pairs(pairs: _Pairs, *, unlinked_cost: float) -> list[int]:

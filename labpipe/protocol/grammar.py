@@ -332,8 +332,6 @@ _SPAN_TEXTS: Final[Mapping[Any, QuantityText]] = {
     "branch": QuantityText(Quantity("1", "%", "5 %", minimum=1e-6, maximum=1.0)),
 }
 """Parser and formatter of a filter's window, keyed by kind of `Span`; ``samples`` has no unit."""
-_SPAN_SCHEMA = {"type": "string", "examples": ["0.1 s", "2 mm", "5 %", "51 samples"]}
-"""JSON schema of the length of a filter's window."""
 
 
 def _parse_span(text: object) -> Span:
@@ -486,7 +484,13 @@ FileStem = Annotated[str, BeforeValidator(_parse_file_stem)]
 
 
 class Block(BaseModel):
-    """Frozen model of a YAML block, which refuses unknown keys and reports faults in sentences."""
+    """Frozen model of a YAML block, which refuses unknown keys and reports faults in sentences.
+
+    A block may have the method ``find_key_faults``, which finds contradictions between keys even if
+    values have faults, and the method ``find_value_faults``, which finds contradictions between
+    values and is called only if all values are valid. The methods return faults with their paths in
+    the block.
+    """
 
     # Pydantic builds the validator of a model when it is first used, because most commands use few
     # models. Default blocks are made by `model_construct`, which does not build a validator.
@@ -531,7 +535,7 @@ class Block(BaseModel):
         contradictions: list[Fault] = []
         for path, value in reversed([*list_blocks(block)]):  # inner blocks before outer ones
             fault_paths = invalid_paths.union(fault.path for fault in contradictions)
-            if isinstance(value, Block):
+            if hasattr(value, "find_key_faults"):
                 contradictions += prefix_paths(path, value.find_key_faults())
             is_valid = not any(fault_path[: len(path)] == path for fault_path in fault_paths)
             if is_valid and hasattr(value, "find_value_faults"):
@@ -541,24 +545,6 @@ class Block(BaseModel):
         faults = [fault for fault in faults if fault.path not in refused_keys]
         invalid_paths -= refused_keys
         return block, faults + [x for x in contradictions if x.path not in invalid_paths]
-
-    def find_key_faults(self) -> Iterable[Fault]:
-        """Find contradictions between keys, even if values have faults (see `read`).
-
-        Returns
-        -------
-        The faults, with their paths in the block; by default none.
-        """
-        return ()
-
-    def find_value_faults(self) -> Iterable[Fault]:
-        """Find contradictions between values; `read` calls it only if all values are valid.
-
-        Returns
-        -------
-        The faults, with their paths in the block; by default none.
-        """
-        return ()
 
     @model_validator(mode="wrap")
     @classmethod
@@ -680,9 +666,8 @@ def build_pydantic_type(hint: Any) -> Any:
         return origin[tuple(build_pydantic_type(argument) for argument in arguments)]
     if hint is Span:
         serializer = PlainSerializer(format_span)
-        return Annotated[
-            Span, PlainValidator(_parse_span), serializer, WithJsonSchema(_SPAN_SCHEMA)
-        ]
+        schema = {"type": "string", "examples": ["0.1 s", "2 mm", "5 %", "51 samples"]}
+        return Annotated[Span, PlainValidator(_parse_span), serializer, WithJsonSchema(schema)]
     return Annotated[hint, _BlockAnnotation(hint)] if is_dataclass(hint) else hint
 
 
