@@ -30,6 +30,7 @@ def test_exact_without_noise() -> None:
     assert corner.value == pytest.approx(HEIGHT, abs=1e-6)
     few = np.arange(0.0, 0.1, 0.02)
     assert fit_corner(few, few, guess=0.04, window=0.05) is None
+    assert fit_corner(np.arange(20.0), np.full(20, 0.3), guess=9.5, window=9.0) is None
 
 
 def stopped(seed: int, dwell: float, noise: float) -> tuple[Floats, Floats]:
