@@ -91,7 +91,7 @@ def find_frozen_samples(
 def cut_tracklets(
     positions: Floats, relative: Floats, time: Floats, *, max_jump: float
 ) -> Tracklets:
-    """Cut every track at gaps, at jumps, and where two tracks exchange markers.
+    """Cut every track at gaps, at jumps, and where it steps to the place of another marker.
 
     Parameters
     ----------

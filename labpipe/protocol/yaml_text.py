@@ -359,7 +359,7 @@ def parse_yaml(text: str, file: str) -> Document:
     tokens = yaml.scan(text, Loader=_LOADER) if _POSSIBLE_ALIAS.search(text) else ()
     aliases = [_get_mark(token) for token in tokens if isinstance(token, yaml.AliasToken)]
     if aliases:
-        raise build_error(_place_fault(file, x, Fault.of("protocol.alias", ())) for x in aliases)
+        raise build_error(_place_fault(file, x, Fault.of("protocol.alias")) for x in aliases)
     mark = (1, 1) if node is None else _get_mark(node)
     document = Document(Location(file, "", mark, mark))
     if node is not None:
@@ -414,8 +414,7 @@ def _convert_mapping(node: yaml.MappingNode, path: KeyPath, document: Document) 
             # YAML splits {length: 8,5 mm} into a length and a key.
             block[previous_name] += f",{name}"
             continue
-        is_number = node.flow_style and has_text and value.value[-1:].isdigit()
-        previous_name, number_end = name, value.end_mark.index if is_number else -1
+        number_end = -1
         if not isinstance(key, yaml.ScalarNode):
             fault = Fault.of("protocol.no_word_as_key", path, found=describe_value(name))
             document.faults.append(_place_fault(file, mark, fault))
@@ -426,6 +425,8 @@ def _convert_mapping(node: yaml.MappingNode, path: KeyPath, document: Document) 
         else:
             block.locations[name] = Location(file, name, mark, _get_mark(value))
             block[name] = _convert_node(value, (*path, name), document)
+            if node.flow_style and has_text and value.value[-1:].isdigit():
+                previous_name, number_end = name, value.end_mark.index
     return block
 
 

@@ -81,7 +81,7 @@ VALUE_FAULTS: list[tuple[Any, tuple[object, ...]]] = [
 YAML_FAULTS = [
     "a: 1\nb: 2\na: 3\n",
     "a: !!python/object/new:os.system [ls]\n",
-    "? [a, b]\n: c\n",
+    "{[a, b]: 8,5}\n",
 ]
 
 
