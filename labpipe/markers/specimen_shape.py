@@ -155,9 +155,9 @@ def fit_rest_curve(
 
     Notes
     -----
-    A cubic in arc length (or a quadratic for few markers) is fitted, whose position and slope at
-    the beginning are free. The arc lengths are first computed from the chords between the markers,
-    and then repeatedly from the fitted curve, until they converge, at most `max_rounds` times. The
+    A cubic in arc length is fitted (or a lower power for few markers), whose position
+    and slope at the beginning are free. The arc lengths are first computed from the chords between
+    the markers, and then up to 30 times from the fitted curve, until they converge. The
     beginning of the curve is moved along the tangent there until the distance from the pivot in
     this direction is `offsets.grip`. The pivot need not be on the axis.
     """

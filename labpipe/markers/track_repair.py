@@ -11,11 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labpipe.markers.tracklets import (
+    VELOCITY_FRAMES,
     Chain,
     ChainAssignment,
     Links,
     Tracklets,
     assign_chains,
+    compute_velocity,
     cut_tracklets,
     find_frozen_samples,
     is_in_sight,
@@ -187,26 +189,18 @@ def _bridge_path(time: Floats, path: Floats, gap_times: Floats) -> Floats:
 
     The path has the shape (samples, 3), and the result has the shape (gap times, 3), in m.
     """
-    velocity_frames = 5
     after = np.searchsorted(time, gap_times)  # sample after the gap
     before = after - 1
-    first = np.maximum(before - velocity_frames, 0)
-    last = np.minimum(after + velocity_frames, len(time) - 1)
+    first = np.maximum(before - VELOCITY_FRAMES, 0)
+    last = np.minimum(after + VELOCITY_FRAMES, len(time) - 1)
     gap_duration = (time[after] - time[before])[:, None]
     # Tangents of a cubic in u, which increases from 0 to 1 across a gap.
-    start_tangent = _compute_velocity(time, path, first, before) * gap_duration
-    stop_tangent = _compute_velocity(time, path, after, last) * gap_duration
-    start_position, stop_position = path[before], path[after]
+    start_tangent = compute_velocity(time, path, (first,), (before,)) * gap_duration
+    stop_tangent = compute_velocity(time, path, (after,), (last,)) * gap_duration
     u = (gap_times - time[before])[:, None] / gap_duration
     v = 1.0 - u
-    cubic: Floats = start_position * v**2 * (1.0 + 2.0 * u) + stop_position * u**2 * (1.0 + 2.0 * v)
+    cubic: Floats = path[before] * v**2 * (1.0 + 2.0 * u) + path[after] * u**2 * (1.0 + 2.0 * v)
     return cubic + u * v * (start_tangent * v - stop_tangent * u)
-
-
-def _compute_velocity(time: Floats, path: Floats, start: Ints, stop: Ints) -> Floats:
-    """Compute mean velocities between two samples, (n, 3), m/s; 0 if both are the same sample."""
-    duration = np.where(stop > start, time[stop] - time[start], 1.0)
-    return np.asarray((path[stop] - path[start]) / duration[:, None], dtype=np.float64)
 
 
 _MAX_NOTES = 10

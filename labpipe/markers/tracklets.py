@@ -12,6 +12,8 @@ import numpy as np
 from labpipe.messages import format_sentence
 from labpipe.records.arrays import Flags, Floats, Ints, compute_median_step, find_runs
 
+VELOCITY_FRAMES = 5
+"""Largest number of steps over which the velocity at the end of a tracklet is computed."""
 _LABEL_CHANGE_COST = 0.25
 """Cost of a change of label, as a fraction of `max_jump`."""
 
@@ -89,7 +91,7 @@ def find_frozen_samples(
 def cut_tracklets(
     positions: Floats, relative: Floats, time: Floats, *, max_jump: float
 ) -> Tracklets:
-    """Cut every track at gaps, at jumps, and where two tracks exchange markers.
+    """Cut every track at gaps, at jumps, and where it steps to the place of another marker.
 
     Parameters
     ----------
@@ -127,17 +129,19 @@ def cut_tracklets(
 
 
 def _find_jumps(positions: Floats, relative: Floats, time: Floats, max_jump: float) -> Flags:
-    """Find the steps that are jumps or exchanges of labels, shape (frames - 1, tracks)."""
-    min_exchange = 0.25 * max_jump  # m, shortest step in an exchange of labels
+    """Find the steps that are jumps or changes of label, shape (frames - 1, tracks)."""
+    min_step = 0.25 * max_jump  # m, shortest step at a change of label
     n_periods = np.maximum(1.0, np.diff(time) / compute_frame_period(time))
     squared_steps = np.minimum(_compute_squared_steps(positions), _compute_squared_steps(relative))
     is_jump: Flags = np.asarray(squared_steps > (max_jump * n_periods[:, None]) ** 2, np.bool_)
-    # Two markers closer than max_jump can exchange labels without a jump.
-    frames = np.flatnonzero((squared_steps > min_exchange**2).sum(axis=1) > 1)
+    # Markers closer than max_jump can change labels without a jump: a track steps to the place of
+    # another marker, whose track steps away or ends.
+    has_stepped, has_left = squared_steps > min_step**2, ~(squared_steps <= min_step**2)
+    frames = np.flatnonzero(has_stepped.any(axis=1))
     offsets = relative[frames + 1][:, :, None] - relative[frames][:, None]
     distances = np.linalg.norm(offsets, axis=3)
     is_nearer = distances < np.einsum("fii->fi", distances)[:, :, None]
-    is_jump[frames] |= (is_nearer & is_nearer.transpose(0, 2, 1)).any(axis=2)
+    is_jump[frames] |= (is_nearer & has_left[frames, None]).any(axis=2) & has_stepped[frames]
     return is_jump
 
 
@@ -250,23 +254,35 @@ def _compute_distances(
 
     The tracklets with the indices `end` end before the tracklets with the indices `start` start.
     """
-    velocity_frames = 5
     column, first, last = tracklets.column, tracklets.start, tracklets.stop - 1
-    inside_end = np.maximum(first, last - velocity_frames)
-    inside_start = np.minimum(last, first + velocity_frames)
-
-    def compute_velocity(before: Ints, after: Ints) -> Floats:
-        """Compute the mean velocity of each tracklet between two frames, m/s."""
-        duration = np.where(after > before, time[after] - time[before], 1.0)
-        return np.asarray((relative[after, column] - relative[before, column]) / duration[:, None])
-
-    end_velocity = compute_velocity(inside_end, last)
-    start_velocity = compute_velocity(first, inside_start)
+    inside_end = np.maximum(first, last - VELOCITY_FRAMES)
+    inside_start = np.minimum(last, first + VELOCITY_FRAMES)
+    end_velocity = compute_velocity(time, relative, (inside_end, column), (last, column))
+    start_velocity = compute_velocity(time, relative, (first, column), (inside_start, column))
     gap = relative[first[start], column[start]] - relative[last[end], column[end]]
     duration = (time[first[start]] - time[last[end]])[:, None]
     extrapolated_gap = gap - duration * (end_velocity[end] + start_velocity[start]) / 2
     distance = np.minimum(np.linalg.norm(gap, axis=1), np.linalg.norm(extrapolated_gap, axis=1))
     return np.asarray(distance, dtype=np.float64)
+
+
+def compute_velocity(
+    time: Floats, positions: Floats, start: tuple[Ints, ...], stop: tuple[Ints, ...]
+) -> Floats:
+    """Compute mean velocities between two frames, m/s; 0 if both are the same frame.
+
+    Parameters
+    ----------
+    time : shape (frames,), s
+    positions : shape (frames, ..., 3), m
+    start, stop : indices of `positions`; the first ones are those of the frames, shape (n,)
+
+    Returns
+    -------
+    Shape (n, 3), m/s.
+    """
+    duration = np.where(stop[0] > start[0], time[stop[0]] - time[start[0]], 1.0)
+    return np.asarray((positions[stop] - positions[start]) / duration[:, None], dtype=np.float64)
 
 
 def _choose_pairs(pairs: _Pairs, *, unlinked_cost: float) -> list[int]:

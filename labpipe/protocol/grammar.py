@@ -19,7 +19,6 @@ from importlib.resources import files
 from pathlib import PurePosixPath, PureWindowsPath
 from types import MappingProxyType, UnionType
 from typing import (
-    TYPE_CHECKING,
     Annotated,
     Any,
     Final,
@@ -107,10 +106,25 @@ SI_UNITS: Final = MappingProxyType(
     }
 )
 """SI unit of each quantity that a protocol can name."""
-if TYPE_CHECKING:
-    QuantityName = str
-else:
-    QuantityName = Literal[tuple(SI_UNITS)]
+
+
+@dataclass(frozen=True, slots=True)
+class OneOf:
+    """Annotation of a text that is one of the given words.
+
+    Parameters
+    ----------
+    words : the valid words
+    """
+
+    words: tuple[str, ...]
+
+    def __get_pydantic_core_schema__(self, _source: object, _handler: object) -> CoreSchema:
+        return core_schema.literal_schema([*self.words])
+
+
+QuantityName = Annotated[str, OneOf(tuple(SI_UNITS))]
+"""Name of a quantity."""
 
 NUMBER_PATTERN: Final = r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?"
 """Pattern of a number, which may have a decimal point and an exponent."""
@@ -121,10 +135,11 @@ _DIMENSION_NAMES = {si_unit: quantity for quantity, si_unit in SI_UNITS.items()}
 }
 """Name of each dimension in messages, keyed by SI unit."""
 _NUMBER_AND_UNIT = re.compile(
-    r"([-+]?\d+(?:[.,' \u2019\u00a0\u202f]\d{3}(?!\d))*(?:[.,]\d*)?)\s*+(.*)"
+    r"([-+]?(?:\d+(?:[.,' \u2019\u00a0\u202f]\d{3}(?!\d))*(?:[.,]\d*+)?+|\.\d+)(?:[eE][-+]?\d+)?)"
+    r"\s*+(?![.,'\u2019])(.*)"
 )
 """A number, which may have thousands separators or a decimal comma, and the text after it."""
-_DECIMAL_COMMA = re.compile(r"[-+]?\d+,(?!\d{3}$)\d+")
+_DECIMAL_COMMA = re.compile(r"[-+]?(?:0,\d+|\d+,(?!\d{3}$)\d+)(?:[eE][-+]?\d+)?")
 """A number whose comma cannot separate thousands."""
 _RATIO_TEXT = re.compile(rf"\s*{NUMBER_PATTERN}\s*(1|%|percent|ppm)?\s*")
 """A pure number, which may be in % or ppm."""
@@ -175,21 +190,6 @@ def explain_unit(unit: str, si_unit: str) -> str:
     return ""
 
 
-def suggest_quantity(text: object, si_unit: str, example: str) -> str:
-    """Suggest how to write a quantity that `parse_quantity` refuses.
-
-    Parameters
-    ----------
-    text : quantity as written
-    si_unit : SI unit of the expected dimension
-    example : a correct quantity
-    """
-    match = _NUMBER_AND_UNIT.fullmatch(str(text).strip())
-    number, unit = match.groups() if match else ("", "")
-    remedy = f"{explain_unit(unit, si_unit)} Write it with its unit, such as {example!r}.".lstrip()
-    return suggest_number(number, unit) or remedy
-
-
 def find_si_unit(unit: str) -> str | None:
     """Find the SI unit for a unit such as ``mV``; None if no quantity of `SI_UNITS` fits."""
     units = SI_UNITS.values()
@@ -197,9 +197,23 @@ def find_si_unit(unit: str) -> str | None:
 
 
 def try_parse_quantity(text: object, si_unit: str) -> float | None:
-    """Parse a value with its unit, such as ``53 mm``, into SI; None if the text is invalid."""
+    """Parse a value with its unit, such as ``53 mm``, into SI.
+
+    Parameters
+    ----------
+    text : quantity as written
+    si_unit : SI unit of the expected dimension
+
+    Returns
+    -------
+    The value, infinite if it is too large for a float; None if the text is no such quantity.
+    """
+    if si_unit == "1" and _RATIO_TEXT.fullmatch(str(text)) is None:  # pint converts deg to a ratio
+        return None
     try:
         return parse_quantity(text, si_unit)
+    except NotFiniteError:
+        return math.inf
     except ValueError:
         return None
 
@@ -228,24 +242,28 @@ class QuantityText:
             If the text is no quantity of this dimension, or the value is out of range or not
             finite.
         """
-        unit, example = self.quantity.unit, self.quantity.example
-        try:
-            value = parse_quantity(text, unit)
-        except NotFiniteError:
-            value = math.inf
-        except ValueError as error:
-            remedy = suggest_quantity(text, unit, example)
-            raise build_refusal(
-                "protocol.no_quantity", found=text, kind=self._kind, remedy=remedy
-            ) from error
-        if unit == "1" and _RATIO_TEXT.fullmatch(str(text)) is None:  # pint converts deg to a ratio
-            raise build_refusal("protocol.no_ratio", found=text, kind=self._kind, example=example)
+        value = try_parse_quantity(text, self.quantity.unit)
+        if value is None:
+            remedy = self._suggest(text)
+            raise build_refusal("protocol.no_quantity", found=text, kind=self._kind, remedy=remedy)
         is_above_bound = self.quantity.lower_bound is None or value > self.quantity.lower_bound
         is_in_range = is_above_bound and self.quantity.minimum <= value <= self.quantity.maximum
         if not is_in_range or math.isinf(value):
             kind, range_text = self._kind, self._range_text
             raise build_refusal("protocol.out_of_range", found=text, kind=kind, range=range_text)
         return value
+
+    def _suggest(self, text: object) -> str:
+        """Suggest how to write a text that is no quantity of this dimension."""
+        match = _NUMBER_AND_UNIT.fullmatch(str(text).strip())
+        number, unit = match.groups() if match else ("", "")
+        remedy = suggest_number(number, unit)
+        if remedy and try_parse_quantity(f"1 {unit}", self.quantity.unit) is not None:
+            return remedy
+        separator = "a decimal point, and with " if remedy else ""
+        how = "like" if self.quantity.unit == "1" else f"with {separator}its unit, such as"
+        explanation = explain_unit(unit, self.quantity.unit)
+        return f"{explanation} Write it {how} {self.quantity.example!r}.".lstrip()
 
     def format(self, value: float) -> str:
         """Format an SI value to 12 digits in the display unit, or in SI if that overflows."""
@@ -314,25 +332,24 @@ _SPAN_TEXTS: Final[Mapping[Any, QuantityText]] = {
     "branch": QuantityText(Quantity("1", "%", "5 %", minimum=1e-6, maximum=1.0)),
 }
 """Parser and formatter of a filter's window, keyed by kind of `Span`; ``samples`` has no unit."""
-_SPAN_SCHEMA = {"type": "string", "examples": ["0.1 s", "2 mm", "5 %", "51 samples"]}
-"""JSON schema of the length of a filter's window."""
 
 
 def _parse_span(text: object) -> Span:
     """Parse the length of a filter's window: ``0.1 s``, ``2 mm``, ``5 %`` or ``51 samples``."""
     if isinstance(text, Span):
         return text
-    stripped_text = str(text).strip()
-    if match := re.fullmatch(r"([0-9]{1,9})\s*samples", stripped_text):
-        if int(match[1]) < 1:
+    match = _NUMBER_AND_UNIT.fullmatch(str(text).strip())
+    number, unit = match.groups() if match else ("", "")
+    if unit == "samples" and re.fullmatch(r"[0-9]{1,9}", number):
+        if int(number) < 1:
             raise build_refusal("protocol.no_sample", found=text)
-        return Span("samples", float(match[1]))
+        return Span("samples", float(number))
+    si_unit = "1" if unit == "%" else find_si_unit(unit)
     for kind, quantity_text in _SPAN_TEXTS.items():
-        is_percentage = kind == "branch" and stripped_text.endswith("%")
-        has_unit = try_parse_quantity(stripped_text, quantity_text.quantity.unit) is not None
-        if is_percentage or (kind != "branch" and has_unit):
+        if si_unit == quantity_text.quantity.unit and unit:
             return Span(kind, quantity_text.parse(text))
-    raise build_refusal("protocol.no_span", found=text, remedy=suggest_quantity(text, "s", "0.1 s"))
+    remedy = explain_unit(unit, "s") if si_unit else ""
+    raise build_refusal("protocol.no_span", found=text, remedy=remedy)
 
 
 def format_span(span: Span) -> str:
@@ -403,13 +420,13 @@ def _parse_pattern_text(pattern_text: PatternText, value: object) -> str:
     return str(value)
 
 
-def build_path_validator(folder: str, remedy: str) -> BeforeValidator:
+def build_path_validator(folder: str, noun: str) -> BeforeValidator:
     """Build the validator of a file name in a folder or below it.
 
     Parameters
     ----------
     folder : name of the folder in messages, such as ``the folder of the test``
-    remedy : what to do with a file elsewhere
+    noun : kind of file, such as ``export``
 
     Returns
     -------
@@ -422,9 +439,7 @@ def build_path_validator(folder: str, remedy: str) -> BeforeValidator:
             raise build_refusal("protocol.no_file_name", found=value)
         is_absolute = PurePosixPath(value).is_absolute() or PureWindowsPath(value).anchor
         if is_absolute or ".." in PureWindowsPath(value).parts:
-            raise build_refusal(
-                "protocol.file_elsewhere", found=value, folder=folder, remedy=remedy
-            )
+            raise build_refusal("protocol.file_elsewhere", found=value, folder=folder, noun=noun)
         return value
 
     return BeforeValidator(check_path)
@@ -469,7 +484,13 @@ FileStem = Annotated[str, BeforeValidator(_parse_file_stem)]
 
 
 class Block(BaseModel):
-    """Frozen model of a YAML block, which refuses unknown keys and reports faults in sentences."""
+    """Frozen model of a YAML block, which refuses unknown keys and reports faults in sentences.
+
+    A block may have the method ``find_key_faults``, which finds contradictions between keys even if
+    values have faults, and the method ``find_value_faults``, which finds contradictions between
+    values and is called only if all values are valid. The methods return faults with their paths in
+    the block.
+    """
 
     # Pydantic builds the validator of a model when it is first used, because most commands use few
     # models. Default blocks are made by `model_construct`, which does not build a validator.
@@ -497,9 +518,10 @@ class Block(BaseModel):
         Returns
         -------
         The block and all faults. With faults, the block is a draft: an invalid mapping keeps its
-        valid entries, see `_validate_draft`. Any other invalid value is replaced by the default of
-        its key if the default is a block, a list or a mapping, and by None otherwise. The block is
-        None if the content is no block.
+        valid entries, see `_validate_draft`. In place of any other invalid value, the draft has the
+        default of its key if this is a block or a mapping, a list of one None if it is a list, and
+        None otherwise, also for blocks of several kinds. The block is None if the content is no
+        block.
         """
         faults: list[Fault] = []
         try:
@@ -513,7 +535,7 @@ class Block(BaseModel):
         contradictions: list[Fault] = []
         for path, value in reversed([*list_blocks(block)]):  # inner blocks before outer ones
             fault_paths = invalid_paths.union(fault.path for fault in contradictions)
-            if isinstance(value, Block):
+            if hasattr(value, "find_key_faults"):
                 contradictions += prefix_paths(path, value.find_key_faults())
             is_valid = not any(fault_path[: len(path)] == path for fault_path in fault_paths)
             if is_valid and hasattr(value, "find_value_faults"):
@@ -523,24 +545,6 @@ class Block(BaseModel):
         faults = [fault for fault in faults if fault.path not in refused_keys]
         invalid_paths -= refused_keys
         return block, faults + [x for x in contradictions if x.path not in invalid_paths]
-
-    def find_key_faults(self) -> Iterable[Fault]:
-        """Find contradictions between keys, even if values have faults (see `read`).
-
-        Returns
-        -------
-        The faults, with their paths in the block; by default none.
-        """
-        return ()
-
-    def find_value_faults(self) -> Iterable[Fault]:
-        """Find contradictions between values; `read` calls it only if all values are valid.
-
-        Returns
-        -------
-        The faults, with their paths in the block; by default none.
-        """
-        return ()
 
     @model_validator(mode="wrap")
     @classmethod
@@ -579,10 +583,11 @@ def _build_draft(block: type[_B], data: Values) -> _B:
     for key, name in names_by_key.items():
         field = block.model_fields[name]
         default = None if field.is_required() else field.get_default()
-        has_default = key not in data or isinstance(default, Block | tuple | dict)
-        values[name] = default if has_default else None
+        values[name] = default
         if key in data:
-            values[name] = _validate_draft(_build_adapter(block, name), data[key], values[name])
+            has_default = isinstance(default, Block | dict) and not field.discriminator
+            substitute = default if has_default else (None,) if isinstance(default, tuple) else None
+            values[name] = _validate_draft(_build_adapter(block, name), data[key], substitute)
     stated_names = {name for key, name in names_by_key.items() if key in data}
     return cast("_B", block.model_construct(stated_names, **values))
 
@@ -613,10 +618,6 @@ def _build_adapter(block: type[Block], name: str) -> TypeAdapter[Any]:
     return TypeAdapter(field_type)
 
 
-_PLAIN_TYPES = frozenset((str, float, int, bool, date, type(None)))
-"""Types of values that contain no other values."""
-
-
 def list_blocks(node: object, path: KeyPath = ()) -> Iterator[tuple[KeyPath, Any]]:
     """Yield the path and value of a block, list or mapping, and of all blocks and lists in it.
 
@@ -627,7 +628,7 @@ def list_blocks(node: object, path: KeyPath = ()) -> Iterator[tuple[KeyPath, Any
     """
     yield path, node
     for key, value in list_items(node):
-        if type(value) not in _PLAIN_TYPES:
+        if not isinstance(value, str | float | int | date | None):
             yield from list_blocks(value, (*path, key))
 
 
@@ -665,9 +666,8 @@ def build_pydantic_type(hint: Any) -> Any:
         return origin[tuple(build_pydantic_type(argument) for argument in arguments)]
     if hint is Span:
         serializer = PlainSerializer(format_span)
-        return Annotated[
-            Span, PlainValidator(_parse_span), serializer, WithJsonSchema(_SPAN_SCHEMA)
-        ]
+        schema = {"type": "string", "examples": ["0.1 s", "2 mm", "5 %", "51 samples"]}
+        return Annotated[Span, PlainValidator(_parse_span), serializer, WithJsonSchema(schema)]
     return Annotated[hint, _BlockAnnotation(hint)] if is_dataclass(hint) else hint
 
 

@@ -24,7 +24,6 @@ from labpipe.protocol.schema import (
     list_unmet_needs,
 )
 from labpipe.protocol.sheet_grammar import (
-    COPY_REMEDY,
     SHEET_NAME,
     CampaignPlan,
     TestSheet,
@@ -34,7 +33,6 @@ from labpipe.protocol.yaml_text import (
     Document,
     LocatedBlock,
     LocatedList,
-    PlacedFault,
     build_choice_fault,
     build_error,
     get_block,
@@ -312,11 +310,12 @@ def resolve_protocol(
     document = parse_yaml(text, name)
     document.faults += map(sheet_document.place, apply_overrides(document, sheet_document))
     protocol, protocol_faults = Protocol.read(document.data)
-    placed_faults: list[PlacedFault] = []
-    if protocol_faults:
-        unmerged_protocol, unmerged_faults = Protocol.read(parse_yaml(text, name).data)
-        file_protocol = None if unmerged_faults else unmerged_protocol
-        placed_faults += _place_merged_faults(protocol_faults, document, sheet_path, file_protocol)
+    is_due_to_sheet = bool(protocol_faults) and not Protocol.read(parse_yaml(text, name).data)[1]
+    remark = f"(With the overrides of {sheet_path}.)" if is_due_to_sheet else ""
+    placed_faults = [
+        document.place(fault, remark if document.find_location(fault.path)[0].file == name else "")
+        for fault in protocol_faults
+    ]
     faults: list[Fault] = []
     if protocol is not None:
         # A test sheet cannot override whether links are followed.
@@ -408,45 +407,6 @@ def validate_document(model: type[_B], document: Document) -> _B:
     return cast("_B", block)
 
 
-def _place_merged_faults(
-    faults: list[Fault], merged: Document, sheet_path: Path, file_protocol: Protocol | None
-) -> Iterator[PlacedFault]:
-    """Place the faults of a protocol with overrides.
-
-    Parameters
-    ----------
-    faults : faults of the protocol with overrides
-    merged : protocol with overrides
-    sheet_path : file of the test sheet that has the overrides
-    file_protocol : protocol without overrides; None if it has faults, too
-    """
-    removed_names = set[str]()
-    if file_protocol is not None:
-        removed_names = _find_removed_main_results(merged, file_protocol, str(sheet_path))
-    for fault in faults:
-        is_in_sheet = merged.find_location(fault.path)[0].file == str(sheet_path)
-        is_due_to_sheet = file_protocol is not None and not is_in_sheet
-        remark = f"(With the overrides of {sheet_path}.)" if is_due_to_sheet else ""
-        # A main result that an override removes is removed from the groups, too.
-        is_main = fault.path[:2] == ("groups", "main") and is_due_to_sheet
-        if not (is_main and merged.get_value(fault.path) in removed_names):
-            yield merged.place(fault, remark)
-
-
-def _find_removed_main_results(merged: Document, protocol: Protocol, sheet_name: str) -> set[str]:
-    """Find the main results of a protocol that the overrides of a sheet remove from the results."""
-    if merged.find_location(("results",))[0].file == sheet_name:
-        return set()  # the sheet has replaced the list
-    merged_results = get_block(merged.data).get("results")
-    indices = range(len(merged_results) if isinstance(merged_results, list) else 0)
-    kept_indices = {merged.find_location(("results", index))[0].name for index in indices}
-    results = enumerate(protocol.results)
-    removed_results = tuple(result for index, result in results if index not in kept_indices)
-    faults = find_unknown_main_results(protocol.model_copy(update={"results": removed_results}))
-    other_indices = {fault.path[-1] for fault in faults}
-    return {name for index, name in enumerate(protocol.groups.main) if index not in other_indices}
-
-
 def _find_wrong_answers(sheet: TestSheet, protocol: Protocol) -> Iterator[Fault]:
     """Find answers to no question of the protocol, and answers that the protocol does not list."""
     questions = protocol.questions
@@ -482,7 +442,7 @@ def _find_link_faults(sheet: TestSheet, folder: Path, *, follow_links: bool) -> 
             yield Fault.of("protocol.link_to_itself", ("files", role), name=name)
             continue
         if not (is_inside or follow_links):
-            yield Fault.of("protocol.link_out", ("files", role), name=name, copy=COPY_REMEDY)
+            yield Fault.of("protocol.link_out", ("files", role), name=name)
 
 
 _DIMENSION_KEYS = ("length", "gauge_length", "span", "mass_per_length", "section")
@@ -493,7 +453,8 @@ def apply_overrides(protocol: Document, sheet: Document) -> Iterator[Fault]:
     """Apply the overrides of a test sheet to a protocol.
 
     Changed values get their locations in the sheet. An override with null removes an item of a
-    list. The overrides are applied as the faults are yielded.
+    list; a result is also removed from the main results of groups. The overrides are applied as the
+    faults are yielded.
 
     Parameters
     ----------
@@ -557,10 +518,21 @@ def _set_value(
             node[word], node.locations[word] = LocatedBlock(), location._replace(name=word)
         node = node[key]
     if isinstance(node, LocatedList) and value is None:
-        del node[key], node.locations[key]
+        _remove_main_results(protocol, _list_names(node.pop(key)))
+        del node.locations[key]
         return
     location = location._replace(name=node.locations[key].name if isinstance(key, int) else word)
     node[key], node.locations[key] = copy.deepcopy(value), location
+
+
+def _remove_main_results(protocol: Document, names: list[str]) -> None:
+    """Remove results from the main results of groups."""
+    main = get_block(protocol.data, "groups").get("main")
+    if not isinstance(main, LocatedList):
+        return
+    for index in reversed(range(len(main))):
+        if str(main[index]).partition(".")[0] in names:
+            del main[index], main.locations[index]
 
 
 def _find_key(node: object, word: str) -> Any:

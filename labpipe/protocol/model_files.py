@@ -27,12 +27,11 @@ from labpipe.protocol.grammar import (
     Text,
     build_count_validator,
     build_path_validator,
-    suggest_quantity,
     try_parse_quantity,
 )
 from labpipe.protocol.schema import Version
 from labpipe.protocol.source import Plausible, find_implausible_sizes
-from labpipe.protocol.yaml_text import build_refusal
+from labpipe.protocol.yaml_text import FaultsError, build_refusal
 from labpipe.records.arrays import Floats
 from labpipe.records.declarations import (
     Curvature,
@@ -92,15 +91,14 @@ def _parse_place(value: object) -> float:
         return _NAMED_PLACES[str(value)]
     try:
         return _LENGTH_FROM_START.parse(value)
-    except ValueError as error:
-        remedy = suggest_quantity(value, "m", "120 mm")
+    except FaultsError as error:
+        remedy = error.faults[0].remedy
         raise build_refusal("protocol.no_place", found=value, remedy=remedy) from error
 
 
 def _format_place(place: float) -> str:
     """Format a place on the line, m from its start, for YAML."""
-    names_by_place = {named_place: name for name, named_place in _NAMED_PLACES.items()}
-    return names_by_place.get(place) or _LENGTH_FROM_START.format(place)
+    return {START: "start", END: "end"}.get(place) or _LENGTH_FROM_START.format(place)
 
 
 Place: TypeAlias = Annotated[float, PlainValidator(_parse_place), PlainSerializer(_format_place)]
@@ -595,9 +593,6 @@ def find_missing_files(harness: HarnessFile, path: Path) -> Iterator[Fault]:
             )
 
 
-_COPY_REMEDY = "Copy the curve into the folder of the plan and name it from there."
-
-
 def _parse_unit(si_unit: str, value: object) -> str:
     """Parse a unit that must have the dimension of an SI unit."""
     if try_parse_quantity(f"1 {value}", si_unit) is None:
@@ -644,7 +639,7 @@ class Comparison(Block):
     """External curve: from finite elements, a digitised figure or another lab."""
 
     name: Text
-    file: Annotated[str, build_path_validator("the folder of the plan", _COPY_REMEDY)]
+    file: Annotated[str, build_path_validator("the folder of the plan", "curve")]
     """File (csv or xlsx) in the folder of the plan, or below it."""
     wire: Text
     """Name of the wire in the wire sheet."""

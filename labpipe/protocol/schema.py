@@ -20,6 +20,7 @@ from labpipe.protocol.grammar import (
     SI_UNITS,
     Block,
     FileStem,
+    OneOf,
     QuantityName,
     Remark,
     Text,
@@ -93,11 +94,10 @@ FIGURE_NEEDS: Final = MappingProxyType(
 
 if TYPE_CHECKING:
     ResultEntry: TypeAlias = Kind
-    _FigureName = str
 else:
     ResultEntry = Annotated[Union[KINDS], TaggedChoice("result")]  # noqa: UP007 - the members are computed
-    _FigureName = Literal[tuple(FIGURE_NEEDS)]
 
+_FigureName: TypeAlias = Annotated[str, OneOf(tuple(FIGURE_NEEDS))]
 KINDS_BY_NAME: Final[Mapping[str, Any]] = {kind.result: kind for kind in KINDS}
 """Kind of result, keyed by its name in YAML."""
 Faults: TypeAlias = Iterator[Fault]
@@ -294,7 +294,11 @@ class ElasticLine(Block):
     """Straight part of a tension test in stress and strain: the longest one, or a stated window."""
 
     start: Annotated[Ratio | None, Key("from"), "Start of a window, such as 0.05 % strain"] = None
-    stop: Annotated[Ratio | None, Key("to"), "End of the window, such as 0.25 % strain"] = None
+    stop: Annotated[
+        Annotated[Ratio, LargerThan("start", "from")] | None,
+        Key("to"),
+        "End of the window, such as 0.25 % strain",
+    ] = None
     of: Literal["strain", "strength"] = "strain"
     """Quantity of from and to: the strain, or the stress as a fraction of the largest stress."""
     straight: Fraction = 0.9998
@@ -385,11 +389,6 @@ def _parse_version(value: object) -> int:
 Version: TypeAlias = Annotated[Literal[1], BeforeValidator(_parse_version)]
 
 
-def _number_steps(steps: tuple[Step, ...]) -> tuple[Step, ...]:
-    # In a draft, None stands for a step of an unknown kind.
-    return tuple(step and step.with_index(index) for index, step in enumerate(steps))
-
-
 class Protocol(Block):
     """Settings that process one kind of test, from its exports to its results."""
 
@@ -404,11 +403,15 @@ class Protocol(Block):
     """Export of each role."""
     specimen: SpecimenBlock = SpecimenBlock.model_construct()
     rig: Rig = Rig.model_construct()
-    questions: dict[SnakeName, tuple[Text, ...]] = Field({})
+    questions: dict[SnakeName, Annotated[tuple[Text, ...], Field(min_length=1)]] = Field({})
     """Valid answers to each question; a test sheet answers in specimen.observed."""
     markers: Markers | None = None
     align: Align = AlignNone.model_construct()
-    steps: Annotated[tuple[Step, ...], AfterValidator(_number_steps)] = ()
+    steps: Annotated[
+        tuple[Step, ...],
+        # In a draft, None stands for a step of an unknown kind.
+        AfterValidator(lambda x: tuple(step and step.with_index(i) for i, step in enumerate(x))),
+    ] = ()
     curve: CurveBlock | None = None
     branches: Branches | None = None
     results: tuple[ResultEntry, ...] = ()
@@ -429,7 +432,11 @@ class Protocol(Block):
     @property
     def has_clamp(self) -> bool:
         """Return whether ``markers.clamp`` names a rigid body."""
-        return self.markers is not None and self.markers.clamp is not None
+        markers = self.markers
+        # In a draft, the key may be missing, and is then not known to be null.
+        return markers is not None and not (
+            markers.clamp is None and "clamp" in markers.model_fields_set
+        )
 
     @property
     def clocks(self) -> dict[str, str | None]:
@@ -565,7 +572,7 @@ def _list_met_needs(protocol: Protocol) -> Iterator[str]:
         # Sources with a fault are None in a draft; which of them exist is then unknown.
         _MARKER_SOURCE: not protocol.sources or "markers" in sources or MARKER_READERS & readers,
         _CLAMP: protocol.has_clamp,
-        _ALIGNMENT: protocol.align.method != "none",
+        _ALIGNMENT: not protocol.align or protocol.align.method != "none",
         _SHAPE_STEP: steps & {"fit-shape", "three-point-shape"},
         _CURVE: protocol.curve,
         _BRANCHES: protocol.branches,
@@ -587,8 +594,8 @@ def list_unmet_needs(protocol: Protocol) -> list[tuple[KeyPath, str, str]]:
     for path, result in _list_results(protocol):
         users.append(((*path, "result"), result.result, _list_result_needs(result.needs, curve)))
     for index, name in enumerate(protocol.report.figures):
-        users.append((("report", "figures", index), name, FIGURE_NEEDS[name]))
-    if align.method == "turning-points":
+        users.append((("report", "figures", index), name, FIGURE_NEEDS.get(name, ())))
+    if align and align.method == "turning-points":
         users.append((("align", "method"), "turning-points", (_MARKER_SOURCE, _CLAMP)))
     if protocol.branches:
         users.append((("branches",), "branches", [_CURVE]))
@@ -671,7 +678,7 @@ def _find_curve_faults(protocol: Protocol) -> Faults:
     """Find channels of the curve, the branches and the alignment that do not exist or fit."""
     curve, branches, channels = protocol.curve, protocol.branches, protocol.channels
     added_channels = protocol.list_added_channels(*protocol.steps)
-    if not isinstance(protocol.align, AlignNone):
+    if protocol.align and not isinstance(protocol.align, AlignNone):
         yield from _find_channel_faults(protocol.align.channel, ("align", "channel"), channels)
     channel_uses = []
     if curve:
@@ -727,7 +734,8 @@ def find_unknown_main_results(protocol: Protocol) -> Faults:
     """Find main results of groups that no entry of ``results`` computes."""
     names = [name for _, result in _list_results(protocol) for name in list_summary_names(result)]
     cycle_names = {_CYCLE_SUFFIX.sub("", name) for name in names if _CYCLE_SUFFIX.search(name)}
-    for index, name in enumerate(protocol.groups.main if all(protocol.results) else ()):
+    main_results = protocol.groups.main
+    for index, name in enumerate(main_results if all((*main_results, *protocol.results)) else ()):
         path: KeyPath = ("groups", "main", index)
         base_name = _CYCLE_SUFFIX.sub("", name)
         if name in names or (base_name != name and base_name in cycle_names):

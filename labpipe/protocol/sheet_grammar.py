@@ -38,6 +38,7 @@ from labpipe.protocol.grammar import (
     build_count_validator,
     build_path_validator,
     try_parse_quantity,
+    wrap_in_list,
 )
 from labpipe.protocol.schema import Version
 from labpipe.protocol.source import Role, Section, SizeUncertainties
@@ -262,20 +263,9 @@ class SheetSpecimen(Block):
             yield Fault.of("protocol.label_as_key", ("labels", key), is_key=True, key=key)
 
 
-COPY_REMEDY = "Copy the export into the folder of the test and name it from there."
-"""Remedy for an export outside the folder of its test."""
-
-
-def _wrap_file_name(value: object) -> object:
-    """Wrap a single file name in a list, and refuse null."""
-    if value is None:
-        raise build_refusal("protocol.no_export", found=value)
-    return [value] if isinstance(value, str) else value
-
-
 FileNames = Annotated[
-    tuple[Annotated[str, build_path_validator("the folder of the test", COPY_REMEDY)], ...],
-    BeforeValidator(_wrap_file_name, json_schema_input_type=str | tuple[str, ...]),
+    tuple[Annotated[str, build_path_validator("the folder of the test", "export")], ...],
+    BeforeValidator(wrap_in_list, json_schema_input_type=str | tuple[str, ...]),
     Field(min_length=1),
 ]
 
@@ -313,7 +303,6 @@ class TestSheet(Block):
     """Override of each dotted key of the protocol."""
 
 
-_HEADER = "# One test: what was tested, and which exports belong to it.\n"
 _COMMENTS = {
     "protocol": "name of a protocol, or a path beside this file",
     "specimen": "samples are cut from a spool, spools belong to a type",
@@ -323,9 +312,6 @@ _COMMENTS = {
 """Comment after some keys of a formatted test sheet."""
 _NULL_VALUE = re.compile(r"^( *\w+:) null$", re.MULTILINE)
 """Line of YAML with the value null."""
-_OVERRIDES_COMMENT = (
-    "# overrides:                # values of the protocol that this test changes, and why\n"
-)
 _OVERRIDE_EXAMPLES = {
     "force": "sources.force.channel: {value: Model Root/Load Cell/Out1, because: other cabling}",
     "frame": "sources.frame.channels.force.unit: {value: N, because: the export says none}",
@@ -345,12 +331,14 @@ def format_test_sheet(data: Mapping[str, object]) -> str:
     -------
     The text, from which `parse_yaml` reads the same values.
     """
-    text = _HEADER + "".join(_format_entry(key, value) for key, value in data.items())
+    header = "# One test: what was tested, and which exports belong to it.\n"
+    text = header + "".join(_format_entry(key, value) for key, value in data.items())
     if "overrides" in data:
         return text
     roles = get_block(data, "files")
     role = next((role for role in _OVERRIDE_EXAMPLES if role in roles), "force")
-    return f"{text}{_OVERRIDES_COMMENT}#   {_OVERRIDE_EXAMPLES[role]}\n"
+    comment = f"{'# overrides:':<27} # {_COMMENTS['overrides']}\n"
+    return f"{text}{comment}#   {_OVERRIDE_EXAMPLES[role]}\n"
 
 
 def _format_entry(key: str, value: object) -> str:

@@ -6,7 +6,7 @@ A source is an export with its channels, their units and their calibrations.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
-from math import hypot, isclose
+from math import hypot, inf, isclose
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeAlias, get_args
 
@@ -24,13 +24,14 @@ from labpipe.protocol.grammar import (
     SI_UNITS,
     Block,
     Day,
+    OneOf,
     QuantityName,
+    QuantityText,
     Text,
     explain_unit,
     find_si_unit,
     list_blocks,
     list_items,
-    suggest_quantity,
     try_parse_quantity,
     wrap_in_list,
 )
@@ -83,13 +84,12 @@ DIMENSION_KINDS: Final = MappingProxyType(
 
 if TYPE_CHECKING:
     RoleKey = Role
-    _ReaderName = str
-    _Kind = str
 else:
     # A protocol with a misspelt role is checked further, see `assign_roles`.
     RoleKey = Annotated[str, WithJsonSchema({"enum": list(ROLES), "type": "string"})]
-    _ReaderName = Literal[READER_NAMES]
-    _Kind = Literal[tuple(PLAUSIBLE_RANGES)]
+
+_ReaderName = Annotated[str, OneOf(READER_NAMES)]
+_Kind = Annotated[str, OneOf(tuple(PLAUSIBLE_RANGES))]
 
 ReaderNames = Annotated[
     tuple[_ReaderName, ...],
@@ -117,6 +117,16 @@ class Section(Block):
     width: Length | None = None
     thickness: Length | None = None
     area: Area | None = None
+
+    def find_value_faults(self) -> Iterator[Fault]:
+        """Find an inner diameter and a wall that are too large for the outer diameter."""
+        outer = self.outer_diameter or inf
+        for key, bound in {"inner_diameter": outer, "wall": 0.5 * outer}.items():
+            if (size := getattr(self, key) or 0.0) >= bound:
+                limit, outer_mm, found = 1e3 * bound, 1e3 * outer, 1e3 * size
+                yield Fault.of(
+                    "protocol.section_size", (key,), bound=limit, outer=outer_mm, found=found
+                )
 
 
 class SizeUncertainties(Block):
@@ -154,28 +164,33 @@ def _complete_ranges(data: object) -> Any:
     shipped_ranges = PLAUSIBLE_RANGES.items()
     ranges: Any = {kind: {"from": start, "to": stop} for kind, (_, start, stop) in shipped_ranges}
     for kind, ends in data.items():
-        ranges[kind] = {**ranges.get(kind, {}), **ends} if isinstance(ends, Mapping) else ends
+        shipped_ends = ranges.get(kind, ranges["other"])  # an unknown kind is a fault by itself
+        ranges[kind] = {**shipped_ends, **ends} if isinstance(ends, Mapping) else ends
     return ranges
 
 
 def _find_quantity_faults(
-    text: str | None, unit: str, key: str, example_number: str
+    text: str | None, unit: str, path: KeyPath, example_number: str
 ) -> Iterator[Fault]:
-    """Find a text at a key that is no quantity of the dimension of a unit."""
-    if text is not None and try_parse_quantity(text, unit) is None:
-        plain_unit = unit.replace("(", "").replace(")", "")
-        remedy = suggest_quantity(text, unit, f"{example_number} {plain_unit}")
-        kind = f"quantity with a unit such as {plain_unit}"
-        yield Fault.of("protocol.no_quantity", (key,), kind=kind, found=repr(text), remedy=remedy)
+    """Find a text at a path that is no quantity of the dimension of a unit."""
+    plain_unit = unit.replace("(", "").replace(")", "")
+    quantity = Quantity(unit, plain_unit, f"{example_number} {plain_unit}".removesuffix(" 1"))
+    try:
+        if text is not None:
+            QuantityText(quantity).parse(text)
+    except FaultsError as error:
+        yield from prefix_paths(path, error.faults)
 
 
-def _find_range_faults(ends: PlausibleRange, unit: str) -> Iterator[Fault]:
+def _find_range_faults(ends: PlausibleRange, unit: str) -> list[Fault]:
     """Find ends of a plausible range that are no quantities, are negative, or do not increase."""
-    yield from _find_quantity_faults(ends.start, unit, "from", "20")
-    yield from _find_quantity_faults(ends.stop, unit, "to", "20")
-    start, stop = try_parse_quantity(ends.start, unit), try_parse_quantity(ends.stop, unit)
-    if start is not None and stop is not None and not 0.0 <= start < stop:
-        yield Fault.of("protocol.range_reversed", low=start, high=stop, unit=unit)
+    faults = [*_find_quantity_faults(ends.start, unit, ("from",), "20")]
+    faults += _find_quantity_faults(ends.stop, unit, ("to",), "20")
+    if not faults:
+        start, stop = parse_quantity(ends.start, unit), parse_quantity(ends.stop, unit)
+        if not 0.0 <= start < stop:
+            faults.append(Fault.of("protocol.range_reversed", low=start, high=stop, unit=unit))
+    return faults
 
 
 def _check_ranges(ranges: dict[str, PlausibleRange]) -> dict[str, PlausibleRange]:
@@ -278,11 +293,6 @@ class Certificate(Block):
     k: CoverageFactor = 2.0
     """Coverage factor; 1 for a standard uncertainty."""
 
-    @property
-    def scale_uncertainty(self) -> float | None:
-        """Return the relative standard uncertainty of the scale; None if it is not stated."""
-        return None if self.uncertainty is None else self.uncertainty / self.k
-
 
 class Calibration(Block):
     """Linear calibration of a channel."""
@@ -293,23 +303,6 @@ class Calibration(Block):
     """Offset, such as 0.01 N, which is added after the gain."""
     gain_uncertainty: Uncertainty = 0.0
     """Relative standard uncertainty of the gain, such as 1 %."""
-
-    def find_unit_faults(self, target_unit: str, channel_unit: str) -> Iterator[Fault]:
-        """Find a gain or an offset of another dimension, and a gain of zero.
-
-        Parameters
-        ----------
-        target_unit, channel_unit : SI units after and before the calibration
-
-        Yields
-        ------
-        Faults, with their paths in the block of the calibration.
-        """
-        gain_unit = f"{target_unit}/({channel_unit})"
-        yield from _find_quantity_faults(self.offset, target_unit, "offset", "0.5")
-        yield from _find_quantity_faults(self.gain, gain_unit, "gain", "0.5")
-        if try_parse_quantity(self.gain, gain_unit) == 0.0:
-            yield Fault.of("protocol.no_gain", ("gain",), found=repr(self.gain))
 
 
 class ChannelSource(Block):
@@ -357,7 +350,9 @@ class ChannelSource(Block):
     def _get_scale_errors(self) -> tuple[float | None, float]:
         """Return the certified standard uncertainty or None, and that stated for gain and scale."""
         gain = 0.0 if self.calibration is None else self.calibration.gain_uncertainty
-        certified_error = self.certificate.scale_uncertainty if self.certificate else None
+        certificate, certified_error = self.certificate, None
+        if certificate is not None and certificate.uncertainty is not None:
+            certified_error = certificate.uncertainty / certificate.k
         return certified_error, hypot(gain, self.scale_uncertainty or 0.0)
 
     @property
@@ -446,8 +441,12 @@ class ChannelSource(Block):
                 "protocol.wrong_unit", path, quantity=quantity, unit=si_unit, found=text, hint=hint
             )
         elif self.calibration is not None:
-            faults = self.calibration.find_unit_faults(self.target_unit, si_unit)
-            yield from prefix_paths(("calibration",), faults)
+            offset, gain = self.calibration.offset, self.calibration.gain
+            gain_unit, path = f"{self.target_unit}/({si_unit})", ("calibration",)
+            yield from _find_quantity_faults(offset, self.target_unit, (*path, "offset"), "0.5")
+            yield from _find_quantity_faults(gain, gain_unit, (*path, "gain"), "0.5")
+            if try_parse_quantity(gain, gain_unit) == 0.0:
+                yield Fault.of("protocol.no_gain", (*path, "gain"), found=repr(gain))
 
 
 class _ListedChannel(ChannelSource):

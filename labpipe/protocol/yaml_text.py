@@ -7,6 +7,7 @@ keys are refused, because people misread them.
 
 from __future__ import annotations
 
+import difflib
 import errno
 import re
 from collections.abc import Iterable, Mapping, Sequence
@@ -34,6 +35,8 @@ MAX_BYTES = 1_000_000
 MAX_DEPTH = 15
 """Largest number of levels of keys and lists."""
 _PLAIN_TAGS = tuple(f"tag:yaml.org,2002:{kind}" for kind in ("str", "seq", "map"))
+_POSSIBLE_ALIAS = re.compile(r"(?<![^\s,:\[{-])\*\S")
+"""Begin of an alias, which may also be in a comment or in a text."""
 _BLOCK = "a block of keys with values"
 _EXPECTED_CONTENT = {
     **dict.fromkeys(("model_type", "dict_type", "model_attributes_type"), _BLOCK),
@@ -71,9 +74,10 @@ def format_nearest_words(word: str, choices: Iterable[str]) -> str:
 
 
 def suggest_word(word: str, choices: Iterable[str]) -> str:
-    """Suggest the valid word that is most similar to a word; empty without valid words."""
-    nearest_words = sort_by_likeness(word, sorted(set(choices)), limit=1)
-    return f"Did you mean {nearest_words[0]!r}?" if nearest_words else ""
+    """Suggest the valid word that is most similar to a word; empty if none is similar."""
+    words = {choice.casefold(): choice for choice in sorted(choices, reverse=True)}
+    nearest_words = difflib.get_close_matches(word.casefold(), words, n=1, cutoff=0.5)
+    return f"Did you mean {words[nearest_words[0]]!r}?" if nearest_words else ""
 
 
 def build_choice_fault(
@@ -93,11 +97,12 @@ def build_choice_fault(
     word : the invalid word
     choices : the valid words
     expected : phrase before the valid words, such as ``one of the channels``
-    remedy : remedy if there are no valid words; otherwise, the most similar word is suggested
+    remedy : remedy if there are no valid words; otherwise, a similar word is suggested
     is_key : whether the word is a key, not a value
     """
     valid_words = sorted(set(choices))
-    remedy = suggest_word(str(word), valid_words) or remedy
+    if isinstance(word, str) and valid_words:
+        remedy = suggest_word(word, valid_words)
     expected = f"{expected} {format_nearest_words(str(word), valid_words)}"
     return Fault(path, expected, describe_value(word), remedy, is_key=is_key)
 
@@ -351,10 +356,14 @@ def parse_yaml(text: str, file: str) -> Document:
         node = _compose(text)
     except (yaml.YAMLError, UnicodeError, RecursionError) as error:
         raise _build_syntax_error(error, text, file) from error
+    tokens = yaml.scan(text, Loader=_LOADER) if _POSSIBLE_ALIAS.search(text) else ()
+    aliases = [_get_mark(token) for token in tokens if isinstance(token, yaml.AliasToken)]
+    if aliases:
+        raise build_error(_place_fault(file, x, Fault.of("protocol.alias")) for x in aliases)
     mark = (1, 1) if node is None else _get_mark(node)
     document = Document(Location(file, "", mark, mark))
     if node is not None:
-        document.data = _convert_node(node, (), document, set())
+        document.data = _convert_node(node, (), document)
     return document
 
 
@@ -372,44 +381,40 @@ def _build_syntax_error(error: Exception, text: str, file: str) -> ProtocolError
     return ProtocolError.about("protocol.no_yaml", file, place, found=reason)
 
 
-def _convert_node(node: yaml.Node, path: KeyPath, document: Document, seen_ids: set[int]) -> Any:
-    """Convert a node to plain values with locations.
-
-    Parameters
-    ----------
-    node, path : node of the YAML library, and its path in the file
-    document : document of the file, to which faults are added
-    seen_ids : identities of the nodes that are already converted; an alias repeats a node
-    """
+def _convert_node(node: yaml.Node, path: KeyPath, document: Document) -> Any:
+    """Convert a node at a path to plain values with locations, and add faults to the document."""
     file = document.location.file
-    if id(node) in seen_ids or len(path) > MAX_DEPTH:
+    if len(path) > MAX_DEPTH:
         fault = Fault.of("protocol.too_deep", limit=MAX_DEPTH)
-        if id(node) in seen_ids:
-            fault = Fault.of("protocol.alias", path)
         raise build_error([_place_fault(file, _get_mark(node), fault)])
-    seen_ids.add(id(node))
     if node.tag not in _PLAIN_TAGS:
         fault = Fault.of("protocol.tag", path, tag=node.tag)
         document.faults.append(_place_fault(file, _get_mark(node), fault))
     if isinstance(node, yaml.ScalarNode):
         return node.value if node.style or node.value not in ("", "~", "null") else None
     if isinstance(node, yaml.MappingNode):
-        return _convert_mapping(node, path, document, seen_ids)
+        return _convert_mapping(node, path, document)
     items = LocatedList()
     for index, item in enumerate(node.value):
         mark = _get_mark(item)
         items.locations.append(Location(file, index, mark, mark))
-        items.append(_convert_node(item, (*path, index), document, seen_ids))
+        items.append(_convert_node(item, (*path, index), document))
     return items
 
 
-def _convert_mapping(
-    node: yaml.MappingNode, path: KeyPath, document: Document, seen_ids: set[int]
-) -> LocatedBlock:
+def _convert_mapping(node: yaml.MappingNode, path: KeyPath, document: Document) -> LocatedBlock:
     """Convert a node of keys and values to a block; a key that is no unique word is a fault."""
     file, block = document.location.file, LocatedBlock()
+    previous_name, number_end = "", -1  # end of the previous value if this may be a number
     for key, value in node.value:
         name, mark = key.value, _get_mark(key)
+        has_text = isinstance(value, yaml.ScalarNode) and not value.style
+        is_next = key.start_mark.index == number_end + 1 and str(name)[:1].isdigit()
+        if has_text and not value.value and is_next:
+            # YAML splits {length: 8,5 mm} into a length and a key.
+            block[previous_name] += f",{name}"
+            continue
+        number_end = -1
         if not isinstance(key, yaml.ScalarNode):
             fault = Fault.of("protocol.no_word_as_key", path, found=describe_value(name))
             document.faults.append(_place_fault(file, mark, fault))
@@ -419,11 +424,13 @@ def _convert_mapping(
             document.faults.append(_place_fault(file, mark, fault))
         else:
             block.locations[name] = Location(file, name, mark, _get_mark(value))
-            block[name] = _convert_node(value, (*path, name), document, seen_ids)
+            block[name] = _convert_node(value, (*path, name), document)
+            if node.flow_style and has_text and value.value[-1:].isdigit():
+                previous_name, number_end = name, value.end_mark.index
     return block
 
 
-def _get_mark(node: yaml.Node) -> Mark:
-    """Return the line and the column of a node."""
+def _get_mark(node: yaml.Node | yaml.Token) -> Mark:
+    """Return the line and the column of a node or token."""
     start = node.start_mark
     return (start.line + 1, start.column + 1) if start else (1, 1)

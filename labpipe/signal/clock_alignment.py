@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
+from scipy.special import chdtri
 
 from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats, Ints
@@ -228,16 +229,12 @@ def make_clock_fit(
 def _compute_variance_factor(residuals: Floats, *, freedom: int) -> float:
     """Compute the factor on the variance, which is 1 unless events scatter more than expected.
 
-    The residuals are divided by their standard errors. The 99 % quantile of chi-square is
-    approximated by the method of Wilson and Hilferty (PNAS 17 (1931) 684). The error of the
-    approximation is 2 % for one degree of freedom, and smaller for more degrees of freedom.
+    The residuals are divided by their standard errors.
     """
-    if freedom < 1:
-        return 1.0
-    variance, normal_quantile = 2.0 / (9.0 * freedom), 2.3263  # variance of the cube root
-    chi_square_limit = freedom * (1.0 - variance + normal_quantile * np.sqrt(variance)) ** 3
+    max_chance = 0.01  # probability that events scatter by more without any further error
     chi_square = float(residuals @ residuals)
-    return chi_square / freedom if chi_square > chi_square_limit else 1.0
+    is_exceeded = freedom > 0 and chi_square > chdtri(freedom, max_chance)
+    return chi_square / freedom if is_exceeded else 1.0
 
 
 def fit_lag(
@@ -268,7 +265,7 @@ def fit_lag(
     the error of the lag, a is a shift and b a change of scale of the later cycle, and c is a shift
     of the loop along the displacement, which has opposite signs in loading and unloading. The slope
     y' is that of the mean of both cycles. The model is fitted by least squares to at most 2000
-    bins, and the fit is repeated until tau is below 1 % of its standard error.
+    bins, and the fit is repeated until tau is below 1 % of its standard error, up to five times.
 
     The standard error follows from the long-run variance of the residuals, so that a cycle that
     repeats poorly has little weight. Noise increases y' and attenuates tau. Therefore tau and its

@@ -53,8 +53,8 @@ def fit_corner(time: Floats, values: Floats, *, guess: float, window: float) -> 
 
     Returns
     -------
-    The corner; None if there are fewer than four samples on one side, or if the fitted corner is
-    3/4 of the window or more from the guess.
+    The corner; None if there are fewer than four samples on one side, if all values are equal, or
+    if the fitted corner is 3/4 of the window or more from the guess.
 
     Notes
     -----
@@ -67,7 +67,7 @@ def fit_corner(time: Floats, values: Floats, *, guess: float, window: float) -> 
     min_bins_per_side, min_side_samples, n_steps = 600, 4, 6
     is_used = (np.abs(time - guess) <= window) & ~np.isnan(values)
     t, y = _average_pairs(time[is_used] - guess, values[is_used], 2 * min_bins_per_side)
-    if min((t < 0).sum(), (t > 0).sum()) < min_side_samples:
+    if min((t < 0).sum(), (t > 0).sum()) < min_side_samples or np.ptp(y) == 0.0:
         return None
     grid = np.linspace(-0.5 * window, 0.5 * window, 41)
     search_bins = _average_pairs(t, y, 200)

@@ -68,8 +68,7 @@ def test_a_curved_wire_is_ordered_along_itself() -> None:
 
 
 def test_markers_off_their_plane_are_told() -> None:
-    take = wire_take()
-    positions = take.tracks.positions.copy()
+    take, positions = wire_take(), wire_take().tracks.positions.copy()
     positions[:, ::2, 2] += 0.002
     frame = find_specimen_frame(take.clamp, positions, rest_frames=REST, plane_limit=2e-4)
     assert frame.notes[0].code == "out_of_plane"
@@ -90,8 +89,7 @@ def test_without_a_clamp_the_end_that_moves_less_is_the_origin() -> None:
 
 
 def test_markers_never_seen_together_do_not_break_the_order() -> None:
-    take = wire_take()
-    positions = take.tracks.positions.copy()
+    take, positions = wire_take(), wire_take().tracks.positions.copy()
     positions[300:, 1] = positions[:300, 4] = np.nan
     frame = frame_of(WireTake(marker_tracks(NAMES, positions), take.clamp))
     hanging = positions - take.clamp[:, None]

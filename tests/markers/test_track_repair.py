@@ -48,10 +48,9 @@ def test_a_clean_take_is_left_alone(seed: int, noise: float) -> None:
 
 @given(data=st.data())
 def test_any_permutation_of_labels_is_undone(data: st.DataObject) -> None:
-    take = wire_take()
+    take, mixed = wire_take(), wire_take().tracks.positions.copy()
     truth = take.tracks.positions
     cuts = sorted(data.draw(st.sets(st.integers(40, 590), min_size=1, max_size=5)))
-    mixed = truth.copy()
     moved = np.zeros(truth.shape[:2], dtype=bool)
     for start, stop in zip(cuts, [*cuts[1:], 600], strict=True):
         order = data.draw(st.permutations(range(len(NAMES))))
@@ -78,8 +77,7 @@ def test_an_unlabelled_track_is_given_back_to_its_marker(start: int, stop: int) 
 
 
 def test_a_frozen_pose_is_removed_and_filled() -> None:
-    take = wire_take()
-    stale = take.tracks.positions.copy()
+    take, stale = wire_take(), wire_take().tracks.positions.copy()
     stale[301:320, 2] = stale[300, 2]
     repaired = repair(with_positions(take, stale))
     assert codes(repaired) == ["pose_frozen", "gap_filled"]
@@ -88,13 +86,22 @@ def test_a_frozen_pose_is_removed_and_filled() -> None:
     assert (repaired.flags[300:321, 2] == [1] + 19 * [PointFlag.FILLED] + [1]).all()
 
 
+def test_labels_that_move_on_by_one_marker_as_one_is_lost() -> None:
+    """The markers are nearer to each other than `max_jump`."""
+    truth, mixed = (wire_take().tracks.positions.copy() for _ in range(2))
+    mixed[300:, 2:5] = truth[300:, 3:6]
+    mixed[300:, 5] = truth[300:, 2] = np.nan
+    repaired = repair(with_positions(wire_take(), mixed), max_jump=0.012)
+    np.testing.assert_array_equal(repaired.positions, truth)
+    assert codes(repaired) == ["label_switch", "gap_left"]
+
+
 @pytest.mark.parametrize("back", [312, 420])
 def test_labels_that_switch_while_one_marker_is_hidden(back: int) -> None:
     # hidden 300 to back, switched at 305 and ever after: in half a second by position, later
     # because only one marker is missing
-    take = wire_take()
+    take, mixed = wire_take(), wire_take().tracks.positions.copy()
     truth = take.tracks.positions
-    mixed = truth.copy()
     mixed[300:back, 3] = np.nan
     mixed[305:, [2, 3]] = mixed[305:, [3, 2]]
     repaired = repair(with_positions(take, mixed))
@@ -190,9 +197,8 @@ def test_what_cannot_be_repaired(take: WireTake, changes: dict[str, float], mess
 
 
 def test_two_orphans_at_once_are_not_given_to_anyone() -> None:
-    take = wire_take()
+    take, mixed = wire_take(), wire_take().tracks.positions.copy()
     truth = take.tracks.positions
-    mixed = truth.copy()
     mixed[300:420, [3, 4]] = np.nan
     mixed[305:] = mixed[305:, [3, 4, 2, 0, 1, 5]]
     mixed[305:, [3, 4]] = truth[305:, [0, 1]]
@@ -207,10 +213,8 @@ def test_two_orphans_at_once_are_not_given_to_anyone() -> None:
 def test_notes_on_repairs(approved: Approve) -> None:
     take = wire_take()
     truth = take.tracks.positions
-    jumped, gappy, stand_ins, ghosts = (
-        *(truth.copy(), truth.copy()),
-        *(blank_columns(truth, 2), blank_columns(truth, 15)),
-    )
+    jumped, gappy, missing = (truth.copy() for _ in range(3))
+    stand_ins, ghosts = blank_columns(truth, 2), blank_columns(truth, 15)
     jumped[300:, 5] += [0.0, 0.0, 0.008]
     gappy[10:400:20, 2] = np.nan
     stand_ins[200:300, 6], stand_ins[300:380, 7] = truth[200:300, 1], truth[300:380, 1]
@@ -218,7 +222,6 @@ def test_notes_on_repairs(approved: Approve) -> None:
     for ghost in range(15):
         path = np.linspace(1, 1.001, 5)[:, None]
         ghosts[40 * ghost : 40 * ghost + 5, 6 + ghost] = path
-    missing = truth.copy()
     missing[:, 1] = np.nan
     nameless = blank_columns(truth, 2)
     nameless[200:, 6], nameless[200:, 0] = truth[200:, 0], np.nan

@@ -67,21 +67,21 @@ VALUE_FAULTS: list[tuple[Any, tuple[object, ...]]] = [
     (SnakeName, ("Force",)),
     (Length, ("53", "53 s", "85 kg", "85 MM", "20 1/m", "0 mm", "-5 mm", None)),
     (Length, ("12,5 mm", "-0,125 mm", "1,000 mm", "1 000 mm", "1'000 mm")),
-    (Length, ("1.000,5 mm", "1,000.5 mm", "1 000 000,25 mm")),
+    (Length, ("1.000,5 mm", "1,000.5 mm", "1 000 000,25 mm", "8,5 kg", "8,5e-3 m", "1,5,5 mm")),
     (Force, ("5 kg", "500 g")),
     (Mass, ("-1 g", "5 N")),
     (Offset, ("1e400 mm",)),
-    (Ratio, ("5 deg", "0,5", "0,5 %")),
+    (Ratio, ("5 deg", "0,5", "0,5 %", "8,5 deg")),
     (Fraction, ("0 %", "110 %")),
     (Compliance, ("0.2 mm",)),
-    (Span, ("51", "0 samples", "120 %", "0 s", "0,1 s", "0,1 mm", "1 kg")),
+    (Span, ("51", "0 samples", "120 %", "0 s", "0,1 s", "0,1 mm", "1 kg", "5,5 %", "1.5 samples")),
 ]
 
 
 YAML_FAULTS = [
     "a: 1\nb: 2\na: 3\n",
     "a: !!python/object/new:os.system [ls]\n",
-    "? [a, b]\n: c\n",
+    "{[a, b]: 8,5}\n",
 ]
 
 

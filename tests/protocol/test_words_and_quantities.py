@@ -135,8 +135,8 @@ def test_the_json_schema_takes_a_number_with_unit(text: str, wrong: object) -> N
     assert not checker.is_valid(wrong)
 
 
-NAME = TypeAdapter(Annotated[str, build_path_validator("the folder of the test", "Copy it.")])
-ELSEWHERE = "expected a file inside the folder of the test, found .* Copy it"
+NAME = TypeAdapter(Annotated[str, build_path_validator("the folder of the test", "export")])
+ELSEWHERE = "expected a file inside the folder of the test, found .* Copy the export"
 UPWARDS = ["../a.csv", "a/../../b", r"a\..\b", "/a.csv", r"C:\a.csv", "C:a.csv"]
 
 

@@ -28,8 +28,8 @@ def test_exact_without_noise() -> None:
     assert corner is not None
     assert corner.time == pytest.approx(TURN, abs=1e-5)
     assert corner.value == pytest.approx(HEIGHT, abs=1e-6)
-    few = np.arange(0.0, 0.1, 0.02)
-    assert fit_corner(few, few, guess=0.04, window=0.05) is None
+    assert fit_corner(time[:5], time[:5], guess=2e-3, window=2.5e-3) is None
+    assert fit_corner(time, np.full_like(time, 0.3), guess=4.2, window=2.0) is None
 
 
 def stopped(seed: int, dwell: float, noise: float) -> tuple[Floats, Floats]:
