@@ -28,7 +28,7 @@ from pathlib import Path
 
 from labpipe.errors import ReadError
 from labpipe.readers.channels import ChannelChoice
-from labpipe.readers.controldesk import Export, Trace, load_export, resolve_date
+from labpipe.readers.controldesk import Axis, Export, Trace, load_export, resolve_date
 from labpipe.readers.number_table import Body, read_columns
 from labpipe.readers.raw_files import add_file_name, map_read_errors, read_content, read_head
 from labpipe.records.arrays import Floats
@@ -85,7 +85,7 @@ def read(path: Path, *, channels: Sequence[ChannelChoice] | None = None) -> Reco
         first_line=header.count(b"\n") + 1,
         separator=",",
         decimal=".",
-        stated_rows=parse_count(properties.get("trace_size", [""])[0]),
+        stated_rows=parse_count("".join(properties.get("trace_size", [])[:1])),
         as_exported=True,
     )
     with add_file_name(path):
@@ -102,7 +102,13 @@ def read(path: Path, *, channels: Sequence[ChannelChoice] | None = None) -> Reco
     reference_date = _parse_reference_date(measurement_group.get("ReferenceTime", ""))
     recording_date = resolve_date(general_group.get("DateTime", ""), reference_date)
     export = Export(
-        axes=[(trace_properties[0].get("raster", ""), lambda: samples[1])],
+        axes=[
+            Axis(
+                raster=trace_properties[0].get("raster", ""),
+                unit_in_file=trace_properties[0].get("trace_units", ""),
+                load=lambda: samples[1],
+            )
+        ],
         traces=[_make_trace(x, samples[i]) for i, x in enumerate(trace_properties[1:], start=2)],
         origin=general_group.get("Origin", ""),
         metadata={"date": recording_date, **descriptions},

@@ -33,6 +33,7 @@ import numpy as np
 from labpipe.errors import ReadError
 from labpipe.readers.channels import ChannelChoice
 from labpipe.readers.controldesk import (
+    Axis,
     Export,
     Trace,
     load_export,
@@ -200,7 +201,12 @@ def _parse_struct(name: str, tree: Mapping[str, MatValue], header_text: str, pat
     is_known = revision in _KNOWN_REVISIONS
     note = QualityNote.of("readers.revision_unseen", "file", revision=revision or "not stated")
     return Export(
-        axes=[(_find_text(axis, "Raster"), _build_loader(axis, "X", path)) for axis in axes],
+        axes=[
+            Axis(
+                _find_text(axis, "Raster"), _find_text(axis, "Unit"), _build_loader(axis, "X", path)
+            )
+            for axis in axes
+        ],
         traces=[_make_trace(item, len(axes), path) for item in traces],
         origin=_find_text(properties, "Description", "General", "Origin"),
         metadata={

@@ -249,7 +249,8 @@ def decode(data: bytes, content: Content, encodings: Sequence[str]) -> str:
             match = from_bytes(data).best()
             # A lone byte, such as the micro sign in cp1252, is not half of a Chinese character.
             is_chinese = match is not None and max(str(match)) >= "\u2e80"
-            if match is not None and (not is_chinese or re.search(rb"[\x80-\xff]{2}", data)):
+            is_readable = match is not None and "0".encode(match.encoding) == b"0"  # like ASCII
+            if is_readable and (not is_chinese or re.search(rb"[\x80-\xff]{2}", data)):
                 return str(match)
         else:
             with suppress(UnicodeDecodeError):  # an incomplete character at the end is omitted

@@ -46,7 +46,7 @@ from labpipe.readers.load_frame.tables import (
     read_sheets,
     read_text,
 )
-from labpipe.readers.number_table import make_row_count_notes
+from labpipe.readers.number_table import is_unit, make_row_count_notes, split_name_and_unit
 from labpipe.readers.raw_files import (
     ContentError,
     add_file_name,
@@ -57,7 +57,7 @@ from labpipe.readers.raw_files import (
     read_content,
     read_head,
 )
-from labpipe.readers.recording_checks import make_clock_notes
+from labpipe.readers.recording_checks import get_time_factor, make_clock_notes
 from labpipe.readers.workbooks import clear_sheet_cache, format_head, is_workbook, open_sheets
 from labpipe.records.quality import QualityNote
 from labpipe.records.recording import Channel, Clock, Recording
@@ -254,6 +254,8 @@ def _convert_table(table: Table, card: Card, *, is_only_table: bool) -> Recordin
             columns = {i: values[~is_blank] for i, values in table.columns.items()}
             note = QualityNote.of("readers.blank_rows", "file", count=is_blank.sum())
             table = replace(table, columns=columns, notes=(*table.notes, note))
+    for i in table.columns:
+        _check_unit(table.names[i], table.units[i])
     paths = make_names_unique(table.names)
     names = [name or path for name, path in zip(table.names, paths, strict=True)]
     channels = [
@@ -267,7 +269,7 @@ def _convert_table(table: Table, card: Card, *, is_only_table: bool) -> Recordin
         notes.append(QualityNote.of("readers.no_time", place, rows=table.n_rows))
     else:
         unit, time = table.units[time_column] or card.time_unit, table.columns[time_column]
-        factor = _get_time_factor(unit, table.names[time_column])
+        factor = get_time_factor(unit, f"column '{table.names[time_column]}'")
         clock = Clock(clock_name, time if factor == 1.0 else factor * time)
         metadata |= {"time": table.names[time_column], "unit_in_file": unit}
         notes += make_clock_notes(clock, is_variable=card.variable_rate)
@@ -278,15 +280,14 @@ def _convert_table(table: Table, card: Card, *, is_only_table: bool) -> Recordin
     return Recording("", "", "", (clock,), tuple(channels), metadata=metadata, notes=tuple(notes))
 
 
-def _get_time_factor(unit: str, name: str) -> float:
-    """Get the factor to seconds of the unit of a time column, or raise ContentError."""
-    for spelling in (unit, unit.casefold()):
-        with suppress(ValueError):
-            return get_conversion_factor(spelling or "none", "s")
-    place = f"column '{name}'"
-    raise ContentError.of(
-        "readers.no_unit_of_time" if unit else "readers.time_without_unit", place, unit=unit
-    )
+def _check_unit(name: str, unit: str) -> None:
+    """Refuse a name with a unit other than that of the column, such as ``Force (kN)`` for N."""
+    _, unit_in_name = split_name_and_unit(name) or ("", unit)
+    if unit and unit != unit_in_name and is_unit(unit) and is_unit(unit_in_name):
+        with suppress(ValueError):  # the units differ in dimension
+            if get_conversion_factor(unit, unit_in_name) == 1.0:
+                return
+        raise ContentError.of("readers.units_contradict", f"column '{name}'", unit=unit)
 
 
 def _make_missing_notes(channels: Sequence[Channel], card: Card) -> Iterator[QualityNote]:
@@ -390,7 +391,7 @@ def _build_head_reader(path: Path) -> Callable[[Card], list[tuple[str, str]]]:
         return lambda _: []
     content = normalise_content(read_head(path))
     if is_blank(content.data):
-        return lambda card: [("", "")] if card.blank and content.file_encoding else []
+        return lambda _: [("", "")] if content.file_encoding else []
 
     @cache
     def decode_head(encodings: tuple[str, ...]) -> str:
@@ -409,8 +410,8 @@ def _fits_card(card: Card, head: str, sheet: str) -> bool:
     For a fallback card, the head must also be that of a test, with a column of time, and with a
     unit of another column or names that fit the card.
     """
-    if not head:  # the file has only a byte order mark, which the card allows
-        return True
+    if not head:  # the file has only a byte order mark, or the sheet is empty
+        return card.blank
     if not card.fits(head) or not card.fallback:
         return card.fits(head)
     try:
