@@ -22,7 +22,6 @@ from labpipe.readers.channels import (
 )
 from labpipe.readers.raw_files import add_file_name
 from labpipe.readers.recording_checks import get_time_factor, make_clock_notes
-from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote
 from labpipe.records.recording import Channel, Clock, Recording
 
@@ -119,12 +118,13 @@ def load_export(
     for i in sorted(used_axes):
         with add_file_name(path):
             factor = get_time_factor(export.axes[i].unit_in_file or "s", f"clock {clock_names[i]}")
-        time = _convert_samples(export.axes[i].load())
+        time = np.asarray(export.axes[i].load(), dtype=np.float64).ravel()
         clocks[i] = Clock(clock_names[i], time if factor == 1.0 else factor * time)
     notes = [note for clock in clocks.values() for note in make_clock_notes(clock)]
     loaded_channels = []
     for trace in traces:
-        values, clock = _convert_samples(trace.load()), clocks[trace.axis_index]
+        values = np.asarray(trace.load(), dtype=np.float64).ravel()
+        clock = clocks[trace.axis_index]
         if (n_samples := len(values)) != (n_times := len(clock.time)):
             facts = {"wanted": n_times, "axis": clock.name, "total": n_samples}
             raise ReadError.about(
@@ -147,11 +147,6 @@ def load_export(
         metadata={**export.metadata, "channels": {t.path: dict(t.properties) for t in traces}},
         notes=(*export.notes, *notes, *make_channel_notes(loaded_channels)),
     )
-
-
-def _convert_samples(values: object) -> Floats:
-    """Convert samples of any shape and number type to a one-dimensional array."""
-    return np.asarray(values, dtype=np.float64).ravel()
 
 
 def to_json(value: object) -> object:

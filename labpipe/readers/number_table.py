@@ -47,13 +47,6 @@ _UNIT_AFTER_MARK = re.compile(r"(.*\S)(?:\s*,\s*|\s+/\s+)([^\W\d]\S*|%|°\S*)")
 _READABLE_DIMENSIONS = ("s", "m", "N", "Pa", "1", "V", "N*m", "rad", "K", "Hz", "m/s", "kg")
 """One unit of each dimension that the unit of a column may have."""
 _OTHER_UNITS = frozenset({"-", "count", "°C"})
-_COMMON_UNITS = frozenset(
-    (
-        *("s", "ms", "sec", "min", "h", "mm", "µm", "cm", "m", "in", "mm/s"),
-        *("N", "kN", "mN", "lbf", "MPa", "GPa", "kPa", "%", "mm/mm", "V"),
-    )
-)
-"""Units that are recognised quickly. Others are parsed with pint, which is slow to import."""
 DECIMAL_SIGNS = {".": "a decimal point", ",": "a decimal comma"}
 """Decimal signs, with their names for messages."""
 NUMERAL = {
@@ -182,13 +175,7 @@ def split_head(
 
 def is_unit(text: str) -> bool:
     """Return whether a text is a known unit."""
-    is_known = text in _COMMON_UNITS or text in _OTHER_UNITS
-    return is_known or any(has_dimension_of(text, unit) for unit in _READABLE_DIMENSIONS)
-
-
-def has_unit(cells: Sequence[str]) -> bool:
-    """Return whether at least one cell is a known unit, trying common units first."""
-    return any(cell in _COMMON_UNITS for cell in cells) or any(map(is_unit, filter(None, cells)))
+    return text in _OTHER_UNITS or any(has_dimension_of(text, x) for x in _READABLE_DIMENSIONS)
 
 
 def has_dimension_of(text: str, unit: str) -> bool:

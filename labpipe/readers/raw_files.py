@@ -215,12 +215,6 @@ def split_lines(text: str) -> list[str]:
     return [line.rstrip("\r") for line in text.split("\n")]
 
 
-def skip_lines(data: bytes, count: int) -> bytes:
-    """Return the bytes after the first `count` lines; no bytes if there are no further lines."""
-    parts = data.split(b"\n", count)
-    return parts[count] if len(parts) > count else b""
-
-
 def decode(data: bytes, content: Content, encodings: Sequence[str]) -> str:
     """Decode a part of an export.
 
