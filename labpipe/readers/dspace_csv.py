@@ -90,7 +90,7 @@ def read(path: Path, *, channels: Sequence[ChannelChoice] | None = None) -> Reco
     )
     with add_file_name(path):
         samples, notes = read_columns(body)
-    trace_properties = [
+    clock, *traces = [
         {key: cells[i] if i < len(cells) else "" for key, cells in properties.items()}
         for i in range(len(names))
     ]
@@ -102,14 +102,8 @@ def read(path: Path, *, channels: Sequence[ChannelChoice] | None = None) -> Reco
     reference_date = _parse_reference_date(measurement_group.get("ReferenceTime", ""))
     recording_date = resolve_date(general_group.get("DateTime", ""), reference_date)
     export = Export(
-        axes=[
-            Axis(
-                raster=trace_properties[0].get("raster", ""),
-                unit_in_file=trace_properties[0].get("trace_units", ""),
-                load=lambda: samples[1],
-            )
-        ],
-        traces=[_make_trace(x, samples[i]) for i, x in enumerate(trace_properties[1:], start=2)],
+        axes=[Axis(clock.get("raster", ""), clock.get("trace_units", ""), lambda: samples[1])],
+        traces=[_make_trace(x, samples[i]) for i, x in enumerate(traces, start=2)],
         origin=general_group.get("Origin", ""),
         metadata={"date": recording_date, **descriptions},
         notes=notes,

@@ -20,10 +20,10 @@ HBM catman, Deben Microtest, TA Instruments DMA Q800 and TestResources. A lab ca
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -318,7 +318,8 @@ def recognise_card(path: Path) -> Card | None:
         If the file cannot be read, two cards of equal priority fit, or a lab's card is invalid.
     """
     kind = "workbook" if is_workbook(path) else "text"
-    list_heads = _build_head_reader(path)
+    read_head(path, 1)  # raises an error if the file cannot be read
+    read_heads = cache(partial(_read_heads, path))
     shipped_cards = load_shipped_cards().values()
     cards_by_priority = (
         load_lab_cards().values(),
@@ -330,7 +331,7 @@ def recognise_card(path: Path) -> Card | None:
             card
             for card in cards
             if card.kind == kind
-            and any(_fits_card(card, head, sheet) for sheet, head in list_heads(card))
+            and any(_fits_card(card, head, sheet) for sheet, head in read_heads(card.encodings))
         ]
         if len(matches) > 1:
             names = " and ".join(card.name for card in matches)
@@ -378,30 +379,22 @@ def choose_card(path: Path, dialect: CardNames) -> Card:
     raise ReadError.about("readers.other_card_fits", path, dialects=dialects, found=description)
 
 
-def _build_head_reader(path: Path) -> Callable[[Card], list[tuple[str, str]]]:
-    """Build a function that lists, for a card, the names and the heads of the sheets of an export.
+def _read_heads(path: Path, encodings: tuple[str, ...]) -> list[tuple[str, str]]:
+    """Read the names and the heads of the sheets of an export.
 
-    A text has one head, with an empty name. It is decoded with the encodings of the card.
+    A text has one head, with an empty name; a text with only a byte order mark has an empty head.
     """
     head_length = 16384  # characters; the longest known header has 3300
-    if is_workbook(path):
-        with suppress(ReadError):
-            heads = [(name, format_head(rows)) for name, rows in open_sheets(path).items()]
-            return lambda _: heads
-        return lambda _: []
-    content = normalise_content(read_head(path))
-    if is_blank(content.data):
-        return lambda _: [("", "")] if content.file_encoding else []
-
-    @cache
-    def decode_head(encodings: tuple[str, ...]) -> str:
-        with suppress(ContentError):
-            text = decode(content.data, content, encodings)
-            return _SEPARATOR_LINE.sub("", text.replace("\r\n", "\n"))[:head_length]
-        return ""
-
-    has_text = not is_binary(content)
-    return lambda card: [("", head)] if has_text and (head := decode_head(card.encodings)) else []
+    with suppress(ContentError, ReadError):
+        if is_workbook(path):
+            return [(name, format_head(rows)) for name, rows in open_sheets(path).items()]
+        content = normalise_content(read_head(path))
+        if is_blank(content.data):
+            return [("", "")] if content.file_encoding else []
+        if not is_binary(content):
+            text = decode(content.data, content, encodings).replace("\r\n", "\n")
+            return [("", _SEPARATOR_LINE.sub("", text)[:head_length])]
+    return []
 
 
 def _fits_card(card: Card, head: str, sheet: str) -> bool:
