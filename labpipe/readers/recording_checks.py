@@ -39,8 +39,9 @@ def get_time_factor(unit: str, place: str) -> float:
     try:
         return get_conversion_factor(unit.casefold() or "none", "s")
     except ValueError:
-        name = "readers.no_unit_of_time" if unit else "readers.time_without_unit"
-        raise ContentError.of(name, place, unit=unit) from None
+        raise ContentError.of(
+            "readers.no_unit_of_time" if unit else "readers.time_without_unit", place, unit=unit
+        ) from None
 
 
 @dataclass(frozen=True, slots=True)
