@@ -101,7 +101,8 @@ def edit_mf4(path: Path, **edits: Any) -> Path:
 
     flags = edits.pop("flags", 0)
     with asammdf.MDF(write_mf4(path, Axis(TIME), MF4)) as file:
-        master, force, laser = file.groups[0].channels
+        channels: Any = file.groups[0].channels
+        master, force, laser = channels
         master.pos_invalidation_bit, master.flags = force.pos_invalidation_bit, flags
         laser.flags |= edits.pop("laser_flags", 0)
         for name, value in edits.items():
