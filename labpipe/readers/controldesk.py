@@ -98,7 +98,7 @@ def load_export(
     Returns
     -------
     The recording. The values are those of the file, in the units of the file, with NaN instead of
-    infinities.
+    infinities. The times are in seconds.
 
     Raises
     ------

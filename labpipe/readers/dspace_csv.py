@@ -8,7 +8,8 @@
 
 **Missing data**: blank cells become NaN; ``Infinity`` becomes NaN, with a note.
 
-**Clock and frame**: the times of the first trace, which has no name, exactly as written.
+**Clock and frame**: the times of the first trace, which has no name, exactly as written, or
+converted to seconds if ``trace_units`` states another unit.
 
 **File structure**: rows of properties of the recording (section, group, key, value), then one row
 for each property of the traces, whose first cell is the name of the property. The line of the first

@@ -7,9 +7,11 @@ master channel.
 
 **Units**: those of the channels. No known file has units, so the protocol states them.
 
-**Missing data**: samples with an invalidation bit and infinities become NaN, with a note.
+**Missing data**: invalid samples and infinities become NaN, with a note. A recording with invalid
+times is refused.
 
-**Clock and frame**: the times of the master channel exactly as written, named after the raster.
+**Clock and frame**: the times of the master channel exactly as written, or converted to seconds if
+another unit is stated, named after the raster. States are read as their numbers.
 
 **File structure**: MDF 4.10, read by asammdf (the optional extra ``mf4``).
 

@@ -467,8 +467,8 @@ def _read_csv(body: Body, missing_words: Sequence[str], dtype: type = float) -> 
 def _check_row_lengths(body: Body, n_lines: int) -> None:
     """Refuse a row of a table of numbers with fewer cells than the next row that is not blank.
 
-    Its cells may be in the wrong columns. Rows at the end may be short, because a spreadsheet
-    omits separators after the last cell.
+    Its cells may be in the wrong columns. All rows after a row may be short, because a spreadsheet
+    may omit separators after the last filled cell.
     """
     separator = body.separator.encode()
     n_separators = body.data.partition(b"\n")[0].count(separator)
@@ -490,8 +490,9 @@ def _check_row_lengths(body: Body, n_lines: int) -> None:
 def _find_thousands(values: Floats) -> int | None:
     """Find the first of the numbers whose thousands separator was read as a decimal sign.
 
-    Such a column has whole numbers up to 999, and numbers from 1.000 to 999.999 that are thousands:
-    the largest step between successive numbers is then smaller.
+    Such a column has whole numbers up to 999, and numbers from 1.000 to 999.999 with at most three
+    decimals. If these are taken as thousands, the largest step between successive numbers is
+    smaller. Return None for any other column.
     """
     magnitudes = np.abs(values)
     n_below_one, n_zeros = np.count_nonzero(magnitudes < 1.0), np.count_nonzero(values == 0.0)
