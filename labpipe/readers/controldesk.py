@@ -9,6 +9,7 @@ from datetime import date, timedelta
 from email.utils import parsedate
 from itertools import permutations
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,12 +20,27 @@ from labpipe.readers.channels import (
     make_channel_notes,
     make_names_unique,
 )
-from labpipe.readers.recording_checks import make_clock_notes
-from labpipe.records.arrays import Floats
+from labpipe.readers.raw_files import add_file_name
+from labpipe.readers.recording_checks import get_time_factor, make_clock_notes
 from labpipe.records.quality import QualityNote
 from labpipe.records.recording import Channel, Clock, Recording
 
 _PROGRAM_VERSION = re.compile(r"ControlDesk version:\s*([\w.]+)")
+
+
+class Axis(NamedTuple):
+    """A time axis of an export with a function that loads its times.
+
+    Parameters
+    ----------
+    raster : name of the raster; may be empty
+    unit_in_file : unit of the times; empty if not stated, for seconds
+    load : function that returns the times in the unit of the file
+    """
+
+    raster: str
+    unit_in_file: str
+    load: Callable[[], object]
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,15 +69,14 @@ class Export:
 
     Parameters
     ----------
-    axes : name of the raster of each time axis, which may be empty, with a function that loads the
-        times of the samples
+    axes : time axes
     traces : channels in the order of the file
     origin : text in the export that names the model and the program
     metadata : properties of the export
     notes : quality notes on the header of the export
     """
 
-    axes: Sequence[tuple[str, Callable[[], object]]]
+    axes: Sequence[Axis]
     traces: Sequence[Trace]
     origin: str
     metadata: Mapping[str, object]
@@ -83,13 +98,13 @@ def load_export(
     Returns
     -------
     The recording. The values are those of the file, in the units of the file, with NaN instead of
-    infinities.
+    infinities. The times are in seconds.
 
     Raises
     ------
     ReadError
-        If a wanted channel does not exist or is ambiguous, or a channel is not as long as its time
-        axis.
+        If a wanted channel does not exist or is ambiguous, a channel is not as long as its time
+        axis, or the unit of a time axis is not one of time.
     """
     paths = make_names_unique([trace.path for trace in export.traces])
     traces = [replace(trace, path=path) for trace, path in zip(export.traces, paths, strict=True)]
@@ -97,14 +112,19 @@ def load_export(
         pairs = [(trace.name, trace.path) for trace in traces]
         indices = sorted({find_channel(choice, pairs, path) for choice in channels})
         traces = [traces[i] for i in indices]
-    clock_names = make_names_unique([raster or "time" for raster, _ in export.axes])
+    clock_names = make_names_unique([axis.raster or "time" for axis in export.axes])
     used_axes = range(len(clock_names)) if channels is None else {x.axis_index for x in traces}
-    times = {i: _convert_samples(export.axes[i][1]()) for i in sorted(used_axes)}
-    clocks = {i: Clock(clock_names[i], axis_times) for i, axis_times in times.items()}
+    clocks = {}
+    for i in sorted(used_axes):
+        with add_file_name(path):
+            factor = get_time_factor(export.axes[i].unit_in_file or "s", f"clock {clock_names[i]}")
+        time = np.asarray(export.axes[i].load(), dtype=np.float64).ravel()
+        clocks[i] = Clock(clock_names[i], time if factor == 1.0 else factor * time)
     notes = [note for clock in clocks.values() for note in make_clock_notes(clock)]
     loaded_channels = []
     for trace in traces:
-        values, clock = _convert_samples(trace.load()), clocks[trace.axis_index]
+        values = np.asarray(trace.load(), dtype=np.float64).ravel()
+        clock = clocks[trace.axis_index]
         if (n_samples := len(values)) != (n_times := len(clock.time)):
             facts = {"wanted": n_times, "axis": clock.name, "total": n_samples}
             raise ReadError.about(
@@ -127,11 +147,6 @@ def load_export(
         metadata={**export.metadata, "channels": {t.path: dict(t.properties) for t in traces}},
         notes=(*export.notes, *notes, *make_channel_notes(loaded_channels)),
     )
-
-
-def _convert_samples(values: object) -> Floats:
-    """Convert samples of any shape and number type to a one-dimensional array."""
-    return np.asarray(values, dtype=np.float64).ravel()
 
 
 def to_json(value: object) -> object:

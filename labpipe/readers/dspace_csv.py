@@ -8,7 +8,8 @@
 
 **Missing data**: blank cells become NaN; ``Infinity`` becomes NaN, with a note.
 
-**Clock and frame**: the times of the first trace, which has no name, exactly as written.
+**Clock and frame**: the times of the first trace, which has no name, exactly as written, or
+converted to seconds if ``trace_units`` states another unit.
 
 **File structure**: rows of properties of the recording (section, group, key, value), then one row
 for each property of the traces, whose first cell is the name of the property. The line of the first
@@ -28,7 +29,7 @@ from pathlib import Path
 
 from labpipe.errors import ReadError
 from labpipe.readers.channels import ChannelChoice
-from labpipe.readers.controldesk import Export, Trace, load_export, resolve_date
+from labpipe.readers.controldesk import Axis, Export, Trace, load_export, resolve_date
 from labpipe.readers.number_table import Body, read_columns
 from labpipe.readers.raw_files import add_file_name, map_read_errors, read_content, read_head
 from labpipe.records.arrays import Floats
@@ -85,12 +86,12 @@ def read(path: Path, *, channels: Sequence[ChannelChoice] | None = None) -> Reco
         first_line=header.count(b"\n") + 1,
         separator=",",
         decimal=".",
-        stated_rows=parse_count(properties.get("trace_size", [""])[0]),
+        stated_rows=parse_count("".join(properties.get("trace_size", [])[:1])),
         as_exported=True,
     )
     with add_file_name(path):
         samples, notes = read_columns(body)
-    trace_properties = [
+    clock, *traces = [
         {key: cells[i] if i < len(cells) else "" for key, cells in properties.items()}
         for i in range(len(names))
     ]
@@ -102,8 +103,8 @@ def read(path: Path, *, channels: Sequence[ChannelChoice] | None = None) -> Reco
     reference_date = _parse_reference_date(measurement_group.get("ReferenceTime", ""))
     recording_date = resolve_date(general_group.get("DateTime", ""), reference_date)
     export = Export(
-        axes=[(trace_properties[0].get("raster", ""), lambda: samples[1])],
-        traces=[_make_trace(x, samples[i]) for i, x in enumerate(trace_properties[1:], start=2)],
+        axes=[Axis(clock.get("raster", ""), clock.get("trace_units", ""), lambda: samples[1])],
+        traces=[_make_trace(x, samples[i]) for i, x in enumerate(traces, start=2)],
         origin=general_group.get("Origin", ""),
         metadata={"date": recording_date, **descriptions},
         notes=notes,

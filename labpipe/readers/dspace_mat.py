@@ -8,7 +8,8 @@
 
 **Missing data**: the format has no missing values. Infinities become NaN, with a note.
 
-**Clock and frame**: one clock for each raster, with the times of ``X.Data`` exactly as written.
+**Clock and frame**: one clock for each raster, with the times of ``X.Data`` exactly as written, or
+converted to seconds if the field Unit states another unit.
 
 **File structure**: one struct with the fields X (time axes) and Y (channels), in a MAT v5 file or
 in an HDF5 file with a 512-byte user block (v7.3). The format is recognised by its content.
@@ -33,6 +34,7 @@ import numpy as np
 from labpipe.errors import ReadError
 from labpipe.readers.channels import ChannelChoice
 from labpipe.readers.controldesk import (
+    Axis,
     Export,
     Trace,
     load_export,
@@ -200,7 +202,12 @@ def _parse_struct(name: str, tree: Mapping[str, MatValue], header_text: str, pat
     is_known = revision in _KNOWN_REVISIONS
     note = QualityNote.of("readers.revision_unseen", "file", revision=revision or "not stated")
     return Export(
-        axes=[(_find_text(axis, "Raster"), _build_loader(axis, "X", path)) for axis in axes],
+        axes=[
+            Axis(
+                _find_text(axis, "Raster"), _find_text(axis, "Unit"), _build_loader(axis, "X", path)
+            )
+            for axis in axes
+        ],
         traces=[_make_trace(item, len(axes), path) for item in traces],
         origin=_find_text(properties, "Description", "General", "Origin"),
         metadata={
@@ -329,9 +336,9 @@ def parse_mat5(content: bytes | memoryview) -> dict[str, MatValue]:
     Returns
     -------
     Values of the variables, keyed by name. A struct array is a list of mappings, one for each
-    element. A cell
-    array is a list of values. A text of one row is a string. Numbers are an array of shape (n,) in
-    the type in which they are stored. Sparse, complex, function and opaque variables are None.
+    element. A cell array is a list of values. A text of one row is a string. Numbers are an array
+    of shape (n,) in the type in which they are stored. Sparse, complex, function and opaque
+    variables are None.
 
     Raises
     ------

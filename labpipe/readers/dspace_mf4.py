@@ -7,9 +7,11 @@ master channel.
 
 **Units**: those of the channels. No known file has units, so the protocol states them.
 
-**Missing data**: samples with an invalidation bit and infinities become NaN, with a note.
+**Missing data**: invalid samples and infinities become NaN, with a note. A recording with invalid
+times is refused.
 
-**Clock and frame**: the times of the master channel exactly as written, named after the raster.
+**Clock and frame**: the times of the master channel exactly as written, or converted to seconds if
+another unit is stated, named after the raster. States are read as their numbers.
 
 **File structure**: MDF 4.10, read by asammdf (the optional extra ``mf4``).
 
@@ -23,6 +25,7 @@ import re
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager, redirect_stdout
+from functools import partial
 from html import unescape
 from io import BytesIO, StringIO
 from pathlib import Path
@@ -33,12 +36,16 @@ import numpy as np
 
 from labpipe.errors import ReadError
 from labpipe.readers.channels import ChannelChoice
-from labpipe.readers.controldesk import Export, Trace, load_export
+from labpipe.readers.controldesk import Axis, Export, Trace, load_export
 from labpipe.readers.raw_files import map_read_errors, read_head
 from labpipe.records.arrays import Floats
 from labpipe.records.recording import Recording
 
 _PROPERTY = re.compile(r'<e name="([^"]*)"[^>]*>(.*?)</e>', re.DOTALL)
+_TIME_SYNC_TYPE = 1
+"""Type of a master channel of times; others contain angles, distances or indices."""
+_ALL_INVALID_FLAG = 1
+"""Flag of a channel whose samples are all invalid."""
 
 
 def recognise(path: Path) -> bool:
@@ -110,7 +117,9 @@ def _parse_groups(file: Any) -> Export:
         master = file.masters_db.get(group_index)
         if master is None:
             continue
-        axes.append((group.channels[master].name, _build_loader(file, group_index, master)))
+        axis = group.channels[master]
+        unit = axis.unit if axis.sync_type == _TIME_SYNC_TYPE else "no time"
+        axes.append(Axis(axis.name, unit, _build_loader(file, group_index, master)))
         traces += [
             Trace(
                 name=channel.name.rsplit("/", 1)[-1],
@@ -147,8 +156,12 @@ def _build_loader(file: Any, group_index: int, index: int) -> Callable[[], Float
             message = f"channel {index} needs {end_bit} bits of a record of {size} bytes"
             raise ValueError(message)
         # By default asammdf leaves out invalid samples, which separates the channel from its clock.
-        signal = file.get(group=group_index, index=index, ignore_invalidation_bits=True)
+        get = partial(file.get, group=group_index, index=index, ignore_invalidation_bits=True)
+        signal = get()
+        if signal.samples.dtype.kind in "SU":  # names of states, whose numbers are the raw samples
+            signal = get(raw=True)
         is_invalid = np.asarray(signal.invalidation_bits, dtype=bool)  # None becomes False
+        is_invalid = is_invalid | bool(channel.flags & _ALL_INVALID_FLAG)
         return np.where(is_invalid, np.nan, np.asarray(signal.samples, dtype=np.float64))
 
     return load

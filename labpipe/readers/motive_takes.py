@@ -423,9 +423,9 @@ def _compute_time(
 ) -> tuple[Floats, float, list[QualityNote]]:
     """Compute the time of each frame, s, and the frame rate, 1/s, with notes.
 
-    The times are frame / rate if the time column agrees or is missing, and otherwise those of the
-    time column. Without a stated rate, the times and the rate are those of the time column. A
-    stated rate that differs by a factor of ten or more from that of the time column is refused.
+    The times are frame / rate if the time column agrees or is missing. Otherwise, and without a
+    stated rate, the times and the rate are those of the time column. A stated rate that differs by
+    a factor of ten or more from that of the time column is refused.
     """
     # The time column agrees if it deviates by up to `max_deviation`, s, because version 1.23 rounds
     # times to whole milliseconds. Up to `max_rounding`, s, there is no note on the deviation.
@@ -447,7 +447,7 @@ def _compute_time(
     deviation_ms = 1e3 * float(np.abs(stated_time - time).max())  # NaN if a time is missing
     if not deviation_ms <= 1e3 * max_deviation:
         note = QualityNote.of("readers.time_column_differs", where, apart=deviation_ms)
-        return stated_time, header.rate, [note]
+        return stated_time, rate, [note]
     if deviation_ms <= 1e3 * max_rounding:
         return time, header.rate, []
     return time, header.rate, [QualityNote.of("readers.time_rounded", where, apart=deviation_ms)]

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
-_NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+|\d{1,3}([.,]\d{3})+)([eE][+-]?\d+)?")
+_NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+|\d{1,3}([.,]\d{3})+)([eE][+-]?\d+)?", re.ASCII)
 MISSING_WORDS = frozenset(
     (
         *("nan", "na", "n/a", "n.a.", "null", "none", "nil", "-", "--", "---"),
@@ -47,17 +47,10 @@ _UNIT_AFTER_MARK = re.compile(r"(.*\S)(?:\s*,\s*|\s+/\s+)([^\W\d]\S*|%|°\S*)")
 _READABLE_DIMENSIONS = ("s", "m", "N", "Pa", "1", "V", "N*m", "rad", "K", "Hz", "m/s", "kg")
 """One unit of each dimension that the unit of a column may have."""
 _OTHER_UNITS = frozenset({"-", "count", "°C"})
-_COMMON_UNITS = frozenset(
-    (
-        *("s", "ms", "sec", "min", "h", "mm", "µm", "cm", "m", "in", "mm/s"),
-        *("N", "kN", "mN", "lbf", "MPa", "GPa", "kPa", "%", "mm/mm", "V"),
-    )
-)
-"""Units that are recognised quickly. Others are parsed with pint, which is slow to import."""
 DECIMAL_SIGNS = {".": "a decimal point", ",": "a decimal comma"}
 """Decimal signs, with their names for messages."""
 NUMERAL = {
-    sign: re.compile(rf"[+-]?(\d+(\{sign}\d*)?|\{sign}\d+)([eE][+-]?\d+)?")
+    sign: re.compile(rf"[+-]?(\d+(\{sign}\d*)?|\{sign}\d+)([eE][+-]?\d+)?", re.ASCII)
     for sign in DECIMAL_SIGNS
 }
 """Patterns of a number, keyed by its decimal sign."""
@@ -182,13 +175,7 @@ def split_head(
 
 def is_unit(text: str) -> bool:
     """Return whether a text is a known unit."""
-    is_known = text in _COMMON_UNITS or text in _OTHER_UNITS
-    return is_known or any(has_dimension_of(text, unit) for unit in _READABLE_DIMENSIONS)
-
-
-def has_unit(cells: Sequence[str]) -> bool:
-    """Return whether at least one cell is a known unit, trying common units first."""
-    return any(cell in _COMMON_UNITS for cell in cells) or any(map(is_unit, filter(None, cells)))
+    return text in _OTHER_UNITS or any(has_dimension_of(text, x) for x in _READABLE_DIMENSIONS)
 
 
 def has_dimension_of(text: str, unit: str) -> bool:
@@ -304,8 +291,9 @@ def read_columns(body: Body) -> tuple[dict[int, Floats], list[QualityNote]]:
     Raises
     ------
     ContentError
-        If a cell is not a number with the decimal sign of the other cells, or is too large, or a
-        line has more cells than there are names.
+        If a cell is not a number with the decimal sign of the other cells, is too large, or has a
+        thousands separator. If a line has more cells than there are names or, in a table of numbers
+        only, fewer cells than a line below it.
     """
     body, notes = _drop_summary(body)
     body, line_notes = drop_incomplete_line(body)
@@ -319,9 +307,18 @@ def read_columns(body: Body) -> tuple[dict[int, Floats], list[QualityNote]]:
         table = _parse_table(body)
     except (ValueError, OverflowError) as error:
         raise _build_first_error(body) from error
+    _check_row_lengths(body, len(table))
     columns = {column: table[column].to_numpy() for column in body.columns}
-    if not body.as_exported and any(np.isinf(values).any() for values in columns.values()):
-        raise _build_first_error(body)
+    if not body.as_exported:
+        if any(np.isinf(values).any() for values in columns.values()):
+            raise _build_first_error(body)
+        for column, values in columns.items():
+            if (row := _find_thousands(values)) is not None:
+                cell = f"{values[row]:.3f}".replace(".", body.decimal)
+                facts = {"sign": DECIMAL_SIGNS[body.decimal], "cell": cell}
+                raise ContentError.of(
+                    "readers.other_signs", body.describe_place(row, column), **facts
+                )
     n_rows = count_filled_rows(columns)
     notes += make_row_count_notes(body.stated_rows, n_rows)
     return {column: values[:n_rows] for column, values in columns.items()}, notes
@@ -467,6 +464,53 @@ def _read_csv(body: Body, missing_words: Sequence[str], dtype: type = float) -> 
     ).iloc[1:]
 
 
+def _check_row_lengths(body: Body, n_lines: int) -> None:
+    """Refuse a row of a table of numbers with fewer cells than the next row that is not blank.
+
+    Its cells may be in the wrong columns. All rows after a row may be short, because a spreadsheet
+    may omit separators after the last filled cell.
+    """
+    separator = body.separator.encode()
+    n_separators = body.data.partition(b"\n")[0].count(separator)
+    is_even = body.data.count(separator) == n_lines * n_separators  # fast for most files
+    if is_even or body.separator == " " or not (body.others_numeric or body.as_exported):
+        return
+    previous_row, previous_length, previous_line = 0, 0, b""
+    for row, line in enumerate(body.data.split(b"\n")):
+        if not line.strip(b"\r " + separator):
+            continue
+        length = len(body.split_row(line)) if b'"' in line else line.count(separator) + 1
+        if length > previous_length > 0:
+            text = previous_line.decode(errors="replace").strip()[:40]
+            facts = {"wanted": length, "cells": previous_length, "row": text}
+            raise ContentError.of("readers.short_row", body.describe_place(previous_row), **facts)
+        previous_row, previous_length, previous_line = row, length, line
+
+
+def _find_thousands(values: Floats) -> int | None:
+    """Find the first of the numbers whose thousands separator was read as a decimal sign.
+
+    Such a column has whole numbers up to 999, and numbers from 1.000 to 999.999 with at most three
+    decimals. If these are taken as thousands, the largest step between successive numbers is
+    smaller. Return None for any other column.
+    """
+    magnitudes = np.abs(values)
+    n_below_one, n_zeros = np.count_nonzero(magnitudes < 1.0), np.count_nonzero(values == 0.0)
+    if n_below_one > n_zeros or np.nanmax(magnitudes, initial=0.0) >= 1e3:
+        return None
+    values = np.nan_to_num(values)
+    is_whole = values == np.rint(values)
+    thousands = np.where(is_whole, values, 1e3 * values)
+    if (
+        is_whole.all()
+        or np.abs(thousands - np.rint(thousands)).max() > 1e-6
+        or len(values) < 2
+        or np.abs(np.diff(thousands)).max() >= np.abs(np.diff(values)).max()
+    ):
+        return None
+    return int(np.argmin(is_whole))
+
+
 def count_filled_rows(columns: Mapping[int, Floats]) -> int:
     """Count the rows up to the last row with a number."""
     n_rows = max((len(values) for values in columns.values()), default=0)
@@ -493,7 +537,7 @@ def _build_first_error(body: Body) -> ContentError:
                 **facts,
             )
         for column in body.columns:
-            cell = row[column].strip() if column < len(row) else ""
+            cell = row[column].strip(" \t\r") if column < len(row) else ""
             if NUMERAL[body.decimal].fullmatch(cell):
                 is_valid = bool(np.isfinite(float(cell.replace(body.decimal, "."))))
             else:

@@ -215,12 +215,6 @@ def split_lines(text: str) -> list[str]:
     return [line.rstrip("\r") for line in text.split("\n")]
 
 
-def skip_lines(data: bytes, count: int) -> bytes:
-    """Return the bytes after the first `count` lines; no bytes if there are no further lines."""
-    parts = data.split(b"\n", count)
-    return parts[count] if len(parts) > count else b""
-
-
 def decode(data: bytes, content: Content, encodings: Sequence[str]) -> str:
     """Decode a part of an export.
 
@@ -249,7 +243,8 @@ def decode(data: bytes, content: Content, encodings: Sequence[str]) -> str:
             match = from_bytes(data).best()
             # A lone byte, such as the micro sign in cp1252, is not half of a Chinese character.
             is_chinese = match is not None and max(str(match)) >= "\u2e80"
-            if match is not None and (not is_chinese or re.search(rb"[\x80-\xff]{2}", data)):
+            is_readable = match is not None and "0".encode(match.encoding) == b"0"  # like ASCII
+            if is_readable and (not is_chinese or re.search(rb"[\x80-\xff]{2}", data)):
                 return str(match)
         else:
             with suppress(UnicodeDecodeError):  # an incomplete character at the end is omitted

@@ -7,9 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from labpipe.readers.raw_files import ContentError
 from labpipe.records.arrays import Flags, Floats, find_runs, median
 from labpipe.records.quality import QualityNote
 from labpipe.records.recording import Clock, MarkerTracks
+from labpipe.units import get_conversion_factor
 
 _LONG_STEP_FACTOR = 1.5
 """Multiple of the median step above which a step is a hole or jitter."""
@@ -19,6 +21,27 @@ TIME_VARIABLE = "time_variable"
 """Code of the note on a time axis whose long steps may be intended."""
 SAMPLED_ON_EVENT = frozenset({"OnChange"})
 """Names of the rasters that write a sample on each change, so that long steps are normal."""
+
+
+def get_time_factor(unit: str, place: str) -> float:
+    """Return the factor to seconds of the unit of a time axis.
+
+    Parameters
+    ----------
+    unit : unit in the export, in small or capital letters
+    place : place of the unit, for the error
+
+    Raises
+    ------
+    ContentError
+        If the unit is empty, or is not a unit of time.
+    """
+    try:
+        return get_conversion_factor(unit.casefold() or "none", "s")
+    except ValueError:
+        raise ContentError.of(
+            "readers.no_unit_of_time" if unit else "readers.time_without_unit", place, unit=unit
+        ) from None
 
 
 @dataclass(frozen=True, slots=True)

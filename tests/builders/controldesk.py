@@ -21,6 +21,7 @@ Array = NDArray[Any]
 class Axis:
     time: Array
     raster: str = "HostService"
+    unit: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,7 +81,7 @@ def write_csv(
         "",
         f"trace_size,{len(axis.time) if stated is None else stated}",
         ",".join(["trace_names", "", *(s.name for s in signals)]),
-        ",".join(["trace_units", "", *(s.unit for s in signals)]),
+        ",".join(["trace_units", axis.unit, *(s.unit for s in signals)]),
         ",".join(["raster", *[axis.raster] * (len(signals) + 1)]),
         ",".join(["path", "", *(s.path for s in signals)]),
         ",".join(["min", "", *["-Infinity"] * len(signals)]),
@@ -144,7 +145,7 @@ def _about(revision: str) -> dict[str, Any]:
 
 
 def _axis_fields(axis: Axis, revision: str, shape: tuple[int, int]) -> dict[str, Any]:
-    fields = {"Name": "", "Type": np.int32(4), "Data": axis.time.reshape(shape), "Unit": ""}
+    fields = {"Name": "", "Type": np.int32(4), "Data": axis.time.reshape(shape), "Unit": axis.unit}
     return fields if revision == "2.0" else {**fields, "Raster": axis.raster}
 
 

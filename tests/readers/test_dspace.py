@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -20,7 +21,7 @@ from scipy.io import loadmat, savemat
 from scipy.sparse import csc_array
 
 from labpipe.errors import ReadError
-from labpipe.readers import dspace_csv, dspace_mat, dspace_mf4, read_export
+from labpipe.readers import controldesk, dspace_csv, dspace_mat, dspace_mf4, read_export
 from labpipe.readers.controldesk import (
     Export,
     Trace,
@@ -94,6 +95,47 @@ def test_an_mf4_that_was_written_is_read(tmp_path: Path) -> None:
     assert recording.metadata["mdf"] == "4.10"
 
 
+def edit_mf4(path: Path, **edits: Any) -> Path:
+    """Write an MF4 whose channels have changed attributes: flags, sync_type or unit."""
+    import asammdf
+
+    flags = edits.pop("flags", 0)
+    with asammdf.MDF(write_mf4(path, Axis(TIME), MF4)) as file:
+        channels: Any = file.groups[0].channels
+        master, force, laser = channels
+        master.pos_invalidation_bit, master.flags = force.pos_invalidation_bit, flags
+        laser.flags |= edits.pop("laser_flags", 0)
+        for name, value in edits.items():
+            setattr(master, name, value)
+        return Path(file.save(path.with_stem("edited"), overwrite=True))
+
+
+def test_times_and_channels_of_an_mf4(tmp_path: Path) -> None:
+    """Invalid times end the reading; a unit is converted; a channel may be invalid as a whole."""
+    invalid = "clock time: expected time that .*, found 2 time stamps are not .*, .* sample 2"
+    for edits, message in (
+        ({"flags": 2}, invalid),
+        ({"sync_type": 2}, "expected a unit of time such as s, found 'no time'"),
+        ({"unit": "deg"}, "expected a unit of time such as s, found 'deg'"),
+    ):
+        with pytest.raises(ReadError, match=message):
+            read_export(edit_mf4(tmp_path / "a.mf4", **edits))
+    recording = read_export(edit_mf4(tmp_path / "a.mf4", unit="ms", laser_flags=1))
+    np.testing.assert_allclose(recording.clocks[0].time, 1e-3 * TIME)
+    force, laser = recording.channels
+    assert np.isnan(force.values).sum() == 2
+    assert np.isnan(laser.values).all()
+
+
+@pytest.mark.parametrize("write", [*WRITERS, write_csv])
+def test_a_clock_in_milliseconds(tmp_path: Path, write: Any) -> None:
+    axis = Axis(TIME, unit="ms")
+    file = write(tmp_path / "a.x", [axis] if write in WRITERS else axis, [FORCE])
+    if write is write_csv:
+        file.write_bytes(re.sub(b"trace_size,.*", b"trace_size", file.read_bytes()))
+    np.testing.assert_allclose(read_export(file).clocks[0].time, 1e-3 * TIME)
+
+
 @pytest.mark.parametrize("write", WRITERS)
 def test_what_it_says_of_itself(tmp_path: Path, write: Any) -> None:
     recording = dspace_mat.read(write(tmp_path / "other.mat", [Axis(TIME)], [FORCE, LASER]))
@@ -158,7 +200,9 @@ def trace(path: str, values: np.ndarray, *, clock: int = 0, unit: str = "") -> T
 
 
 def load(*traces: Trace, axes: int = 1) -> Recording:
-    export = Export([("", lambda: FIVE)] * axes, traces, "ControlDesk version: 5.2", {})
+    export = Export(
+        [controldesk.Axis("", "", lambda: FIVE)] * axes, traces, "ControlDesk version: 5.2", {}
+    )
     return load_export(export, reader="dspace-mat", path=Path("force.mat"), channels=None)
 
 
@@ -310,6 +354,8 @@ STRANGE: list[dict[str, Any]] = [{"a": ONE, "b": ONE}, {"a": ONE | {"Y": {"Name"
 STRANGE_SIGNALS = [Signal("Root", "F", TIME, axis=3), Signal("Root", "F", np.array(["a"]))]
 CSV = b"descriptions,General,User,x\n"
 SPOILED: list[Callable[[bytes], bytes]] = [
+    lambda content: content.replace(b"trace_units,", b"trace_units,m", 1),
+    lambda content: content.replace(b"\n,0.001,", b"\n,", 1),
     lambda content: content[: content.find(b"trace_values") - 4],
     lambda content: CSV + content[content.find(b"trace_values") :],
     lambda content: content.replace(b",0.001,", b",O.001,", 1),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -53,9 +54,18 @@ def test_blank_cells_and_short_lines() -> None:
     columns, notes = read_columns(body("1,\n,2\n3,4,,\n\n,,\n\n"))
     np.testing.assert_array_equal([columns[0], columns[1]], [[1, np.nan, 3], [np.nan, 2, 4]])
     assert not notes
-    columns, notes = read_columns(body("1,2\n3\n4,5\n"))
-    np.testing.assert_array_equal(columns[1], [2, np.nan, 5])
+    columns, notes = read_columns(replace(body("1,\n\n4,5\n3\n"), others_numeric=True))
+    np.testing.assert_array_equal(columns[0], [1, np.nan, 4, 3])
     assert not notes
+    for values in (
+        "974\n999.5\n",
+        "25\n24.985\n",
+        "0\n0.999\n",
+        "1.5\n",
+        "1000\n1.011\n",
+        "5\n1.0115\n",
+    ):
+        assert read_columns(body(values, columns=(0,)))[0][0][0] == float(values.split()[0])
 
 
 @pytest.mark.parametrize(
@@ -113,8 +123,12 @@ REFUSED = [
     "1,2.5,7\n2,3.5,8\n",
     "1,2.5\n-inf,2\n",
     "0,5,2,25\n",
+    "1,2\n2,\u0663\n",
+    "1,2\n2,\xa03\n",
+    "1,-937\n2,-974\n3,-1.011\n4,-1.048\n",
     '1,2.5\n2,"3,5"\n',
 ]
+UNEVEN = ["1,2\n3\n\n4,5\n", '1,2\n"3"\n4,5\n6\n', "1,2\n3,4\n5,6,\n", "1,2\n3\n4,5"]
 
 
 def refusal(rows: Body) -> ReadError:
@@ -124,7 +138,8 @@ def refusal(rows: Body) -> ReadError:
 
 
 def test_rows_that_are_refused(approved: Approve) -> None:
-    bodies = [body("1 2\n3\n4 5\n", " "), *map(body, REFUSED)]
+    uneven = [replace(body(text), others_numeric=True) for text in UNEVEN]
+    bodies = [body("1 2\n3\n4 5\n", " "), *uneven, *map(body, REFUSED)]
     approved(map(refusal, bodies))
     columns, _ = read_columns(body(REFUSED[-1], columns=(0,)))
     assert list(columns) == [0]

@@ -38,6 +38,9 @@ def test_the_encoding_may_be_left_open() -> None:
     text = "Время испытания;Сила растяжения;Перемещение траверсы\n" * 20
     content = normalise_content(text.encode("cp1251"))
     assert decode(content.data, content, ("utf-8", "detect")) == text
+    content = normalise_content("Time (s),Force (N)\n1,2\n".encode("cp500"))
+    with pytest.raises(ReadError, match="other bytes"), add_file_name(Path("a.csv")):
+        decode(content.data, content, ("utf-8", "detect"))
     content = normalise_content(b"\xff\xd6")
     expected = r"a\.csv: expected text in utf-8 or gb2312, found other by"
     with pytest.raises(ReadError, match=expected), add_file_name(Path("a.csv")):

@@ -20,10 +20,10 @@ HBM catman, Deben Microtest, TA Instruments DMA Q800 and TestResources. A lab ca
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -46,7 +46,7 @@ from labpipe.readers.load_frame.tables import (
     read_sheets,
     read_text,
 )
-from labpipe.readers.number_table import make_row_count_notes
+from labpipe.readers.number_table import is_unit, make_row_count_notes, split_name_and_unit
 from labpipe.readers.raw_files import (
     ContentError,
     add_file_name,
@@ -57,7 +57,7 @@ from labpipe.readers.raw_files import (
     read_content,
     read_head,
 )
-from labpipe.readers.recording_checks import make_clock_notes
+from labpipe.readers.recording_checks import get_time_factor, make_clock_notes
 from labpipe.readers.workbooks import clear_sheet_cache, format_head, is_workbook, open_sheets
 from labpipe.records.quality import QualityNote
 from labpipe.records.recording import Channel, Clock, Recording
@@ -254,6 +254,8 @@ def _convert_table(table: Table, card: Card, *, is_only_table: bool) -> Recordin
             columns = {i: values[~is_blank] for i, values in table.columns.items()}
             note = QualityNote.of("readers.blank_rows", "file", count=is_blank.sum())
             table = replace(table, columns=columns, notes=(*table.notes, note))
+    for i in table.columns:
+        _check_unit(table.names[i], table.units[i])
     paths = make_names_unique(table.names)
     names = [name or path for name, path in zip(table.names, paths, strict=True)]
     channels = [
@@ -267,7 +269,7 @@ def _convert_table(table: Table, card: Card, *, is_only_table: bool) -> Recordin
         notes.append(QualityNote.of("readers.no_time", place, rows=table.n_rows))
     else:
         unit, time = table.units[time_column] or card.time_unit, table.columns[time_column]
-        factor = _get_time_factor(unit, table.names[time_column])
+        factor = get_time_factor(unit, f"column '{table.names[time_column]}'")
         clock = Clock(clock_name, time if factor == 1.0 else factor * time)
         metadata |= {"time": table.names[time_column], "unit_in_file": unit}
         notes += make_clock_notes(clock, is_variable=card.variable_rate)
@@ -278,15 +280,14 @@ def _convert_table(table: Table, card: Card, *, is_only_table: bool) -> Recordin
     return Recording("", "", "", (clock,), tuple(channels), metadata=metadata, notes=tuple(notes))
 
 
-def _get_time_factor(unit: str, name: str) -> float:
-    """Get the factor to seconds of the unit of a time column, or raise ContentError."""
-    for spelling in (unit, unit.casefold()):
-        with suppress(ValueError):
-            return get_conversion_factor(spelling or "none", "s")
-    place = f"column '{name}'"
-    raise ContentError.of(
-        "readers.no_unit_of_time" if unit else "readers.time_without_unit", place, unit=unit
-    )
+def _check_unit(name: str, unit: str) -> None:
+    """Refuse a name with a unit other than that of the column, such as ``Force (kN)`` for N."""
+    _, unit_in_name = split_name_and_unit(name) or ("", unit)
+    if unit and unit != unit_in_name and is_unit(unit) and is_unit(unit_in_name):
+        with suppress(ValueError):  # the units differ in dimension
+            if get_conversion_factor(unit, unit_in_name) == 1.0:
+                return
+        raise ContentError.of("readers.units_contradict", f"column '{name}'", unit=unit)
 
 
 def _make_missing_notes(channels: Sequence[Channel], card: Card) -> Iterator[QualityNote]:
@@ -317,7 +318,8 @@ def recognise_card(path: Path) -> Card | None:
         If the file cannot be read, two cards of equal priority fit, or a lab's card is invalid.
     """
     kind = "workbook" if is_workbook(path) else "text"
-    list_heads = _build_head_reader(path)
+    read_head(path, 1)  # raises an error if the file cannot be read
+    read_heads = cache(partial(_read_heads, path))
     shipped_cards = load_shipped_cards().values()
     cards_by_priority = (
         load_lab_cards().values(),
@@ -329,7 +331,7 @@ def recognise_card(path: Path) -> Card | None:
             card
             for card in cards
             if card.kind == kind
-            and any(_fits_card(card, head, sheet) for sheet, head in list_heads(card))
+            and any(_fits_card(card, head, sheet) for sheet, head in read_heads(card.encodings))
         ]
         if len(matches) > 1:
             names = " and ".join(card.name for card in matches)
@@ -377,30 +379,22 @@ def choose_card(path: Path, dialect: CardNames) -> Card:
     raise ReadError.about("readers.other_card_fits", path, dialects=dialects, found=description)
 
 
-def _build_head_reader(path: Path) -> Callable[[Card], list[tuple[str, str]]]:
-    """Build a function that lists, for a card, the names and the heads of the sheets of an export.
+def _read_heads(path: Path, encodings: tuple[str, ...]) -> list[tuple[str, str]]:
+    """Read the names and the heads of the sheets of an export.
 
-    A text has one head, with an empty name. It is decoded with the encodings of the card.
+    A text has one head, with an empty name; a text with only a byte order mark has an empty head.
     """
     head_length = 16384  # characters; the longest known header has 3300
-    if is_workbook(path):
-        with suppress(ReadError):
-            heads = [(name, format_head(rows)) for name, rows in open_sheets(path).items()]
-            return lambda _: heads
-        return lambda _: []
-    content = normalise_content(read_head(path))
-    if is_blank(content.data):
-        return lambda card: [("", "")] if card.blank and content.file_encoding else []
-
-    @cache
-    def decode_head(encodings: tuple[str, ...]) -> str:
-        with suppress(ContentError):
-            text = decode(content.data, content, encodings)
-            return _SEPARATOR_LINE.sub("", text.replace("\r\n", "\n"))[:head_length]
-        return ""
-
-    has_text = not is_binary(content)
-    return lambda card: [("", head)] if has_text and (head := decode_head(card.encodings)) else []
+    with suppress(ContentError, ReadError):
+        if is_workbook(path):
+            return [(name, format_head(rows)) for name, rows in open_sheets(path).items()]
+        content = normalise_content(read_head(path))
+        if is_blank(content.data):
+            return [("", "")] if content.file_encoding else []
+        if not is_binary(content):
+            text = decode(content.data, content, encodings).replace("\r\n", "\n")
+            return [("", _SEPARATOR_LINE.sub("", text)[:head_length])]
+    return []
 
 
 def _fits_card(card: Card, head: str, sheet: str) -> bool:
@@ -409,8 +403,8 @@ def _fits_card(card: Card, head: str, sheet: str) -> bool:
     For a fallback card, the head must also be that of a test, with a column of time, and with a
     unit of another column or names that fit the card.
     """
-    if not head:  # the file has only a byte order mark, which the card allows
-        return True
+    if not head:  # the file has only a byte order mark, or the sheet is empty
+        return card.blank
     if not card.fits(head) or not card.fallback:
         return card.fits(head)
     try:

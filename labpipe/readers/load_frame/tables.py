@@ -27,8 +27,8 @@ from labpipe.readers.number_table import (
     are_units,
     count_filled_rows,
     has_dimension_of,
-    has_unit,
     is_number,
+    is_unit,
     quote_cells,
     read_columns,
     split_head,
@@ -42,7 +42,6 @@ from labpipe.readers.raw_files import (
     ContentError,
     decode,
     is_blank,
-    skip_lines,
     split_lines,
 )
 from labpipe.readers.workbooks import Sheets, format_head, format_rows
@@ -216,7 +215,7 @@ def _are_units(cells: _Cells, card: Card) -> bool:
         return are_units(cells)
     filled_cells = [cell for cell in cells if cell]
     if not card.brackets:
-        return has_unit(filled_cells)
+        return any(map(is_unit, filled_cells))
     return bool(filled_cells) and all(x[0] + x[-1] == card.brackets for x in filled_cells)
 
 
@@ -401,8 +400,9 @@ def _read_rows(
     values : values of each column that was read, shape (n_rows,), keyed by index of the column
     notes : quality notes on the rows
     """
+    head_and_rows = data.split(b"\n", header.first_row)
     body = Body(
-        data=skip_lines(data, header.first_row),
+        data=head_and_rows[-1] if len(head_and_rows) > header.first_row else b"",
         names=make_names_unique(header.names),
         columns=_list_number_columns(header, card) if columns is None else columns,
         first_line=header.first_line + header.first_row,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
 
@@ -120,13 +121,31 @@ COUNT = np.arange(float(N))
 
 
 def test_time_is_in_seconds() -> None:
-    units = {"s": 1.0, "Sec": 1.0, "SEC": 1.0, "min": 60.0, "ms": 1e-3, "d": 86400.0}
+    units = {"s": 1.0, "Ms": 1e-3, "Sec": 1.0, "SEC": 1.0, "min": 60.0, "ms": 1e-3, "d": 86400.0}
     for unit, factor in units.items():
         table = Table("", ("Time", "F"), (unit, "N"), {0: COUNT, 1: COUNT})
         recording = assemble_recording(Export((table,)), load_shipped_cards()["nexygen"], "a")
         np.testing.assert_allclose(recording.clocks[0].time, factor * COUNT)
         clocks = {"time": {"time": "Time", "unit_in_file": unit}}
         assert recording.metadata["clocks"] == clocks
+
+
+@pytest.mark.parametrize(
+    ("names", "is_refused"),
+    [
+        ("Time (s);Force (kN)\ns;N", True),
+        ("Time (ms);Force (N)\ns;N", True),
+        ("Time (s);Force (mm)\ns;N", True),
+        ("Time (s);Force [kN] (N)", True),
+        ("Time (sec);Force (left)\ns;N", False),
+        ("Time (s);Force (N)\n(s);(N)", False),
+    ],
+)
+def test_two_units_of_one_column(tmp_path: Path, names: str, is_refused: bool) -> None:
+    file = tmp_path / "a.csv"
+    file.write_text("\n".join([names, *(f"{i};{i}" for i in range(N)), ""]), "utf-8")
+    with pytest.raises(ReadError, match="the unit in its name") if is_refused else nullcontext():
+        assert len(read_export(file).channels) == 1
 
 
 def test_notes_on_channels() -> None:

@@ -102,7 +102,8 @@ EDITS: dict[str, Callable[[Sheet], Sheet]] = {
 def test_an_edited_workbook_of_testxpert(tmp_path: Path, edit: Callable[[Sheet], Sheet]) -> None:
     """It stays one of testXpert, and its results are no test of one sample."""
     values = edit(specimen_sheet("S1", LONG))
-    file = workbook(tmp_path / "a.xlsx", {"Results S1": NUMBERS, "Values S1": values})
+    tables: dict[str, Sheet] = {"Sheet1": [], "Results S1": NUMBERS, "Values S1": values}
+    file = workbook(tmp_path / "a.xlsx", tables)
     recording = load_frame.read(file)
     assert recording.metadata["dialect"] == "testxpert-xlsx"
     assert [len(clock.time) for clock in recording.clocks] == [20]
