@@ -122,7 +122,7 @@ def test_refused() -> None:
         ({"stiffness": 0.0}, r"stiffness=0\.0: must be finite and > 0"),
         ({"stiffness": float("nan")}, r"stiffness=nan: must be finite"),
         ({"length": -1.0}, r"length=-1\.0: must be finite and > 0"),
-        ({"edges": 2}, r"edges=2: must be >= 3"),
+        ({"edges": 2}, r"edges=2: must be a whole number >= 3"),
     ):
         with pytest.raises(ValueError, match=message):
             write_mujoco_deck(wire_table(), **changes)

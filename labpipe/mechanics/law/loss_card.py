@@ -135,7 +135,8 @@ def fit_dahl(curvature: Floats, moment: Floats) -> DahlLaw:
         ratio, decay = np.exp(grid).T
         slider_part = -decay * np.expm1(-curvature[:, None] / decay) / moment[:, None]
         # Axes: curvature, stiffness ratio, decay. The moment is that of a spring with EI = 1.
-        moment_ratio = compliance[:, None, None] + ratio[:, None] * slider_part[:, None]
+        moment_ratio = ratio[:, None] * slider_part[:, None]
+        moment_ratio += compliance[:, None, None]
         min_ratio, max_ratio = moment_ratio.min(axis=0), moment_ratio.max(axis=0)
         errors = (max_ratio - min_ratio) / (max_ratio + min_ratio)
         row, column = np.unravel_index(np.argmin(errors), errors.shape)
