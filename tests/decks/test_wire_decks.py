@@ -274,7 +274,7 @@ def test_a_wire_without_a_cantilever_gets_the_reason_alone() -> None:
 
 @pytest.mark.parametrize("ending", ["abaqus.inp", "ansys.inp", "calculix.inp"])
 def test_a_law_that_a_program_cannot_follow_gets_the_reason_alone(ending: str) -> None:
-    text = DECKS[ending](replace(wire_table(), moment=1e-6 * wire_table().curvature**2))
+    text = DECKS[ending](replace(wire_table(), moment=1e-6 * wire_table().curvature ** 2))
     assert all(line.startswith(("**", "! ")) for line in text.splitlines())
     sentence = " ".join(line.lstrip("*! ") for line in text.splitlines())
     assert re.search(r"No model: the law of the deck differs .* by \d+ %, more than 50 %", sentence)

@@ -10,10 +10,11 @@ it is elastic.
 
 The mesh consists of twenty-node bricks. It covers one half of the bar, which is cut along the plane
 of bending. x runs along the bar and y lies in the plane of bending. In the section, two bricks form
-a rectangle at the axis, and four bricks form a ring between the rectangle and the circle. All outer
-nodes, also those at the middle of an edge, lie on the circle. The nodes of a brick are numbered as
-in the manual ("Twenty-node brick element"): the four corners of the lower face, those of the upper
-face, then the mid-side nodes of the lower face, of the upper face, and of the edges between them.
+a rectangle at the axis, and four bricks form half a ring between the rectangle and the circle. All
+outer nodes, also those at the middle of an edge, lie on the circle. The nodes of a brick are
+numbered as in the manual ("Twenty-node brick element"): the four corners of the lower face, which
+is nearer to the clamp, those of the upper face, then the mid-side nodes of the lower face, of the
+upper face, and of the edges between them.
 """
 
 from __future__ import annotations
