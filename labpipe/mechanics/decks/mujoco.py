@@ -1,4 +1,4 @@
-"""Write the MJCF model of a wire for MuJoCo 4: a clamped cable of constant stiffness.
+"""Format the MJCF model of a wire for MuJoCo 4: a clamped cable of constant stiffness.
 
 MuJoCo 4.0 removed the cable plug-in and composite bodies. A cable is a one-dimensional flex with
 elasticity, which is a discrete elastic rod [1]_ (XML Reference, flex/elasticity). It has a constant
@@ -38,7 +38,7 @@ FLEX_NAME = "wire"
 """Name of the flex. Its free vertices are the bodies ``wire_2`` to ``wire_<edges>``."""
 
 
-def write_mujoco_deck(
+def format_cable_deck(
     table: WireTable,
     *,
     stiffness: float | None = None,

@@ -1,4 +1,4 @@
-"""Write a wire with hysteresis for MuJoCo 4: a chain of hinges with elasto-plastic springs.
+"""Format a wire with hysteresis for MuJoCo 4: a chain of hinges with elasto-plastic springs.
 
 MuJoCo 4.0 has elastic, perfectly plastic springs. The attribute ``springyield`` of joints and
 tendons is the displacement at which yielding begins. A node of the chain represents the length h of
@@ -119,7 +119,7 @@ class Hinges:
     description_sentences: tuple[str, ...]
 
 
-def write_mujoco_plane_deck(
+def format_plane_deck(
     table: WireTable, *, length: float | None = None, isotropic_share: float = 0.0
 ) -> str:
     """Return the MJCF of a clamped wire along x that bends in the x-y plane, with hysteresis.
@@ -150,7 +150,7 @@ def write_mujoco_plane_deck(
     return _format_chain_deck(table, build_plane_hinges, "y", length, isotropic_share)
 
 
-def write_mujoco_space_deck(table: WireTable, *, length: float | None = None) -> str:
+def format_space_deck(table: WireTable, *, length: float | None = None) -> str:
     """Return the MJCF of a clamped wire along x that bends, with hysteresis, and twists in space.
 
     Parameters
