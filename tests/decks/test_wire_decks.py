@@ -297,7 +297,7 @@ def test_numbers_out_of_range(approved: Approve) -> None:
         lambda: format_calculix_deck(table, n_steps=0),
         lambda: format_calculix_deck(table, n_bricks_along=0),
         lambda: mesh_half_bar(0),
-        lambda: mesh_half_bar(1.5),  # type: ignore[arg-type]
+        lambda: mesh_half_bar(1.5),
         lambda: format_calculix_deck(table, n_steps=1.5),  # type: ignore[arg-type]
         lambda: make_deck_texts(replace(table, moment=table.moment[::-1])),
     ]

@@ -72,7 +72,6 @@ def format_abaqus_deck(table: WireTable) -> str:
     return fill_template(
         "abaqus.inp",
         table=table,
-        law=law,
         reason=explain_missing_model(law.error),
         points=np.column_stack([law.moment, law.curvature]),
         error_sentences=_describe_errors(table, law),

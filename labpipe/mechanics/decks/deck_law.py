@@ -331,8 +331,8 @@ def _describe_loss_card(table: WireTable) -> str:
     card = make_table_card(table)
     sliders = ", ".join(f"{n} sliders {format_percent(error)}" for n, error in card.slider_errors)
     return (
-        f"Loss card, largest error of the moment from {card.min_curvature:.3g} to "
-        f"{card.max_curvature:.4g} 1/m, each form at its best: constant stiffness "
+        f"Loss card, largest error of the moment from {table.curvature[1]:.3g} to "
+        f"{table.curvature[-1]:.4g} 1/m, each form at its best: constant stiffness "
         f"{format_percent(card.stiffness_error)}, Dahl {format_percent(card.dahl_law.error)}, "
         f"{sliders}."
     )
@@ -400,7 +400,7 @@ def make_loss_card_entry(table: WireTable) -> dict[str, object]:
     except ValueError as error:
         return {"reason": f"{error}"}
     return {
-        "curvature": [card.min_curvature, card.max_curvature],
+        "curvature": table.curvature[[1, -1]].tolist(),
         "constant": {"stiffness": card.stiffness, "error": card.stiffness_error},
         "dahl": card.dahl_law.error,
         "sliders": {str(count): error for count, error in card.slider_errors},

@@ -64,7 +64,6 @@ class LossCard:
 
     Parameters
     ----------
-    min_curvature, max_curvature : 1/m, ends of the range in which moments are compared
     stiffness : N m^2, constant stiffness with the smallest error
     stiffness_error : error of the moment with this stiffness
     dahl_law : Dahl law with the smallest error
@@ -74,8 +73,6 @@ class LossCard:
         for nodes with rotated directions (`average_rotations`); see `DirectionalLaw`
     """
 
-    min_curvature: float
-    max_curvature: float
     stiffness: float
     stiffness_error: float
     dahl_law: DahlLaw
@@ -100,8 +97,6 @@ def make_loss_card(curvature: Floats, moment: Floats, slider_laws: Sequence[Slid
     node_law = fit_directions(best_law, N_DIRECTIONS)
     mean_law = average_rotations(best_law, node_law)
     return LossCard(
-        min_curvature=float(curvature[0]),
-        max_curvature=float(curvature[-1]),
         stiffness=2.0 * min_secant * max_secant / (min_secant + max_secant),
         stiffness_error=(max_secant - min_secant) / (max_secant + min_secant),
         dahl_law=fit_dahl(curvature[rows], moment[rows]),
@@ -135,8 +130,7 @@ def fit_dahl(curvature: Floats, moment: Floats) -> DahlLaw:
         ratio, decay = np.exp(grid).T
         slider_part = -decay * np.expm1(-curvature[:, None] / decay) / moment[:, None]
         # Axes: curvature, stiffness ratio, decay. The moment is that of a spring with EI = 1.
-        moment_ratio = ratio[:, None] * slider_part[:, None]
-        moment_ratio += compliance[:, None, None]
+        moment_ratio = compliance[:, None, None] + ratio[:, None] * slider_part[:, None]
         min_ratio, max_ratio = moment_ratio.min(axis=0), moment_ratio.max(axis=0)
         errors = (max_ratio - min_ratio) / (max_ratio + min_ratio)
         row, column = np.unravel_index(np.argmin(errors), errors.shape)

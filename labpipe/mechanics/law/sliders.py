@@ -717,20 +717,18 @@ def _tabulate_first_loading(law: SliderLaw) -> tuple[Floats, Floats]:
 
     If the range starts at 0, the curvatures are over four decades.
     """
-    min_curvature = law.min_curvature or 1e-4 * law.max_curvature
-    curvature = np.geomspace(min_curvature, law.max_curvature, 80)
-    return curvature, compute_first_loading(law, curvature)
+    kappa = np.geomspace(law.min_curvature or 1e-4 * law.max_curvature, law.max_curvature, 80)
+    return kappa, compute_first_loading(law, kappa)
 
 
 def _set_errors(law: SliderLaw, scalar_law: DirectionalLaw) -> DirectionalLaw:
     """Return the scalar law with its errors relative to the vector sliders of `law`."""
-    curvature, first_moment = _tabulate_first_loading(law)
-    target_moment = first_moment[:, None]
+    curvature, moment = _tabulate_first_loading(law)
     parallel_moment, transverse_moment = _compute_components(scalar_law, curvature)
     return replace(
         scalar_law,
-        error=float(np.max(np.abs(parallel_moment / target_moment - 1.0))),
-        transverse_ratio=float(np.max(np.abs(transverse_moment / target_moment))),
+        error=float(np.max(np.abs(parallel_moment / moment[:, None] - 1.0))),
+        transverse_ratio=float(np.max(np.abs(transverse_moment / moment[:, None]))),
     )
 
 

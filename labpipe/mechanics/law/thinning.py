@@ -6,13 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from labpipe.mechanics.law.plays import (
-    PlayLaw,
-    make_polygon_law,
-    require,
-    require_rising,
-    require_whole,
-)
+from labpipe.mechanics.law.plays import PlayLaw, make_polygon_law, require, require_rising
 from labpipe.records.arrays import ArrayRecord, Floats, Ints, Vector
 
 
@@ -51,8 +45,9 @@ def thin_law(curvature: Floats, moment: Floats, *, max_points: int) -> ThinnedLa
     ------
     ValueError
         If `curvature` and `moment` differ in length or have fewer than two points, `max_points` is
-        less than 2, a moment is not finite, the first point is not (0, 0), the curvature does not
-        increase, or the moment does not increase (the message states the curvature).
+        not a whole number >= 2, a moment is not finite, the first point is not (0, 0), the
+        curvature does not increase, or the moment does not increase (the message states the
+        curvature).
 
     Notes
     -----
@@ -83,7 +78,8 @@ def thin_law(curvature: Floats, moment: Floats, *, max_points: int) -> ThinnedLa
 
 def _require_law(curvature: Floats, moment: Floats, max_points: int) -> None:
     """Raise ValueError if an argument of `thin_law` is outside its range."""
-    require_whole("max_points", max_points, 2)
+    holds = isinstance(max_points, int) and max_points >= 2
+    require("max_points", max_points, "a whole number >= 2", holds=holds)
     lengths = len(curvature), len(moment)
     require("numbers of points", lengths, "equal and >= 2", holds=1 < lengths[0] == lengths[1])
     holds = bool(curvature[0] == moment[0] == 0.0 and np.isfinite(moment).all())
