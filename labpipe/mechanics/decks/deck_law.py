@@ -160,19 +160,19 @@ def find_linear_range(table: WireTable, stiffness: float) -> tuple[float, float]
     Returns
     -------
     Lower and upper end, 1/m, of the first interval in which the linear moment is within 5 % of the
-    moment of the wire, found on a grid with about 0.1 % between curvatures. None if the table has
-    no such interval.
+    moment of the wire, found on a grid of 20 000 logarithmically spaced curvatures. None if the
+    table has no such interval.
     """
     max_error = 0.05  # relative to the moment
     n_curvatures = 20_000
-    curvature = np.geomspace(table.curvature[1], table.curvature[-1], n_curvatures)
+    low, high = np.log(table.curvature[[1, -1]]).tolist()
+    curvature = np.exp(np.linspace(low, high, n_curvatures))  # several times as fast as geomspace
     moment = np.interp(curvature, table.curvature, table.moment)
     is_inside = np.abs(stiffness * curvature / moment - 1.0) <= max_error
     if not is_inside.any():
         return None
     start = int(np.argmax(is_inside))
-    outside_rows = np.flatnonzero(~is_inside[start:])
-    stop = start + int(outside_rows[0]) if len(outside_rows) else n_curvatures
+    stop = start + int(np.argmin(np.append(is_inside[start:], False)))
     return float(curvature[start]) if start else 0.0, float(curvature[stop - 1])
 
 

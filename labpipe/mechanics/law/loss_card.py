@@ -121,23 +121,23 @@ def fit_dahl(curvature: Floats, moment: Floats) -> DahlLaw:
     grids of the logarithms of the two parameters. Each grid is narrower than the preceding grid and
     centred on the best point of that grid.
     """
-    n_values, n_grids = 15, 24
+    size, n_grids = 15, 24  # values of a parameter on a grid, and successive grids
     narrowing = 0.6  # ratio of the widths of successive grids
     compliance = curvature / moment
     ends = np.log([[1e-4, 1e4], [0.3 * curvature[0], 3.0 * curvature[-1]]])
     for _ in range(n_grids):
-        grid = np.linspace(ends[:, 0], ends[:, 1], n_values)
+        grid = np.linspace(ends[:, 0], ends[:, 1], size)
         ratio, decay = np.exp(grid).T
         slider_part = -decay * np.expm1(-curvature[:, None] / decay) / moment[:, None]
-        # Axes: curvature, stiffness ratio, decay. The moment is that of a spring with EI = 1.
-        moment_ratio = compliance[:, None, None] + ratio[:, None] * slider_part[:, None]
+        # Axes: curvature, pair of ratio and decay. The moment is that of a spring with EI = 1.
+        moment_ratio = compliance[:, None] + np.repeat(ratio, size) * np.tile(slider_part, size)
         min_ratio, max_ratio = moment_ratio.min(axis=0), moment_ratio.max(axis=0)
         errors = (max_ratio - min_ratio) / (max_ratio + min_ratio)
-        row, column = np.unravel_index(np.argmin(errors), errors.shape)
+        row, column = divmod(best := int(np.argmin(errors)), size)
         best_point = np.array([[grid[row, 0]], [grid[column, 1]]])
         ends = best_point + narrowing * (ends - ends.mean(axis=1, keepdims=True))
-    stiffness, tau = 2.0 / (min_ratio + max_ratio)[row, column], decay[column]
-    parameters = stiffness, stiffness * ratio[row] * tau, tau, errors[row, column]
+    stiffness, tau = 2.0 / (min_ratio + max_ratio)[best], decay[column]
+    parameters = stiffness, stiffness * ratio[row] * tau, tau, errors[best]
     return DahlLaw(*map(float, parameters))
 
 
