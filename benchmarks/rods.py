@@ -161,14 +161,14 @@ def against_mujoco() -> None:
     if find_spec("mujoco") is None:
         print("MuJoCo is not installed")
         return
-    from labpipe.mechanics.decks.mujoco_sliders import Chain, write_mujoco_plane_deck
+    from labpipe.mechanics.decks.mujoco_sliders import Chain, format_plane_deck
     from labpipe.mechanics.law.loss_card import fit_wire_sliders
     from tests.builders.wire_tables import LENGTH, wire_table
     from tests.judges.rod_references import tips
 
     table = wire_table("A2")
     loads = np.array([0.2, 0.5, 0.9, 0.5, 0.0])
-    deck, section = write_mujoco_plane_deck(table), Section(fit_wire_sliders(table), 1.0)
+    deck, section = format_plane_deck(table), Section(fit_wire_sliders(table), 1.0)
     force = np.interp(np.arange(0.0, 5.01, 0.2), np.arange(6), np.append(0.0, loads))
 
     def ours() -> Floats:

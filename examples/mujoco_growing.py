@@ -2,7 +2,7 @@
 
 MuJoCo keeps the yield of a tendon constant. A callback raises that of the tendons ``growing_N`` by
 the plastic displacement so far. Run ``python mujoco_growing.py MODEL.xml LOAD [LOAD ...]`` with the
-text of `write_mujoco_plane_deck(table, isotropic_share=0.675)` and loads at the tip in N.
+text of `format_plane_deck(table, isotropic_share=0.675)` and loads at the tip in N.
 """
 
 import sys

@@ -20,7 +20,7 @@ import numpy as np
 from PIL import Image
 
 from labpipe.cli.demo import CAMPAIGNS
-from labpipe.mechanics.decks.mujoco_sliders import write_mujoco_plane_deck
+from labpipe.mechanics.decks.mujoco_sliders import format_plane_deck
 from labpipe.mechanics.law.loss_card import make_loss_card
 from labpipe.mechanics.law.sliders import SliderLaw, compute_first_loading, fit_sliders
 from labpipe.mechanics.law.thinning import make_concave_law
@@ -155,7 +155,7 @@ def make_mujoco_loop() -> Page:
         deflection = np.concatenate([loading[1:], unloading[1:], unloading[-2::-1]])
         load = compute_end_load_path(law, length, deflection).load
         loads = load[-1] * fractions
-        tip = tips(write_mujoco_plane_deck(table, length=length), loads)[:, 1]
+        tip = tips(format_plane_deck(table, length=length), loads)[:, 1]
         curve = np.append(0.0, deflection), np.append(0.0, load)
         lines = [
             make_line("mean c0", *curve, label="labpipe"),

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from labpipe.mechanics.decks.deck_law import find_linear_range
-from labpipe.mechanics.decks.mujoco import write_mujoco_deck
+from labpipe.mechanics.decks.mujoco import format_cable_deck
 from labpipe.mechanics.decks.mujoco_line import format_line_deck
 from labpipe.mechanics.rod import boundaries as rod
 from labpipe.mechanics.rod.statics import follow
@@ -48,7 +48,7 @@ def test_a_small_load_bends_the_cable_as_the_wire_model_says(
     close = find_linear_range(table, stiffness)
     assert close is not None
     load = 0.5 * close[1] * stiffness / length
-    tip, _ = settle_tip(write_mujoco_deck(table, length=length, edges=edges), load)
+    tip, _ = settle_tip(format_cable_deck(table, length=length, edges=edges), load)
     assert tip[1] == pytest.approx(load * length**3 / (3.0 * stiffness), rel=0.005)
     # up to there, it is the wire itself that bends so
     assert load * length < np.interp(close[1], table.curvature, table.moment)
@@ -64,7 +64,7 @@ def test_a_large_load_bends_it_along_the_elastica(edges: int) -> None:
         (2.0, 0.493457, 2e-3),
     ):
         load = alpha * 1.2e-3 / LENGTH**2
-        deck = write_mujoco_deck(
+        deck = format_cable_deck(
             replace(table, mass_per_length=mass), stiffness=1.2e-3, edges=edges
         )
         tip, data = settle_tip(deck, load)
@@ -78,7 +78,7 @@ def test_a_large_load_bends_it_along_the_elastica(edges: int) -> None:
 
 def test_numbers_of_the_model() -> None:
     table = replace(wire_table("A2"), name="A---2")  # XML comments have no two hyphens
-    root = Xml.fromstring(write_mujoco_deck(table))  # our own text
+    root = Xml.fromstring(format_cable_deck(table))  # our own text
     flex = root.find("worldbody/flexcomp")
     assert flex is not None
     elasticity = flex.find("elasticity")
@@ -96,9 +96,9 @@ def test_the_stiffness_is_stated_or_the_slope_of_the_law_at_zero() -> None:
     table = wire_table("A2")
     secants = table.secant_stiffness / 5.0
     slipping = replace(table, slip_onsets=np.zeros(1), moment=table.moment / 5.0)
-    text = write_mujoco_deck(replace(slipping, secant_stiffness=secants))
+    text = format_cable_deck(replace(slipping, secant_stiffness=secants))
     assert f"bending stiffness {secants[1]:.6g} N m2 (the slope of the law at zero" in text
-    soft = write_mujoco_deck(table, stiffness=1e-4)
+    soft = format_cable_deck(table, stiffness=1e-4)
     assert "0.0001 N m2 (as given), at no curvature within 5 % of the wire's law" in soft
 
 
@@ -106,7 +106,7 @@ def test_the_stiffness_is_stated_or_the_slope_of_the_law_at_zero() -> None:
 def test_a_name_breaks_nothing_and_the_clamp_is_where_the_deck_says(name: str) -> None:
     import mujoco
 
-    deck = write_mujoco_deck(replace(wire_table(), name=name), edges=10)
+    deck = format_cable_deck(replace(wire_table(), name=name), edges=10)
     model = mujoco.MjModel.from_xml_string(deck)
     assert (model.nflex, model.nflexvert, len(model.flex_vert0)) == (1, 11, 11)
     assert model.flex_radius[0] == pytest.approx(0.8e-3)
@@ -122,10 +122,10 @@ def test_refused() -> None:
         ({"stiffness": 0.0}, r"stiffness=0\.0: must be finite and > 0"),
         ({"stiffness": float("nan")}, r"stiffness=nan: must be finite"),
         ({"length": -1.0}, r"length=-1\.0: must be finite and > 0"),
-        ({"edges": 2}, r"edges=2: must be >= 3"),
+        ({"edges": 2}, r"edges=2: must be a whole number >= 3"),
     ):
         with pytest.raises(ValueError, match=message):
-            write_mujoco_deck(wire_table(), **changes)
+            format_cable_deck(wire_table(), **changes)
 
 
 def prepare(folder: Path, text: str) -> PreparedLine:

@@ -16,7 +16,7 @@ import pytest
 
 from labpipe.mechanics.decks import DECKS
 from labpipe.mechanics.decks.lookup import format_sliders_csv, format_sliders_json
-from labpipe.mechanics.decks.mujoco_sliders import write_mujoco_plane_deck, write_mujoco_space_deck
+from labpipe.mechanics.decks.mujoco_sliders import format_plane_deck, format_space_deck
 from labpipe.mechanics.law.thinning import make_concave_law
 from labpipe.mechanics.studies.wire_sheets import read_wire_sheet
 from labpipe.mechanics.wire.first_loading import compute_end_load_path
@@ -68,7 +68,7 @@ def test_every_example_wire_bends_and_keeps_what_it_does(
     In space less than 0.2 mm out of the plane of the load.
     """
     loads, residual = bent(name)
-    write = write_mujoco_plane_deck if towards is None else write_mujoco_space_deck
+    write = format_plane_deck if towards is None else format_space_deck
     turn = towards or 0.0
     places = tips(write(example(name), length=LENGTH), np.append(loads, 0.0), turn)
     along = places @ [0.0, np.cos(turn), np.sin(turn)]
@@ -80,17 +80,17 @@ def test_every_example_wire_bends_and_keeps_what_it_does(
 @pytest.mark.parametrize(
     ("name", "write"),
     [
-        ("C4", write_mujoco_plane_deck),
+        ("C4", format_plane_deck),
         *(
             pytest.param(name, write, marks=pytest.mark.slow)
-            for name, write in product(NAMES, (write_mujoco_plane_deck, write_mujoco_space_deck))
-            if (name, write) != ("C4", write_mujoco_plane_deck)
+            for name, write in product(NAMES, (format_plane_deck, format_space_deck))
+            if (name, write) != ("C4", format_plane_deck)
         ),
     ],
 )
 def test_two_cycles(name: str, write: Callable[..., str]) -> None:
     """The second cycle goes the way of the law's loops: the tip comes back to where it was."""
-    towards = TOWARDS[1] if write is write_mujoco_space_deck else 0.0
+    towards = TOWARDS[1] if write is format_space_deck else 0.0
     along = np.array([0.0, np.cos(towards), np.sin(towards)])
     loads, residual = bent(name)
     half = 0.5 * loads[-1]
@@ -122,7 +122,7 @@ def test_the_example_lets_limits_grow(share: float, residual: float, ratio: floa
     """A2: what remains of 50 mm, and the second peak."""
     pytest.importorskip("mujoco", reason="needs mujoco-core, of the development extras")
     script = runpy.run_path(str(EXAMPLES.with_name("mujoco_growing.py")))
-    deck = write_mujoco_plane_deck(example("A2"), length=LENGTH, isotropic_share=share)
+    deck = format_plane_deck(example("A2"), length=LENGTH, isotropic_share=share)
     first = 0.1312
     tip = 1e3 * script["bend"](deck, [first, 0.0, ratio * first, 0.0])[:, 1]
     assert tip[0] == pytest.approx(50.0, rel=0.002)
@@ -140,7 +140,7 @@ def read_check(deck: str) -> list[float]:
 
 @pytest.mark.parametrize(
     "write",
-    [write_mujoco_plane_deck, pytest.param(write_mujoco_space_deck, marks=pytest.mark.slow)],
+    [format_plane_deck, pytest.param(format_space_deck, marks=pytest.mark.slow)],
 )
 def test_the_check_of_a_deck(write: Callable[[WireTable], str]) -> None:
     """By it one sees that an engine lets springs yield; one that does not stays far behind."""
@@ -163,7 +163,7 @@ def test_the_check_of_a_law_that_ends_early() -> None:
             if isinstance(value := getattr(table, name), np.ndarray)
             and value.shape == table.curvature.shape
         }
-        deck = write_mujoco_plane_deck(replace(table, **arrays))
+        deck = format_plane_deck(replace(table, **arrays))
         if share is None:
             assert "Check:" not in deck
         else:
@@ -173,8 +173,8 @@ def test_the_check_of_a_law_that_ends_early() -> None:
 def test_numbers_out_of_range(approved: Approve) -> None:
     table = example("A2")
     calls: list[Callable[[], object]] = [
-        lambda: write_mujoco_plane_deck(table, length=0.0),
-        lambda: write_mujoco_plane_deck(table, isotropic_share=1.2),
+        lambda: format_plane_deck(table, length=0.0),
+        lambda: format_plane_deck(table, isotropic_share=1.2),
     ]
     for mass in (0.0, -1.0, np.nan):
         light = replace(table, mass_per_length=mass)
@@ -192,7 +192,7 @@ def test_a_law_that_sliders_cannot_have() -> None:
     table = example("A2")
     stiff = replace(table, moment=table.moment * (1.0 + (table.curvature / 50.0) ** 2))
     reason = "Sliders cannot be fitted, so that this deck has no model: the law stiffens at "
-    for deck in (write_mujoco_plane_deck(stiff), write_mujoco_space_deck(stiff)):
+    for deck in (format_plane_deck(stiff), format_space_deck(stiff)):
         assert reason in deck
         assert "worldbody" not in deck
     assert reason in format_sliders_csv(stiff)
@@ -200,5 +200,5 @@ def test_a_law_that_sliders_cannot_have() -> None:
 
 
 def test_a_deck_has_all_its_sliders() -> None:
-    assert write_mujoco_plane_deck(example("A2")).count("<fixed ") == 30 * 12
-    assert write_mujoco_space_deck(example("A2")).count("<fixed ") == 30 * 4 * 8
+    assert format_plane_deck(example("A2")).count("<fixed ") == 30 * 12
+    assert format_space_deck(example("A2")).count("<fixed ") == 30 * 4 * 8

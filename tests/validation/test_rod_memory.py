@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labpipe.mechanics.decks.mujoco_sliders import write_mujoco_plane_deck, write_mujoco_space_deck
+from labpipe.mechanics.decks.mujoco_sliders import format_plane_deck, format_space_deck
 from labpipe.mechanics.law.loss_card import fit_wire_sliders
 from labpipe.mechanics.law.sliders import convert_to_plays
 from labpipe.mechanics.rod.boundaries import Load
@@ -111,7 +111,7 @@ def test_a_load_that_turns() -> None:
     towards = np.radians([0.0, 0.0, 30.0, 60.0, 90.0, 90.0])
     loads = np.array([0.4, 0.8, 0.8, 0.8, 0.8, 0.0])
     rod = rod_tips("A2", loads, towards)
-    chain = tips(write_mujoco_space_deck(wire_table("A2")), loads, towards)
+    chain = tips(format_space_deck(wire_table("A2")), loads, towards)
     off = np.linalg.norm(rod - chain, axis=1)
     most = np.max(np.linalg.norm(chain[:, 1:], axis=1))
     assert np.max(off[:-1]) < 3e-3 * most
@@ -122,7 +122,7 @@ def test_a_load_that_turns() -> None:
 def test_there_and_back_and_there_again() -> None:
     """Two cycles: deflections, and what is left without load, within 0.5 %."""
     loads = 0.9 * np.array([0.2, 0.5, 1.0, 0.5, 0.0, -0.5, 0.0, 0.5, 1.0, 0.0])
-    rod, chain = rod_tips("A2", loads), tips(write_mujoco_plane_deck(wire_table("A2")), loads)
+    rod, chain = rod_tips("A2", loads), tips(format_plane_deck(wire_table("A2")), loads)
     assert float(np.max(np.abs(chain[:, 1]))) > 0.4 * WIRE_LENGTH
     assert rod[:, 1] == pytest.approx(chain[:, 1], rel=5e-3)
     assert rod[:, 2] == pytest.approx(0.0, abs=1e-9)

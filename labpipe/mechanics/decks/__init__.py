@@ -17,8 +17,8 @@ from labpipe.mechanics.decks.lookup import (
     format_sliders_csv,
     format_sliders_json,
 )
-from labpipe.mechanics.decks.mujoco import write_mujoco_deck
-from labpipe.mechanics.decks.mujoco_sliders import write_mujoco_plane_deck, write_mujoco_space_deck
+from labpipe.mechanics.decks.mujoco import format_cable_deck
+from labpipe.mechanics.decks.mujoco_sliders import format_plane_deck, format_space_deck
 from labpipe.records.wire import WireTable
 
 FOLDER = "decks"
@@ -30,9 +30,9 @@ DECKS: Mapping[str, Callable[[WireTable], str]] = {
     "abaqus.inp": format_abaqus_deck,
     "ansys.inp": format_ansys_deck,
     "calculix.inp": format_calculix_deck,
-    "mujoco.xml": write_mujoco_deck,
-    "mujoco-plane.xml": write_mujoco_plane_deck,
-    "mujoco-space.xml": write_mujoco_space_deck,
+    "mujoco.xml": format_cable_deck,
+    "mujoco-plane.xml": format_plane_deck,
+    "mujoco-space.xml": format_space_deck,
     "sliders.csv": format_sliders_csv,
     "sliders.json": format_sliders_json,
 }

@@ -1,4 +1,4 @@
-"""Write the beam section of a wire as an include file for Abaqus and for Ansys.
+"""Format the law of a wire as a beam section for Abaqus and for Ansys.
 
 In Abaqus, the section is ``*BEAM GENERAL SECTION, SECTION=NONLINEAR GENERAL`` with the keywords
 ``*AXIAL``, ``*M1``, ``*M2`` and ``*TORQUE`` [1]_. Data lines state force or moment first, and
@@ -7,11 +7,11 @@ strain or curvature second. With ``LINEAR``, they state only the stiffness. With
 Such a law is stated for positive strains, from the origin.
 
 In Ansys Mechanical APDL, the section is ``SECTYPE,,GENB,PLASTIC`` with its tables, for BEAM188 and
-BEAM189 [3]_. A table states strain first, and force second. The origin is implied. A table has at
-most 20 points for each component. All slopes after the first must be smaller than the first. A
-plastic section requires all six components, each with two points or more. Beyond the last strain,
-the stiffness is zero.
-``GENB`` is a section type like ``BEAM``, and its subtype is ``ELASTIC`` or ``PLASTIC`` [4]_.
+BEAM189 [3]_. ``GENB`` is a section type like ``BEAM``, and its subtype is ``ELASTIC`` or
+``PLASTIC`` [4]_. A table states strain first, and force second. The origin is implied. A table has
+at most 20 points for each component. All slopes after the first must be smaller than the first, but
+the points of a linear component may lie on a straight line. A plastic section requires all six
+components, each with two points or more. Beyond the last strain, the stiffness is zero.
 
 References
 ----------
@@ -29,13 +29,14 @@ from labpipe.mechanics.decks.deck_law import (
     compute_skew_bending_error,
     describe_deck_errors,
     describe_loading_error,
+    explain_missing_model,
     fill_template,
     get_mass_per_length,
     make_abaqus_label,
     make_ansys_name,
 )
 from labpipe.mechanics.decks.unloading import compute_linear_release
-from labpipe.mechanics.law.plays import require
+from labpipe.mechanics.law.plays import require_whole
 from labpipe.mechanics.law.thinning import ThinnedLaw, thin_law
 from labpipe.records.wire import WireTable
 
@@ -53,7 +54,8 @@ def format_abaqus_deck(table: WireTable) -> str:
     Returns
     -------
     Text of an include file, in 7-bit ASCII with lines of at most 256 characters. The element set is
-    named by `make_abaqus_label`.
+    named by `make_abaqus_label`. If the law of the deck differs too much from that of the wire
+    (`explain_missing_model`), the text contains only comments.
 
     Raises
     ------
@@ -70,9 +72,9 @@ def format_abaqus_deck(table: WireTable) -> str:
     return fill_template(
         "abaqus.inp",
         table=table,
-        law=law,
+        reason=explain_missing_model(law.error),
         points=np.column_stack([law.moment, law.curvature]),
-        error_lines=_describe_errors(table, law),
+        error_sentences=_describe_errors(table, law),
         skew_error=compute_skew_bending_error(table),
         label=make_abaqus_label(table.name),
         mass_per_length=get_mass_per_length(table),
@@ -81,13 +83,11 @@ def format_abaqus_deck(table: WireTable) -> str:
     )
 
 
-def _describe_errors(table: WireTable, law: ThinnedLaw, line_width: int = 120) -> tuple[str, ...]:
-    """Return lines on the errors of a section that unloads with its first slope."""
+def _describe_errors(table: WireTable, law: ThinnedLaw) -> tuple[str, ...]:
+    """Return sentences on the errors of a section that unloads with its first slope."""
     deck_error_sentence = describe_loading_error(law.error)
     deck_release = compute_linear_release(table, float(law.moment[1] / law.curvature[1]))
-    return describe_deck_errors(
-        table, deck_error_sentence, "with its first slope", deck_release, line_width=line_width
-    )
+    return describe_deck_errors(table, deck_error_sentence, "with its first slope", deck_release)
 
 
 def format_ansys_deck(table: WireTable, *, section_number: int = 1) -> str:
@@ -100,13 +100,15 @@ def format_ansys_deck(table: WireTable, *, section_number: int = 1) -> str:
 
     Returns
     -------
-    Text of an input file, ASCII with lines of at most 80 characters.
+    Text of an input file, in 7-bit ASCII with lines of at most 80 characters. If the law of the
+    deck differs too much from that of the wire (`explain_missing_model`), the text contains only
+    comments.
 
     Raises
     ------
     ValueError
         If the law cannot be represented (`thin_law`), the mass per length is not finite and
-        positive, or the number of the section is below 1.
+        positive, or `section_number` is not a whole number >= 1.
 
     Notes
     -----
@@ -114,16 +116,18 @@ def format_ansys_deck(table: WireTable, *, section_number: int = 1) -> str:
     GA = 3 EI / (0.001 (10 d)^2), the deflection P L^3 / (3 EI) of a free length of ten wire
     diameters d increases by a thousandth. The deflection of a longer wire increases by less.
     """
-    require("section_number", section_number, "a whole number >= 1", holds=section_number >= 1)
+    require_whole("section_number", section_number, 1)
     law = thin_law(table.curvature, table.moment, max_points=MAX_ANSYS_POINTS + 1)
-    comment_width = 76  # lines have at most 80 characters, of which two are the "! " of a comment
+    points = np.column_stack([law.curvature, law.moment])[1:]
+    if len(points) == 1:  # a linear law; the program requires two points
+        points = np.vstack([0.1 * points, points])
     return fill_template(
         "ansys.inp",
         table=table,
-        law=law,
-        points=np.column_stack([law.curvature, law.moment])[1:],
+        reason=explain_missing_model(law.error),
+        points=points,
         max_points=MAX_ANSYS_POINTS,
-        error_lines=_describe_errors(table, law, comment_width),
+        error_sentences=_describe_errors(table, law),
         skew_error=compute_skew_bending_error(table),
         section_number=section_number,
         name=make_ansys_name(table.name),

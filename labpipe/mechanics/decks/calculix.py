@@ -1,18 +1,20 @@
-"""Write an input file for CalculiX CrunchiX: a wire as a cantilever of solid bricks.
+"""Format an input file for CalculiX CrunchiX: a wire as a cantilever of solid bricks.
 
 CalculiX has no moment-curvature law. The wire is modelled as a solid round bar of its diameter.
 `law.loss_card` fits the elastic-plastic material of the bar. One end is clamped, and the other is
 displaced laterally. Beam elements of CalculiX are not accurate enough. The program expands each
 element into one brick over the whole section (CalculiX CrunchiX User's Manual, "Three-node beam
-element"). The four integration points of the brick sample only one strain on each side of the
-neutral plane, so that a circular beam is 2.4 % too flexible even while it is elastic.
+element"). In the section, this brick has two by two integration points. The strain is evaluated at
+a single distance from the neutral plane, so that a circular beam is 2.4 % too flexible even while
+it is elastic.
 
 The mesh consists of twenty-node bricks. It covers one half of the bar, which is cut along the plane
 of bending. x runs along the bar and y lies in the plane of bending. In the section, two bricks form
-a rectangle at the axis, and four bricks form a ring between the rectangle and the circle. All outer
-nodes, also those at the middle of an edge, lie on the circle. The nodes of a brick are numbered as
-in the manual ("Twenty-node brick element"): the four corners of the lower face, those of the upper
-face, then the mid-side nodes of the lower face, of the upper face, and of the edges between them.
+a rectangle at the axis, and four bricks form half a ring between the rectangle and the circle. All
+outer nodes, also those at the middle of an edge, lie on the circle. The nodes of a brick are
+numbered as in the manual ("Twenty-node brick element"): the four corners of the lower face, which
+is nearer to the clamp, those of the upper face, then the mid-side nodes of the lower face, of the
+upper face, and of the edges between them.
 """
 
 from __future__ import annotations
@@ -24,6 +26,7 @@ import numpy as np
 
 from labpipe.mechanics.decks.deck_law import (
     describe_deck_errors,
+    explain_missing_model,
     fill_template,
     format_percent,
     get_mass_per_length,
@@ -31,7 +34,7 @@ from labpipe.mechanics.decks.deck_law import (
 )
 from labpipe.mechanics.decks.unloading import compute_linear_release
 from labpipe.mechanics.law.loss_card import fit_equivalent_material
-from labpipe.mechanics.law.plays import require
+from labpipe.mechanics.law.plays import require_whole
 from labpipe.records.arrays import Flags, Floats, Ints
 from labpipe.records.wire import WireTable
 
@@ -90,31 +93,18 @@ def mesh_half_bar(n_bricks_along: int) -> BarMesh:
     Raises
     ------
     ValueError
-        If `n_bricks_along` is less than 1.
+        If `n_bricks_along` is not a whole number >= 1.
     """
-    require("n_bricks_along", n_bricks_along, "a whole number >= 1", holds=n_bricks_along >= 1)
+    require_whole("n_bricks_along", n_bricks_along, 1)
     points, quadrangles = _mesh_half_disc()
-    corner_points = np.unique(quadrangles[:, :4])
-    # A station is a position along the bar, with the indices of its points. Stations at the middle
-    # of bricks have nodes only on the edges along the bar.
-    all_points = np.arange(len(points))
-    stations = [all_points, *([corner_points, all_points] * n_bricks_along)]
-    first_numbers = np.cumsum([1, *map(len, stations)])
-    node_numbers = np.zeros((len(stations), len(points)), dtype=np.int64)
-    for row, station_points in enumerate(stations):
-        node_numbers[row, station_points] = first_numbers[row] + np.arange(len(station_points))
-    station_x = np.linspace(0.0, 1.0, len(stations))
-    nodes = [
-        np.column_stack([np.full(len(station_points), x), points[station_points]])
-        for x, station_points in zip(station_x, stations, strict=True)
-    ]
-    numbers_by_station = node_numbers[:, quadrangles]
-    lower_face, upper_face = numbers_by_station[:-2:2], numbers_by_station[2::2]
-    middle_section = numbers_by_station[1::2]
-    corners = (lower_face[..., :4], upper_face[..., :4])
-    mid_sides = (lower_face[..., 4:], upper_face[..., 4:], middle_section[..., :4])
-    bricks = np.concatenate([*corners, *mid_sides], axis=-1).reshape(-1, 20)
-    return BarMesh(np.concatenate(nodes), bricks)
+    corners, mid_sides = quadrangles[:, :4], quadrangles[:, 4:]
+    section_points = np.hstack([corners, corners, mid_sides, mid_sides, corners])
+    # A brick has nodes at three of the stations along the bar: lower face, upper face, middle.
+    stations = np.repeat([0, 2, 0, 2, 1], 4) + 2 * np.arange(n_bricks_along)[:, None, None]
+    places, bricks = np.unique(stations * len(points) + section_points, return_inverse=True)
+    station, point = np.divmod(places, len(points))
+    station_x = np.linspace(0.0, 1.0, 2 * n_bricks_along + 1)
+    return BarMesh(np.column_stack([station_x[station], points[point]]), bricks.reshape(-1, 20) + 1)
 
 
 def _mesh_half_disc() -> tuple[Floats, Ints]:
@@ -165,16 +155,15 @@ def format_calculix_deck(
 
     Returns
     -------
-    Text of the file, in 7-bit ASCII with lines of at most 132 characters. If the table has no
-    cantilever curve, the text contains only comments, with the reason from the note
-    ``cantilever_cut`` of the table.
+    Text of the file, in 7-bit ASCII with lines of at most 132 characters. The text contains only
+    comments, with the reason, if the table has no cantilever curve (note ``cantilever_cut`` of the
+    table), or if the bar does not fit the law (`explain_missing_model`).
 
     Raises
     ------
     ValueError
-        If `n_steps` is less than 1, or if the table has a cantilever and `n_bricks_along` is less
-        than 1; if no bar fits the law (`fit_equivalent_material`); or if the mass per length is not
-        finite and positive.
+        If `n_steps` or, in a deck with a model, `n_bricks_along` is not a whole number >= 1, or the
+        mass per length is not finite and positive.
 
     Notes
     -----
@@ -183,32 +172,34 @@ def format_calculix_deck(
     an end load normal to the undeformed axis. The tip deflection is 0.6 of the free length, or the
     largest deflection within the range of the wire's law if that is smaller.
     """
-    require("n_steps", n_steps, "a whole number >= 1", holds=n_steps >= 1)
+    require_whole("n_steps", n_steps, 1)
     diameter = 2.0 * table.layout.wire_radius
     material = fit_equivalent_material(table.curvature[1:], table.moment[1:], diameter)
     max_deflection = 0.6  # relative to the free length
     deflection = min(max_deflection * table.spec.length, float(table.tip_deflection[-1]))
     errors, is_plastic = np.abs(material.error), material.curvature > material.elastic_curvature
-    percent = format_percent(float(errors.max()))
-    plastic_percent = format_percent(float(errors[is_plastic].max()))
+    plastic_error = float(errors[is_plastic].max())
+    percent, plastic_percent = format_percent(float(errors.max())), format_percent(plastic_error)
     deck_error_sentence = (
         f"In this deck, the error of the moment on first loading is at most {plastic_percent} "
         f"above {material.elastic_curvature:.4g} 1/m, and at most {percent} over the whole range."
     )
     # The release is elastic: no fibre of the bar yields in reverse before the moment is zero.
     deck_release = compute_linear_release(table, material.modulus * np.pi / 64.0 * diameter**4)
-    cut_reasons = (note.message for note in table.notes if note.code == "cantilever_cut")
+    reason = explain_missing_model(plastic_error)
+    if deflection == 0.0:
+        notes = (note.message for note in table.notes if note.code == "cantilever_cut")
+        reason = next(notes, "the table has no cantilever")
     common_values = {
         "table": table,
         "material": material,
-        "error_lines": describe_deck_errors(
-            table, deck_error_sentence, "a bar with its first slope", deck_release, line_width=120
+        "error_sentences": describe_deck_errors(
+            table, deck_error_sentence, "a bar with its first slope", deck_release
         ),
-        "deflection": deflection,
+        "reason": shorten_name(reason, 120),
     }
-    if deflection == 0.0:
-        reason = shorten_name(next(cut_reasons, "the table has no cantilever"), 120)
-        return fill_template("calculix.inp", reason=reason, **common_values)
+    if reason:
+        return fill_template("calculix.inp", **common_values)
     mesh = mesh_half_bar(n_bricks_along)
     scale = np.array([table.spec.length, 0.5 * diameter, 0.5 * diameter])
     return fill_template(
@@ -222,6 +213,7 @@ def format_calculix_deck(
         # True stress against plastic strain; CalculiX keeps the last stress beyond the last strain.
         plastic_curve=np.column_stack([material.stress, material.plastic_strain]),
         density=get_mass_per_length(table) / (np.pi / 4.0 * diameter**2),
+        deflection=deflection,
         n_steps=n_steps,
         **common_values,
     )

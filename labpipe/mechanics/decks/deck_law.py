@@ -41,6 +41,7 @@ def _load_templates() -> Environment:
         undefined=StrictUndefined,
         trim_blocks=True,
         keep_trailing_newline=True,
+        auto_reload=False,
         autoescape=False,  # decks are not HTML; `quoteattr` quotes names
     )
     filters = {
@@ -51,6 +52,7 @@ def _load_templates() -> Environment:
         "lines": lambda lines, prefix: "\n".join(f"{prefix}{line}" for line in lines),
         "rows": _format_rows,
         "shorten": shorten_name,
+        "wrap": _wrap_sentences,
     }
     environment.filters.update(filters)
     return environment
@@ -82,6 +84,15 @@ def _format_rows(rows: Floats | Ints, row_format: str) -> str:
 def _format_xml_comments(lines: Iterable[str]) -> str:
     """Return lines as XML comments, in which two successive hyphens are not allowed."""
     return "\n".join(f"  <!-- {re.sub('-(?=-)', '- ', line)} -->" for line in lines)
+
+
+def _wrap_sentences(sentences: Iterable[str], line_width: int) -> list[str]:
+    """Wrap sentences into lines; a number and its per cent sign stay on one line."""
+    return [
+        line.replace("~%", " %")
+        for sentence in sentences
+        for line in textwrap.wrap(sentence.replace(" %", "~%"), line_width)
+    ]
 
 
 def list_header_sentences(table: WireTable, max_length: int = 100) -> tuple[str, ...]:
@@ -149,19 +160,19 @@ def find_linear_range(table: WireTable, stiffness: float) -> tuple[float, float]
     Returns
     -------
     Lower and upper end, 1/m, of the first interval in which the linear moment is within 5 % of the
-    moment of the wire, found on a grid with about 0.1 % between curvatures. None if the table has
-    no such interval.
+    moment of the wire, found on a grid of 20 000 logarithmically spaced curvatures. None if the
+    table has no such interval.
     """
     max_error = 0.05  # relative to the moment
     n_curvatures = 20_000
-    curvature = np.geomspace(table.curvature[1], table.curvature[-1], n_curvatures)
+    low, high = np.log(table.curvature[[1, -1]]).tolist()
+    curvature = np.exp(np.linspace(low, high, n_curvatures))  # several times as fast as geomspace
     moment = np.interp(curvature, table.curvature, table.moment)
     is_inside = np.abs(stiffness * curvature / moment - 1.0) <= max_error
     if not is_inside.any():
         return None
     start = int(np.argmax(is_inside))
-    outside_rows = np.flatnonzero(~is_inside[start:])
-    stop = start + int(outside_rows[0]) if len(outside_rows) else n_curvatures
+    stop = start + int(np.argmin(np.append(is_inside[start:], False)))
     return float(curvature[start]) if start else 0.0, float(curvature[stop - 1])
 
 
@@ -311,15 +322,20 @@ def describe_law_errors(
     ValueError
         If sliders cannot be fitted to the law (`fit_wire_sliders`).
     """
+    return describe_unloading(table, unloading_rule, deck_release), _describe_loss_card(table)
+
+
+@lru_cache(maxsize=4)  # tables are hashed by identity
+def _describe_loss_card(table: WireTable) -> str:
+    """Return a sentence on the errors of simpler laws."""
     card = make_table_card(table)
     sliders = ", ".join(f"{n} sliders {format_percent(error)}" for n, error in card.slider_errors)
-    card_sentence = (
-        f"Loss card, largest error of the moment from {card.min_curvature:.3g} to "
-        f"{card.max_curvature:.4g} 1/m, each form at its best: constant stiffness "
+    return (
+        f"Loss card, largest error of the moment from {table.curvature[1]:.3g} to "
+        f"{table.curvature[-1]:.4g} 1/m, each form at its best: constant stiffness "
         f"{format_percent(card.stiffness_error)}, Dahl {format_percent(card.dahl_law.error)}, "
         f"{sliders}."
     )
-    return describe_unloading(table, unloading_rule, deck_release), card_sentence
 
 
 def format_percent(ratio: float) -> str:
@@ -341,15 +357,21 @@ def describe_loading_error(error: float) -> str:
     return f"This deck: error on first loading up to {format_percent(error)} of the moment."
 
 
+def explain_missing_model(error: float) -> str:
+    """Return why a deck with this error on first loading has no model; empty if it has one."""
+    max_error = 0.5  # a deck with a larger error does not represent the wire
+    if error <= max_error:
+        return ""
+    percent, max_percent = format_percent(error), format_percent(max_error)
+    return (
+        f"the law of the deck differs from that of the wire by {percent}, more than {max_percent}"
+    )
+
+
 def describe_deck_errors(
-    table: WireTable,
-    deck_error_sentence: str,
-    unloading_rule: str,
-    deck_release: Release,
-    *,
-    line_width: int = 1000,
+    table: WireTable, deck_error_sentence: str, unloading_rule: str, deck_release: Release
 ) -> tuple[str, ...]:
-    """Return lines on the error of a deck, on unloading, and on the errors of simpler laws.
+    """Return sentences on the error of a deck, on unloading, and on the errors of simpler laws.
 
     Parameters
     ----------
@@ -357,20 +379,15 @@ def describe_deck_errors(
         and simpler laws
     deck_error_sentence : sentence on the error of the deck
     unloading_rule, deck_release : as for `describe_unloading`
-    line_width : largest number of characters of a line; the default gives one line per sentence
     """
     try:
-        sentences: tuple[str, ...] = describe_law_errors(table, unloading_rule, deck_release)
+        law_errors = describe_law_errors(table, unloading_rule, deck_release)
     except ValueError as error:
-        sentences = (f"No loss card of other forms: {error}.",)
-    return tuple(
-        line.replace("~%", " %")  # "~" keeps a number and its per cent sign on one line
-        for sentence in (deck_error_sentence, *sentences)
-        for line in textwrap.wrap(sentence.replace(" %", "~%"), line_width)
-    )
+        return deck_error_sentence, f"No loss card of other forms: {error}."
+    return deck_error_sentence, *law_errors
 
 
-@lru_cache(maxsize=4)  # tables are hashed by identity
+@lru_cache(maxsize=4)
 def make_loss_card_entry(table: WireTable) -> dict[str, object]:
     """Return the entry ``loss_card`` of a JSON deck.
 
@@ -383,7 +400,7 @@ def make_loss_card_entry(table: WireTable) -> dict[str, object]:
     except ValueError as error:
         return {"reason": f"{error}"}
     return {
-        "curvature": [card.min_curvature, card.max_curvature],
+        "curvature": table.curvature[[1, -1]].tolist(),
         "constant": {"stiffness": card.stiffness, "error": card.stiffness_error},
         "dahl": card.dahl_law.error,
         "sliders": {str(count): error for count, error in card.slider_errors},

@@ -60,7 +60,7 @@ def format_lookup_csv(table: WireTable) -> str:
         "lookup.csv",
         table=table,
         mass_per_length=get_mass_per_length(table),
-        error_lines=describe_deck_errors(table, error_sentence, "a curve", elastic_release),
+        error_sentences=describe_deck_errors(table, error_sentence, "a curve", elastic_release),
         heading=heading,
         rows=np.column_stack([getattr(table, name) for name in LOOKUP_COLUMNS]),
         row_format=",".join("%d" if name == "is_doubtful" else "%r" for name in LOOKUP_COLUMNS),
@@ -147,7 +147,7 @@ def format_sliders_csv(table: WireTable) -> str:
         reason="",
         mass_per_length=get_mass_per_length(table),
         law=law,
-        error_lines=describe_law_errors(table),
+        error_sentences=describe_law_errors(table),
         rows=[
             "stiffness [N*m^2],slip_curvature [1/m],slip_moment [N*m]",
             f"{law.spring_stiffness!r},inf,inf",

@@ -1,4 +1,4 @@
-"""Write the MJCF model of a wire for MuJoCo 4: a clamped cable of constant stiffness.
+"""Format the MJCF model of a wire for MuJoCo 4: a clamped cable of constant stiffness.
 
 MuJoCo 4.0 removed the cable plug-in and composite bodies. A cable is a one-dimensional flex with
 elasticity, which is a discrete elastic rod [1]_ (XML Reference, flex/elasticity). It has a constant
@@ -31,14 +31,14 @@ from labpipe.mechanics.decks.deck_law import (
     get_mass_per_length,
 )
 from labpipe.mechanics.decks.unloading import make_elastic_release
-from labpipe.mechanics.law.plays import require, require_positive
+from labpipe.mechanics.law.plays import require_positive, require_whole
 from labpipe.records.wire import WireTable
 
 FLEX_NAME = "wire"
 """Name of the flex. Its free vertices are the bodies ``wire_2`` to ``wire_<edges>``."""
 
 
-def write_mujoco_deck(
+def format_cable_deck(
     table: WireTable,
     *,
     stiffness: float | None = None,
@@ -62,8 +62,8 @@ def write_mujoco_deck(
     Raises
     ------
     ValueError
-        If `stiffness`, `length` or the mass per length is not positive and finite, or there are
-        fewer than three edges.
+        If `stiffness`, `length` or the mass per length is not positive and finite, or `edges` is
+        not a whole number >= 3.
 
     Notes
     -----
@@ -72,7 +72,6 @@ def write_mujoco_deck(
     stiffness, and the first range of curvature in which the moment is within 5 % of that of the
     wire (`find_linear_range`).
     """
-    min_edges = 3
     settling_angle = 35.0  # settling time times the first angular frequency
     source = "as given"
     if stiffness is None and table.slips_immediately:
@@ -84,7 +83,7 @@ def write_mujoco_deck(
     length = table.spec.length if length is None else length
     require_positive("stiffness", stiffness)
     require_positive("length", length)
-    require("edges", edges, f">= {min_edges}", holds=edges >= min_edges)
+    require_whole("edges", edges, 3)
     mass_per_length = get_mass_per_length(table)
     first_angular_frequency = compute_angular_frequency(stiffness, mass_per_length, length)
     # With more than 40 edges, a shorter time step keeps the constraint on the edge lengths as stiff
@@ -105,7 +104,7 @@ def write_mujoco_deck(
         stiffness=stiffness,
         stiffness_source=source,
         validity=validity,
-        error_lines=describe_deck_errors(
+        error_sentences=describe_deck_errors(
             table, error_sentence, "elastic", deck_release=make_elastic_release(table)
         ),
         length=length,

@@ -1,4 +1,4 @@
-"""Write the line of a harness for MuJoCo 4: a chain with hysteresis, its supports and its loads.
+"""Format the line of a harness for MuJoCo 4: a chain with hysteresis, its supports and its loads.
 
 The chain is that of `decks.mujoco_sliders`, in space and with weight. A clip, pin or grip is a
 mocap body. This body is the base of the chain, or an equality connects a site of the chain to it.

@@ -1,4 +1,4 @@
-"""Write a wire with hysteresis for MuJoCo 4: a chain of hinges with elasto-plastic springs.
+"""Format a wire with hysteresis for MuJoCo 4: a chain of hinges with elasto-plastic springs.
 
 MuJoCo 4.0 has elastic, perfectly plastic springs. The attribute ``springyield`` of joints and
 tendons is the displacement at which yielding begins. A node of the chain represents the length h of
@@ -119,7 +119,7 @@ class Hinges:
     description_sentences: tuple[str, ...]
 
 
-def write_mujoco_plane_deck(
+def format_plane_deck(
     table: WireTable, *, length: float | None = None, isotropic_share: float = 0.0
 ) -> str:
     """Return the MJCF of a clamped wire along x that bends in the x-y plane, with hysteresis.
@@ -150,7 +150,7 @@ def write_mujoco_plane_deck(
     return _format_chain_deck(table, build_plane_hinges, "y", length, isotropic_share)
 
 
-def write_mujoco_space_deck(table: WireTable, *, length: float | None = None) -> str:
+def format_space_deck(table: WireTable, *, length: float | None = None) -> str:
     """Return the MJCF of a clamped wire along x that bends, with hysteresis, and twists in space.
 
     Parameters
@@ -247,7 +247,7 @@ def _format_chain_deck(
         chain=chain,
         hinges=build_hinges(chain),
         gravity="0 0 0",
-        error_lines=describe_law_errors(table),
+        error_sentences=describe_law_errors(table),
         n_ramp_steps=N_RAMP_STEPS,
         n_settling_steps=N_SETTLING_STEPS,
         check_load=_compute_check_load(chain.law, chain.length),
@@ -263,10 +263,9 @@ def _compute_check_load(law: SliderLaw, length: float) -> dict[str, float] | Non
     The tip deflection is the largest of 0.3 L, 0.15 L, ..., 0.3 L / 32 that is within the range of
     the law, where L is the length. Return None if even the smallest of these is beyond the range.
     """
-    deflections = 0.3 * length / 2.0 ** np.arange(5.0, -1.0, -1.0)
-    path = compute_end_load_path(convert_to_plays(law), length, deflections)
-    if not len(path.load):
-        return None
-    load, deflection = float(path.load[-1]), float(path.deflection[-1])
-    elastic_deflection = load * length**3 / (3.0 * law.first_stiffness)
-    return {"load": load, "deflection": deflection, "elastic_deflection": elastic_deflection}
+    plays = convert_to_plays(law)
+    for deflection in 0.3 * length / 2.0 ** np.arange(6.0):
+        for load in compute_end_load_path(plays, length, np.array([deflection])).load.tolist():
+            elastic = load * length**3 / (3.0 * law.first_stiffness)
+            return {"load": load, "deflection": deflection, "elastic_deflection": elastic}
+    return None

@@ -64,7 +64,6 @@ class LossCard:
 
     Parameters
     ----------
-    min_curvature, max_curvature : 1/m, ends of the range in which moments are compared
     stiffness : N m^2, constant stiffness with the smallest error
     stiffness_error : error of the moment with this stiffness
     dahl_law : Dahl law with the smallest error
@@ -74,8 +73,6 @@ class LossCard:
         for nodes with rotated directions (`average_rotations`); see `DirectionalLaw`
     """
 
-    min_curvature: float
-    max_curvature: float
     stiffness: float
     stiffness_error: float
     dahl_law: DahlLaw
@@ -100,8 +97,6 @@ def make_loss_card(curvature: Floats, moment: Floats, slider_laws: Sequence[Slid
     node_law = fit_directions(best_law, N_DIRECTIONS)
     mean_law = average_rotations(best_law, node_law)
     return LossCard(
-        min_curvature=float(curvature[0]),
-        max_curvature=float(curvature[-1]),
         stiffness=2.0 * min_secant * max_secant / (min_secant + max_secant),
         stiffness_error=(max_secant - min_secant) / (max_secant + min_secant),
         dahl_law=fit_dahl(curvature[rows], moment[rows]),
@@ -126,23 +121,23 @@ def fit_dahl(curvature: Floats, moment: Floats) -> DahlLaw:
     grids of the logarithms of the two parameters. Each grid is narrower than the preceding grid and
     centred on the best point of that grid.
     """
-    n_values, n_grids = 15, 24
+    size, n_grids = 15, 24  # values of a parameter on a grid, and successive grids
     narrowing = 0.6  # ratio of the widths of successive grids
     compliance = curvature / moment
     ends = np.log([[1e-4, 1e4], [0.3 * curvature[0], 3.0 * curvature[-1]]])
     for _ in range(n_grids):
-        grid = np.linspace(ends[:, 0], ends[:, 1], n_values)
+        grid = np.linspace(ends[:, 0], ends[:, 1], size)
         ratio, decay = np.exp(grid).T
         slider_part = -decay * np.expm1(-curvature[:, None] / decay) / moment[:, None]
-        # Axes: curvature, stiffness ratio, decay. The moment is that of a spring with EI = 1.
-        moment_ratio = compliance[:, None, None] + ratio[:, None] * slider_part[:, None]
+        # Axes: curvature, pair of ratio and decay. The moment is that of a spring with EI = 1.
+        moment_ratio = compliance[:, None] + np.repeat(ratio, size) * np.tile(slider_part, size)
         min_ratio, max_ratio = moment_ratio.min(axis=0), moment_ratio.max(axis=0)
         errors = (max_ratio - min_ratio) / (max_ratio + min_ratio)
-        row, column = np.unravel_index(np.argmin(errors), errors.shape)
+        row, column = divmod(best := int(np.argmin(errors)), size)
         best_point = np.array([[grid[row, 0]], [grid[column, 1]]])
         ends = best_point + narrowing * (ends - ends.mean(axis=1, keepdims=True))
-    stiffness, tau = 2.0 / (min_ratio + max_ratio)[row, column], decay[column]
-    parameters = stiffness, stiffness * ratio[row] * tau, tau, errors[row, column]
+    stiffness, tau = 2.0 / (min_ratio + max_ratio)[best], decay[column]
+    parameters = stiffness, stiffness * ratio[row] * tau, tau, errors[best]
     return DahlLaw(*map(float, parameters))
 
 

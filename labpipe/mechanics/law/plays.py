@@ -197,6 +197,12 @@ def require_positive(name: str, value: float) -> None:
     require(name, value, "finite and > 0", holds=bool(0.0 < value < np.inf))
 
 
+def require_whole(name: str, value: object, minimum: int) -> None:
+    """Raise ValueError unless a value is a whole number of at least `minimum`; see `require`."""
+    holds = isinstance(value, int | np.integer) and bool(value >= minimum)
+    require(name, value, f"a whole number >= {minimum}", holds=holds)
+
+
 def require_not_negative(name: str, value: float) -> None:
     """Raise ValueError unless a value is finite and not negative; see `require`."""
     require(name, value, "finite and >= 0", holds=bool(0.0 <= value < np.inf))

@@ -54,6 +54,7 @@ from labpipe.mechanics.law.plays import (
     require_not_negative,
     require_positive,
     require_rising,
+    require_whole,
 )
 from labpipe.mechanics.law.thinning import find_hull, require_concave, thin_law
 from labpipe.records.arrays import ArrayRecord, Floats
@@ -656,7 +657,7 @@ def fit_directions(
     Raises
     ------
     ValueError
-        If `n_directions` is less than 2, or `max_sliders` is less than 1.
+        If `n_directions` is not a whole number >= 2, or `max_sliders` not one >= 1.
 
     Notes
     -----
@@ -669,10 +670,9 @@ def fit_directions(
     # Some scalar sliders slide at a larger curvature than the vector sliders, because only a
     # component of the curvature acts on them.
     last_slip_factor = 1.6
-    require("n_directions", n_directions, ">= 2", holds=n_directions >= 2)
-    require("max_sliders", max_sliders, ">= 1", holds=max_sliders >= 1)
-    curvature = _space_curvatures(law)
-    target_moment = compute_first_loading(law, curvature)
+    require_whole("n_directions", n_directions, 2)
+    require_whole("max_sliders", max_sliders, 1)
+    curvature, target_moment = _tabulate_first_loading(law)
     if not law.slider_stiffnesses.size:
         slips, stiffnesses = np.zeros(0), np.array([law.spring_stiffness])
     else:
@@ -711,20 +711,24 @@ def average_rotations(law: SliderLaw, node_law: DirectionalLaw) -> DirectionalLa
     return _set_errors(law, mean_law)
 
 
-def _space_curvatures(law: SliderLaw) -> Floats:
-    """Return 80 curvatures over the range of a law, 1/m; over four decades if it starts at 0."""
-    return np.geomspace(law.min_curvature or 1e-4 * law.max_curvature, law.max_curvature, 80)
+@lru_cache(maxsize=4)
+def _tabulate_first_loading(law: SliderLaw) -> tuple[Floats, Floats]:
+    """Return 80 curvatures, 1/m, over the range of a law, and the moments of first loading, N m.
+
+    If the range starts at 0, the curvatures are over four decades.
+    """
+    kappa = np.geomspace(law.min_curvature or 1e-4 * law.max_curvature, law.max_curvature, 80)
+    return kappa, compute_first_loading(law, kappa)
 
 
 def _set_errors(law: SliderLaw, scalar_law: DirectionalLaw) -> DirectionalLaw:
     """Return the scalar law with its errors relative to the vector sliders of `law`."""
-    curvature = _space_curvatures(law)
-    target_moment = compute_first_loading(law, curvature)[:, None]
+    curvature, moment = _tabulate_first_loading(law)
     parallel_moment, transverse_moment = _compute_components(scalar_law, curvature)
     return replace(
         scalar_law,
-        error=float(np.max(np.abs(parallel_moment / target_moment - 1.0))),
-        transverse_ratio=float(np.max(np.abs(transverse_moment / target_moment))),
+        error=float(np.max(np.abs(parallel_moment / moment[:, None] - 1.0))),
+        transverse_ratio=float(np.max(np.abs(transverse_moment / moment[:, None]))),
     )
 
 

@@ -45,8 +45,9 @@ def thin_law(curvature: Floats, moment: Floats, *, max_points: int) -> ThinnedLa
     ------
     ValueError
         If `curvature` and `moment` differ in length or have fewer than two points, `max_points` is
-        less than 2, a moment is not finite, the first point is not (0, 0), the curvature does not
-        increase, or the moment does not increase (the message states the curvature).
+        not a whole number >= 2, a moment is not finite, the first point is not (0, 0), the
+        curvature does not increase, or the moment does not increase (the message states the
+        curvature).
 
     Notes
     -----
@@ -77,7 +78,8 @@ def thin_law(curvature: Floats, moment: Floats, *, max_points: int) -> ThinnedLa
 
 def _require_law(curvature: Floats, moment: Floats, max_points: int) -> None:
     """Raise ValueError if an argument of `thin_law` is outside its range."""
-    require("max_points", max_points, ">= 2", holds=max_points >= 2)
+    holds = isinstance(max_points, int) and max_points >= 2
+    require("max_points", max_points, "a whole number >= 2", holds=holds)
     lengths = len(curvature), len(moment)
     require("numbers of points", lengths, "equal and >= 2", holds=1 < lengths[0] == lengths[1])
     holds = bool(curvature[0] == moment[0] == 0.0 and np.isfinite(moment).all())
@@ -193,18 +195,17 @@ def _skip_corners(x: list[float], y: list[float], tolerance: float, max_points: 
     The choice stops at one more than `max_points`.
     """
     choice, min_slope, factor = [0], -np.inf, 1.0 - tolerance
-    start_x, start_y = x[0], y[0]
-    for point in range(1, len(x)):
-        width, moment = x[point] - start_x, y[point]
+    start_x, start_y = previous_x, previous_y = x[0], y[0]
+    for point, (curvature, moment) in enumerate(zip(x[1:], y[1:], strict=True)):
         # A chord is below the skipped corners. Each of these gives a lower limit of its slope.
-        if moment - start_y < min_slope * width:
-            choice.append(point - 1)
+        if moment - start_y < min_slope * (curvature - start_x):
+            choice.append(point)
             if len(choice) == max_points:
                 break
-            start_x, start_y, min_slope = x[point - 1], y[point - 1], -np.inf
-            width = x[point] - start_x
-        slope = (factor * moment - start_y) / width
+            start_x, start_y, min_slope = previous_x, previous_y, -np.inf
+        slope = (factor * moment - start_y) / (curvature - start_x)
         min_slope = slope if slope > min_slope else min_slope  # faster than `max`
+        previous_x, previous_y = curvature, moment
     return [*choice, len(x) - 1]
 
 

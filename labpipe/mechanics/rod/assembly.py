@@ -5,11 +5,12 @@ In equilibrium the sum over elements, cells and nodes
     sum f . (x_(e+1) - x_e - l (1 + eps) d) + l (EA eps^2 / 2 + C eps tau) + h W(kappa) - F . x
 
 is stationary. An element of length l from x_e to x_(e+1) has the direction d, the stretch eps and
-the force f. A cell, the two half elements beside a node, has the length h and the energy W of
-bending and twist. F is the force at a node. The first term is the stretch condition; its multiplier
-f is the force in the element. EA is the axial stiffness, C the coupling of stretch and twist, tau
-the twist and kappa the curvature. If EA is infinite, eps is 0. Frames q are updated by rotation
-vectors phi in body axes, q exp(phi / 2), so that the result does not depend on the axes of space.
+the force f. A cell, the two half elements beside a node, has the length h. F is the force at a
+node. The first term is the stretch condition; its multiplier f is the force in the element. EA is
+the axial stiffness, and C is the coupling of stretch and twist tau. W is the energy of bending and
+twist per length; kappa has two bending components and the twist. If EA is infinite, eps is 0.
+Frames q are updated by rotation vectors phi in body axes, q exp(phi / 2), so that the result does
+not depend on the axes of space.
 """
 
 from __future__ import annotations
@@ -115,13 +116,13 @@ class ImposedValues:
 class ArtificialDrag:
     """Artificial drag that resists changes from an earlier shape.
 
-    Each cell resists bending and twist in proportion to its stiffness, as with internal damping.
-    A cell relaxes by its own moment and is not bent by the motion of other cells. The drag against
-    motion without bending is a hundred times smaller.
+    Each cell resists a change of its bending and twist, as with internal damping. In addition, each
+    node resists displacement and each element resists rotation, with a hundredth of `ratio` times
+    `Assembly.unit_drag`. This drag determines the position of a line that is free to move.
 
     Parameters
     ----------
-    ratio : drag against bending and twist, relative to the stiffness of the cells
+    ratio : moment of a cell per change of its rotation vector, relative to its initial stiffness
     shape : earlier shape
     rotation_vectors : shape (cells, 3), rad, rotation vectors of the cells in the earlier shape
     """
@@ -139,7 +140,7 @@ class Balance:
     ----------
     residual : shape (unknowns,), in N for positions, N m for stretches and turns, m for forces
     tangent_values : shape (entries,), entries of the tangent in the order of `Assembly.pattern`
-    inputs : history before the step, and drag or None
+    inputs : history before the step, and drag; None without drag
     symmetric_values : shape (entries,), entries of the tangent without the increase of friction
         with pressure
     cells : response of the cells
@@ -176,6 +177,10 @@ class Assembly:
 
     Attributes
     ----------
+    n : number of elements
+    is_rigid : whether the line is inextensible
+    indices : indices of the unknowns
+    matrix : tangent, as a banded matrix
     rounding : N, rounding error of the forces of planes, strings and rings
     unit_drag : shape (unknowns,), drag coefficient of each unknown. The sum over the line is
         `force` / length against motion (N/m), and `force` times length against turns (N m)
@@ -253,8 +258,8 @@ class Assembly:
         drag : artificial drag; None without drag
         """
         # A small drag makes the tangent regular even if the line is free to move.
-        min_drag = 1e-10
-        rigid_motion_ratio = 1e-2  # relative to the drag against bending
+        min_drag = 1e-10  # relative to `unit_drag`, in the tangent only
+        motion_drag_ratio = 1e-2  # drag against motion in space / drag against bending
         lengths = self.line.lengths * (1.0 + shape.stretches)
         cells = self._bend_cells(shape, imposed, history, drag)
         rotations = to_matrices(shape.frames)
@@ -279,7 +284,7 @@ class Assembly:
             shape, directions, cells
         )
         residual = join_unknowns(position_residual, stretch_residual, turn_residual, gaps)
-        drag_factor = min_drag if drag is None else rigid_motion_ratio * drag.ratio
+        drag_factor = min_drag if drag is None else motion_drag_ratio * drag.ratio
         turn_stiffness += drag_factor * self._turn_drag
         position_stiffness += drag_factor * self._node_drag
         if drag is not None:
@@ -419,7 +424,7 @@ class Assembly:
         The results are the residuals and the diagonal blocks of the tangent for the positions, the
         contacts of the planes, and the forces of the strings.
         """
-        max_relative_gap = 1e-9  # largest gap of a touching node / length of an element
+        max_relative_gap = 1e-9  # largest gap of a touching node / length of the shortest element
         residual = -imposed.forces
         residual[:-1] -= shape.forces
         residual[1:] += shape.forces
@@ -471,7 +476,7 @@ class Assembly:
     def _compute_stretch_residuals(
         self, shape: Shape, directions: Directions, cells: BentCells
     ) -> tuple[Floats, Floats, Floats]:
-        """Compute residuals of stretches, and their derivatives to stretches and forces."""
+        """Compute residuals of stretches, and derivatives with respect to stretches and forces."""
         lengths = self.line.lengths
         if self.is_rigid:
             return np.zeros(self.n), np.zeros(self.n), np.zeros((self.n, 3))
@@ -524,7 +529,10 @@ class Assembly:
         return rows, columns
 
     def _compute_scale(self) -> Floats:
-        """Compute the magnitude of each unknown, by which the matrix is scaled."""
+        """Return the factors of rows and columns of the matrix, shape (unknowns,).
+
+        A factor is the magnitude of the unknown over the square root of the energy EI / l.
+        """
         length = float(np.mean(self.line.lengths))
         stiffness = self.line.section.law.first_stiffness
         ones = np.ones((self.n, 3))

@@ -96,7 +96,7 @@ class BandedMatrix:
     ----------
     rows, columns : shape (entries,), row and column of every entry of every block; entries at the
         same position are added
-    scale : shape (unknowns,), magnitude of each unknown, by which rows and columns are multiplied
+    scale : shape (unknowns,), factors by which rows and columns are multiplied
     is_fixed : shape (unknowns,), whether the change of the unknown is prescribed
     """
 

@@ -33,7 +33,7 @@ from scipy.special import chdtri, ndtri, stdtrit
 
 from labpipe.mechanics.rod.path import RodPath
 from labpipe.messages import format_sentence
-from labpipe.records.arrays import ArrayRecord, Flags, Floats
+from labpipe.records.arrays import ArrayRecord, Flags, Floats, Ints
 from labpipe.records.quality import QualityNote
 from labpipe.records.result import Status
 from labpipe.records.wire import PARAMETERS, Solution
@@ -275,9 +275,9 @@ class Response:
     linear_coefficients, quadratic_coefficients : coefficients a and b of each field, shape (causes,
         ...). An amount x of a cause changes the field by a x + b x^2. Beyond `max_amounts`, the
         field changes along the tangent of this parabola
-    one_sided_causes : causes without an equilibrium for one sign of the amount; the response is
-        linear through the solution for the other sign
-    unsolved_causes : causes without an equilibrium for either sign, which do not change the band
+    n_unsolved : shape (causes,), number of signs of the amount without an equilibrium. With one,
+        the response is linear through the solution for the other sign. With two, the cause does not
+        change the band
     """
 
     distribution: InputDistribution
@@ -285,8 +285,12 @@ class Response:
     max_amounts: Floats
     linear_coefficients: Fields
     quadratic_coefficients: Fields
-    one_sided_causes: tuple[str, ...] = ()
-    unsolved_causes: tuple[str, ...] = ()
+    n_unsolved: Ints
+
+    def list_unsolved_causes(self, n_unsolved: int) -> tuple[str, ...]:
+        """List the causes without an equilibrium for one or for two signs of their amount."""
+        causes = np.array(self.distribution.causes)[self.n_unsolved == n_unsolved]
+        return tuple(dict.fromkeys(causes.tolist()))
 
     def compute_draws(self, name: str) -> Floats:
         """Compute draws of a field, shape (draws, ...)."""
@@ -360,18 +364,9 @@ def compute_response(
             if increments:  # with one solution only, the quadratic coefficient becomes zero
                 linear[name][cause] = 0.5 * (increments[0] + increments[-1]) / amount
                 quadratic[name][cause] = 0.5 * (increments[0] - increments[-1]) / amount**2
-    n_unsolved, faulty_causes = np.array([pair.count(None) for pair in solved_pairs]), {}
-    for field, count in (("one_sided_causes", 1), ("unsolved_causes", 2)):
-        names = np.array(distribution.causes)[n_unsolved == count].tolist()
-        faulty_causes[field] = tuple(dict.fromkeys(names))
-    return Response(
-        distribution,
-        best_fields,
-        amounts,
-        linear,
-        quadratic_coefficients=quadratic,
-        **faulty_causes,
-    )
+    n_unsolved = np.array([pair.count(None) for pair in solved_pairs])
+    coefficients = {"linear_coefficients": linear, "quadratic_coefficients": quadratic}
+    return Response(distribution, best_fields, amounts, **coefficients, n_unsolved=n_unsolved)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -607,12 +602,10 @@ def _find_range_notes(path: RodPath, tested_curvature: float) -> Iterator[Qualit
 
 def _find_equilibrium_notes(responses: Sequence[Response]) -> Iterator[QualityNote]:
     """Yield notes on causes without an equilibrium for one sign of their amount, or for both."""
-    one_sided_causes = chain.from_iterable(response.one_sided_causes for response in responses)
-    if names := ", ".join(dict.fromkeys(one_sided_causes)):
-        yield QualityNote.of("mechanics.rod.one_sided", names, causes=names)
-    unsolved_causes = chain.from_iterable(response.unsolved_causes for response in responses)
-    if names := ", ".join(dict.fromkeys(unsolved_causes)):
-        yield QualityNote.of("mechanics.rod.silent", names, causes=names)
+    for n_unsolved, template in ((1, "mechanics.rod.one_sided"), (2, "mechanics.rod.silent")):
+        causes = chain.from_iterable(item.list_unsolved_causes(n_unsolved) for item in responses)
+        if names := ", ".join(dict.fromkeys(causes)):
+            yield QualityNote.of(template, names, causes=names)
 
 
 def _find_jump_notes(path_groups: Sequence[Sequence[RodPath]]) -> Iterator[QualityNote]:

@@ -395,13 +395,9 @@ def compute_ring_contact(
     stiffness : N/m, stiffness of the contact
     """
     u = find_nearest_parameter(positions, ring, previous_u)
-    first_node, weights, first_derivatives, second_derivatives = _compute_weights(u, len(positions))
-    nodes = positions[first_node : first_node + 3]
-    offset = weights @ nodes - ring
-    slope, slope_change = first_derivatives @ nodes, second_derivatives @ nodes
+    first_node, weights, first_derivatives, _ = _compute_weights(u, len(positions))
+    offset, slope, convexity = _expand_distance(positions, ring, u)
     mixed = weights[:, None] * slope + first_derivatives[:, None] * offset
-    # This is the second derivative of half the squared distance with respect to u, kept positive.
-    convexity = slope @ slope + max(float(offset @ slope_change), -0.5 * float(slope @ slope))
     tangent = np.einsum("i,j,xy->ixjy", weights, weights, _IDENTITY)
     if 0.0 < u < len(positions) - 1:
         tangent -= np.einsum("ix,jy->ixjy", mixed, mixed) / convexity
@@ -412,6 +408,20 @@ def evaluate_curve(positions: Floats, u: float) -> Floats:
     """Evaluate the curve at the parameter u, shape (3,), m."""
     first_node, weights, _, _ = _compute_weights(u, len(positions))
     return np.asarray(weights @ positions[first_node : first_node + 3])
+
+
+def _expand_distance(positions: Floats, ring: Floats, u: float) -> tuple[Floats, Floats, float]:
+    """Compute the offset of a curve point from a ring, m, the slope of the curve, and a convexity.
+
+    The convexity is the second derivative of half the squared distance with respect to u, kept
+    positive.
+    """
+    first_node, weights, first_derivatives, second_derivatives = _compute_weights(u, len(positions))
+    nodes = positions[first_node : first_node + 3]
+    offset = weights @ nodes - ring
+    slope, slope_change = first_derivatives @ nodes, second_derivatives @ nodes
+    squared_slope = float(slope @ slope)
+    return offset, slope, squared_slope + max(float(offset @ slope_change), -0.5 * squared_slope)
 
 
 def _compute_weights(u: float, n_nodes: int) -> tuple[int, Floats, Floats, Floats]:
@@ -440,11 +450,7 @@ def find_nearest_parameter(positions: Floats, ring: Floats, previous_u: float) -
     distances = [float(np.sum((evaluate_curve(positions, u) - ring) ** 2)) for u in candidates]
     u = float(candidates[int(np.argmin(distances))])
     for _ in range(max_iterations):
-        node, weights, first_derivatives, second_derivatives = _compute_weights(u, len(positions))
-        nodes = positions[node : node + 3]
-        offset = weights @ nodes - ring
-        slope, slope_change = first_derivatives @ nodes, second_derivatives @ nodes
-        convexity = slope @ slope + max(float(offset @ slope_change), -0.5 * float(slope @ slope))
+        offset, slope, convexity = _expand_distance(positions, ring, u)
         change = float(np.clip(-(offset @ slope) / convexity, -max_change, max_change))
         u = float(np.clip(u + change, 0.0, last_u))
         if abs(change) < tolerance:

@@ -194,17 +194,12 @@ class StabilityCheck:
         rows, columns = assembly.pattern
         is_force = np.arange(assembly.indices.n_unknowns) % PER_ELEMENT >= FORCES
         self._selected_entries = np.flatnonzero(~(is_force[rows] | is_force[columns]))
-        first_nodes, second_nodes = assembly.indices.positions[:-1], assembly.indices.positions[1:]
-        entries = [
-            (rows[self._selected_entries], columns[self._selected_entries]),
-            list_block_entries(first_nodes, FORCES, first_nodes, FORCES),
-            list_block_entries(first_nodes, FORCES, second_nodes, 3),
-            list_block_entries(second_nodes, 3, second_nodes, 3),
-        ]
-        rows, columns = (
-            FORCES * (unknowns // PER_ELEMENT) + unknowns % PER_ELEMENT  # without the forces
-            for unknowns in (np.concatenate(group) for group in zip(*entries, strict=True))
-        )
+        # The stretch condition of an element has ten unknowns: those of the element without its
+        # force, and the position of the next node. They are successive if forces are left out.
+        numbers, first_numbers = np.cumsum(~is_force) - 1, FORCES * np.arange(n)
+        block_rows, block_columns = list_block_entries(first_numbers, 10, first_numbers, 10)
+        rows = np.append(numbers[rows[self._selected_entries]], block_rows)
+        columns = np.append(numbers[columns[self._selected_entries]], block_columns)
         # All entries are moved to the lower triangle.
         rows, columns = np.maximum(rows, columns), np.minimum(rows, columns)
         self.size = FORCES * n + 3
@@ -212,9 +207,7 @@ class StabilityCheck:
         self._entries = self._depth * columns + (rows - columns)
         self._unknowns = np.flatnonzero(~is_force)
         is_fixed, scale = matrix.is_fixed[~is_force], matrix.scale[~is_force]
-        # Off-diagonal entries occur twice, except in the block between nodes.
-        weights = np.where(rows == columns, 1.0, 0.5)
-        weights[len(self._selected_entries) + n * FORCES * FORCES : len(rows) - 9 * n] = 1.0
+        weights = np.where(rows == columns, 1.0, 0.5)  # off-diagonal entries occur twice
         is_removed = is_fixed[rows] | is_fixed[columns]
         self._weights = weights * scale[rows] * scale[columns] * ~is_removed
         self._scale, self._is_fixed = scale, is_fixed
@@ -286,14 +279,7 @@ class StabilityCheck:
         stretch_gradient[:, :, 7:] = np.eye(3)
         stiffness = np.swapaxes(stretch_gradient, 1, 2) @ stretch_gradient
         stiffness *= (penalty / line.lengths)[:, None, None]
-        values = np.concatenate(
-            [
-                balance.symmetric_values[self._selected_entries],
-                stiffness[:, :FORCES, :FORCES].ravel(),
-                stiffness[:, :FORCES, FORCES:].ravel(),
-                stiffness[:, FORCES:, FORCES:].ravel(),
-            ]
-        )
+        values = np.append(balance.symmetric_values[self._selected_entries], stiffness)
         weighted_values = values * self._weights
         sums = np.bincount(self._entries, weighted_values, minlength=self._depth * self.size)
         diagonal = sums[:: self._depth]
