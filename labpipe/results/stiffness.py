@@ -665,8 +665,8 @@ class InitialStiffness(RangeKind):
         window = self.start, self.stop
         choose_samples = partial(_choose_secant_window, start=self.start, stop=self.stop)
         outcome, period = test.measure_number(choose_samples), test.find_loading_period(*window)
-        doubts = kinds.find_pause_doubts(test, window)
-        result = self.make_result(test, outcome, period=period, doubts=doubts)
+        doubts, method = kinds.find_pause_doubts(test, window), InitialStiffness.method
+        result = self.make_result(test, outcome, method=method, period=period, doubts=doubts)
         yield result
         yield Stiffness(result.name, choose_samples, outcome.value, period, window, doubts=doubts)
 
@@ -681,10 +681,6 @@ class LineStiffness(InitialStiffness):
         "interval for correlated noise"
     )
     name: Annotated[SnakeName, "Such as stiffness_first"] = "stiffness"
-
-    def list_methods(self, test: ReducedTest) -> tuple[str]:
-        """Return the method, which has time as the instrument if the test has a shape."""
-        return (self.method if test.shape is None else InitialStiffness.method,)
 
     def measure(self, test: ReducedTest) -> Iterator[MeasuredItem]:
         """Fit a least-squares line or, for a test with a shape, a line with time as instrument."""

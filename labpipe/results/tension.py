@@ -13,7 +13,7 @@ from abc import abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Annotated, ClassVar, Literal, TypeAlias
+from typing import Annotated, Any, ClassVar, Literal, TypeAlias
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -328,6 +328,7 @@ class TensileQuantity:
     has_line : whether the quantity depends on the elastic line
     errors : further standard errors of the quantity, by cause
     doubts : further reasons to doubt the quantity
+    remark : remark on the quantity of this test
     """
 
     compute: QuantityFunction
@@ -335,6 +336,7 @@ class TensileQuantity:
     has_line: bool = True
     errors: Errors = field(default_factory=dict)
     doubts: tuple[Reason, ...] = ()
+    remark: str = ""
 
 
 class TensionResult(Kind):
@@ -368,9 +370,8 @@ class TensionResult(Kind):
                 doubts = (*_list_line_doubts(test, curve, quantity.compute), *doubts)
             ends = np.minimum(quantity.sample_range, len(curve.time) - 1)
             start, stop = curve.time[ends].tolist()
-            yield self.make_result(
-                test, outcome, errors, output=output, period=(start, stop), doubts=doubts
-            )
+            context: dict[str, Any] = {"period": (start, stop), "remark": quantity.remark}
+            yield self.make_result(test, outcome, errors, output=output, doubts=doubts, **context)
 
 
 def _change_inputs(test: ReducedTest, curve: TensileCurve) -> Iterator[tuple[str, TensileCurve]]:
@@ -475,15 +476,7 @@ class ElasticModulus(TensionResult):
 
     result: ClassVar = "elastic-modulus"
     outputs: ClassVar = (Output("elastic_modulus", "Pa", "Modulus of elasticity"),)
-
-    def list_methods(self, test: ReducedTest) -> tuple[str]:
-        """List the method, with the range of stress of the elastic line."""
-        curve = test.tensile_curve
-        if not isinstance(curve, TensileCurve) or curve.line_failure is not None:
-            return ("slope of the elastic line",)
-        stress = curve.stress[curve.window]
-        low, high = 1e-6 * float(np.nanmin(stress)), 1e-6 * float(np.nanmax(stress))
-        return (f"slope of the elastic line from {low:.4g} to {high:.4g} MPa",)
+    method: ClassVar = "slope of the elastic line"
 
     def list_quantities(self, test: ReducedTest, curve: TensileCurve) -> Sequence[TensileQuantity]:
         """List the slope of the elastic line, whose residuals may be correlated."""
@@ -493,7 +486,9 @@ class ElasticModulus(TensionResult):
         strain, sample_range = drop_missing(curve.strain[window]), (window.start, window.stop)
         rounding = np.sqrt(2.0) * curve.slope * _estimate_rounding(strain) / np.ptp(strain)
         errors = {causes.RESOLUTION_OF_DISPLACEMENT: float(rounding)}
-        return [TensileQuantity(_get_slope, sample_range, errors=errors, doubts=doubts)]
+        low, high = (1e-6 * f(curve.stress[window]) for f in (np.nanmin, np.nanmax))
+        context: dict[str, Any] = {"doubts": doubts, "remark": f"from {low:.4g} to {high:.4g} MPa"}
+        return [TensileQuantity(_get_slope, sample_range, errors=errors, **context)]
 
     def measure(self, test: ReducedTest) -> Iterator[MeasuredItem]:
         """Measure the slope, and yield the line for figures."""
