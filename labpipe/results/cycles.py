@@ -11,7 +11,15 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from labpipe.records.arrays import Flags, Floats, Ints, convert_to_slice, divide, drop_missing
+from labpipe.records.arrays import (
+    Flags,
+    Floats,
+    Ints,
+    convert_to_slice,
+    divide,
+    drop_missing,
+    median,
+)
 from labpipe.records.curve import Branch, Curve, Direction
 from labpipe.records.declarations import CURVE_QUANTITIES, Force, Output
 from labpipe.records.estimates import UnavailableError, return_failure
@@ -275,17 +283,18 @@ class CycleKind(Kind):
         """
 
     def list_doubts(self, test: ReducedTest, branches: list[Branch]) -> tuple[Reason, ...]:
-        """List further doubts about the number of a cycle, such as a missing sample at the peak."""
+        """List further doubts about the number of a cycle, such as noise or a gap at the peak."""
         if self.peak_quantity is None:
             return ()
         curve, values = test.required_curve, getattr(test.required_curve, self.peak_quantity)
         cycle_values = values[find_cycle_samples(curve, branches[0].cycle)]
         signed_values = find_loading_sign(curve, values) * cycle_values
+        doubts = find_noise_doubts(signed_values, self.peak_quantity)
         peak = int(np.argmax(np.nan_to_num(signed_values, nan=-np.inf)))
         is_missing = np.isnan(cycle_values[max(peak - 1, 0) : peak + 2])
         if is_missing.all() or not is_missing.any():
-            return ()
-        return (Reason.of("results.gap_at_peak", quantity=self.peak_quantity),)
+            return doubts
+        return (*doubts, Reason.of("results.gap_at_peak", quantity=self.peak_quantity))
 
     def measure(self, test: ReducedTest) -> Iterator[MeasuredItem]:
         """Measure the number of each cycle."""
@@ -297,6 +306,41 @@ class CycleKind(Kind):
             doubts += self.list_doubts(test, branches)
             period, suffix = _find_period(branches, *self.branch_range), f".{cycle}"
             yield self.make_result(test, outcome, period=period, doubts=doubts, suffix=suffix)
+
+
+def find_noise_doubts(values: Floats, quantity: str) -> tuple[Reason, ...]:
+    """Find a doubt ``noise_at_peak`` if a signal is much noisier beside its peak than elsewhere.
+
+    Parameters
+    ----------
+    values : shape (n,), positive in the direction of loading; NaN are ignored
+    quantity : name of the quantity
+
+    Notes
+    -----
+    The noise of ten samples is the median magnitude of their third differences, on which smooth
+    bends and single steps have little effect. The noise beside the peak is that of the noisier
+    side; after a break, a specimen vibrates, and only the side before the peak counts. It is
+    compared with the noise that nine tenths of the stretches farther than 30 samples from the peak
+    do not exceed, so that serrated flow over a large part of a curve causes no doubt.
+    """
+    width, min_distance, min_stretches, max_ratio, min_fraction = 10, 30, 5, 8.0, 0.01
+    values = drop_missing(values)
+    bends = np.abs(np.diff(values, 3))
+    stretches = bends[: len(bends) // width * width].reshape(-1, width)
+    peak = int(np.argmax(values)) if len(values) else 0
+    distances = np.abs(width * (np.arange(len(stretches)) + 0.5) - peak)
+    usual_bends = np.median(stretches, axis=1)[distances > min_distance]
+    sides = [bends[max(peak - width, 0) : max(peak - 2, 0)], bends[peak : peak + width - 2]]
+    is_broken = len(values) > 0 and values[peak : peak + width].min() < 0.5 * values[peak]
+    nearby = [median(side) for side in sides[: 1 if is_broken else 2] if len(side) >= width // 2]
+    if len(usual_bends) < min_stretches or not nearby:
+        return ()
+    # The steps of a converter are at least as large as its smallest bends.
+    usual = max(float(np.quantile(usual_bends, 0.9)), median(bends[bends > 0.0]))
+    if not max(nearby) > max(max_ratio * usual, min_fraction * float(values[peak])):
+        return ()
+    return (Reason.of("results.noise_at_peak", quantity=quantity, ratio=max(nearby) / usual),)
 
 
 def _find_period(branches: list[Branch], start: float, stop: float) -> Stretch | None:

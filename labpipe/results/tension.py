@@ -26,6 +26,7 @@ from labpipe.records.estimates import Estimate, Failure, UnavailableError, retur
 from labpipe.records.quality import Reason
 from labpipe.results import kinds
 from labpipe.results.curves import make_trace, require_samples
+from labpipe.results.cycles import find_noise_doubts
 from labpipe.results.kinds import Errors, Kind, MeasuredItem, ReducedTest
 from labpipe.results.stiffness import compute_area
 from labpipe.uncertainty.autocorrelation import LinearFit, estimate_fast_noise, fit_linear
@@ -629,11 +630,12 @@ class TensileStrength(TensionResult):
 
 
 def _find_peak_doubts(test: ReducedTest, curve: TensileCurve) -> tuple[Reason, ...]:
-    """Find a doubt if the record ends without a break, since the force may rise again."""
+    """Find doubts about the peak: noise, or an end of the record while the force may rise again."""
+    doubts = find_noise_doubts(curve.stress, "force")
     if isinstance(test.failure, kinds.FailurePoint):
-        return ()
-    stress = curve.stress[~np.isnan(curve.stress)]
-    return (Reason.of("results.ends_at_peak", share=float(stress[-1] / stress.max())),)
+        return doubts
+    stress = drop_missing(curve.stress)
+    return (*doubts, Reason.of("results.ends_at_peak", share=float(stress[-1] / stress.max())))
 
 
 def _find_extensometer_doubts(test: ReducedTest, curve: TensileCurve) -> tuple[Reason, ...]:

@@ -208,11 +208,18 @@ def missing_words(table: Table, rng: np.random.Generator) -> None:
     table.force[start : start + 5] = -9999.0
 
 
+def noise_at_the_top(table: Table, rng: np.random.Generator) -> None:
+    """Something disturbs the load cell while the motion turns, for half a second or longer."""
+    reach, top = int(rng.integers(5, 20)), table.turns[1]
+    noise = rng.normal(0.0, rng.uniform(0.03, 0.1) * table.force.max(), 2 * reach + 1)
+    table.force[top - reach : top + reach + 1] += noise
+
+
 CYCLIC: tuple[Accident, ...] = (
     *(force_zeroed, range_switched, force_stepped_at_the_top, travel_stepped_at_a_turn),
     *(encoder_scaled, encoder_wrapped, travel_stepped_twice, rows_of_zeros, force_late),
     *(turned_in_time, columns_exchanged, rows_copied, force_stepped_on_the_way_back),
-    *(travel_stepped_on_the_way, travel_reversed),
+    *(travel_stepped_on_the_way, travel_reversed, noise_at_the_top),
 )
 PULLED = (second_specimen, second_specimen_after_return, missing_words)
 
