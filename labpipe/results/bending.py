@@ -466,11 +466,10 @@ class MidSpan(RangeKind):
                 errors[SHAPE] = abs(alternative.value - outcome.value) / sqrt(3.0)
                 errors[MARKER_SIDE] = shape.side_change * abs(outcome.value) / sqrt(3.0)
                 errors |= kinds.compute_scale_error(test, outcome) if output == 0 else {}
-            method, period = self.methods[output], test.find_loading_period()
+            context: dict[str, Any] = {"output": output, "period": test.find_loading_period()}
             if "large-deflection" in self.corrections:
                 moment = "P L / 4 + P tan(slope at the supports) x deflection / 2"
-                method = method.replace("P L / 4", moment)
-            context = {"output": output, "method": method, "period": period}
+                context["method"] = self.methods[output].replace("P L / 4", moment)
             yield self.make_result(test, outcome, errors, **context)
 
     def _fit_stiffness(self, frames: _SpanFrames, curvature: Floats) -> Estimate:

@@ -7,6 +7,7 @@ from abc import abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cache, partial
+from itertools import pairwise
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -283,13 +284,16 @@ class CycleKind(Kind):
         """
 
     def list_doubts(self, test: ReducedTest, branches: list[Branch]) -> tuple[Reason, ...]:
-        """List further doubts about the number of a cycle, such as noise or a gap at the peak."""
+        """List further doubts: noise or a gap at a peak, or a force that leads the displacement."""
+        curve, doubts = test.required_curve, tuple[Reason, ...]()
+        if "displacement" in self.outputs[0].depends_on:
+            doubts = find_lead_doubts(curve)
         if self.peak_quantity is None:
-            return ()
-        curve, values = test.required_curve, getattr(test.required_curve, self.peak_quantity)
+            return doubts
+        values = getattr(curve, self.peak_quantity)
         cycle_values = values[find_cycle_samples(curve, branches[0].cycle)]
         signed_values = find_loading_sign(curve, values) * cycle_values
-        doubts = find_noise_doubts(signed_values, self.peak_quantity)
+        doubts += find_noise_doubts(signed_values, self.peak_quantity)
         peak = int(np.argmax(np.nan_to_num(signed_values, nan=-np.inf)))
         is_missing = np.isnan(cycle_values[max(peak - 1, 0) : peak + 2])
         if is_missing.all() or not is_missing.any():
@@ -341,6 +345,53 @@ def find_noise_doubts(values: Floats, quantity: str) -> tuple[Reason, ...]:
     if not max(nearby) > max(max_ratio * usual, min_fraction * float(values[peak])):
         return ()
     return (Reason.of("results.noise_at_peak", quantity=quantity, ratio=max(nearby) / usual),)
+
+
+def find_lead_doubts(curve: Curve) -> tuple[Reason, ...]:
+    """Find a doubt ``force_leads`` if the force turns before the displacement, and more sharply.
+
+    Parameters
+    ----------
+    curve : one curve
+
+    Notes
+    -----
+    A specimen in which the force relaxes or falls may turn first at the end of loading, but not at
+    both ends of a loop. A viscous specimen in a sinusoidal motion does, but its force turns as
+    smoothly as the motion. The sharpness of a turn is the change of the rate within three samples
+    over that within a tenth of a branch: 1 for a corner, and at most 1/2 for a sine.
+    """
+    reach, min_lead, min_sharpness, min_difference, min_noise_ratio = 3, 2, 0.7, 0.4, 8.0
+    force, d = (find_loading_sign(curve, x) * x for x in (curve.force, curve.displacement))
+    noise, leads = float(estimate_fast_noise(drop_missing(force))), dict[Direction, list[int]]()
+
+    def measure_bend(values: Floats, sample: int, width: int) -> float:
+        """Measure the bend of a curve, divided by the number of samples on each side."""
+        return float(2.0 * values[sample] - values[sample - width] - values[sample + width]) / width
+
+    for branch, next_branch in pairwise(curve.branches):
+        sign = 1.0 if branch.direction is Direction.LOADING else -1.0
+        shorter = min(branch.stop - branch.start, next_branch.stop - next_branch.start)
+        width, start = max(shorter // 10, 2 * reach), next_branch.start - shorter // 5
+        near_turn = slice(start, next_branch.start + shorter // 5 + 1)
+        force_turn, turn = (start + int(np.argmax(sign * x[near_turn])) for x in (force, d))
+        ends = min(force_turn, turn) - width, max(force_turn, turn) + width + 1
+        leads.setdefault(branch.direction, []).append(0)
+        if start < 0 or ends[0] < 0 or ends[1] > len(d):
+            continue
+        bend, whole_bend = (sign * measure_bend(force, force_turn, x) for x in (reach, width))
+        travel_bend, whole_travel_bend = (
+            sign * measure_bend(d, *x) for x in ((force_turn, reach), (turn, width))
+        )
+        is_clear = bend * reach > min_noise_ratio * noise and whole_travel_bend > 0.0
+        is_sharp = bend > min_sharpness * whole_bend > 0.0
+        if not (is_clear and is_sharp):
+            continue
+        if bend / whole_bend > travel_bend / whole_travel_bend + min_difference:
+            leads[branch.direction][-1] = turn - force_turn
+    if len(leads) < 2 or min(map(min, leads.values())) < min_lead:
+        return ()
+    return (Reason.of("results.force_leads", lead=median(np.concatenate([*leads.values()]))),)
 
 
 def _find_period(branches: list[Branch], start: float, stop: float) -> Stretch | None:

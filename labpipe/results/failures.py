@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from math import inf, isclose
-from typing import Annotated, ClassVar, TypeAlias
+from typing import Annotated, Any, ClassVar, TypeAlias
 
 import numpy as np
 
@@ -190,8 +190,8 @@ class FailureResult(Kind):
             sample = f"last sample with {slow_loss_limit:.0%} of the peak, which is lost slowly"
             methods = sample, f"force at the {sample}"
         for output, period in enumerate(((stop, stop), (start, stop))):
-            context = {"method": methods[output], "period": period, "doubts": doubts}
-            yield self.make_result(test, numbers[output], output=output, **context)
+            context: dict[str, Any] = {"method": methods[output], "period": period}
+            yield self.make_result(test, numbers[output], output=output, doubts=doubts, **context)
 
 
 def _choose_failure_samples(test: ReducedTest, trace: Trace) -> Extractor:

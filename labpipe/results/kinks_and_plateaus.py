@@ -503,7 +503,7 @@ class Tangents:
         midpoints = np.arange(high, low, -length / _TANGENTS_PER_LENGTH)
         force_weights, slope_weights, counts = _weigh_parabolas(d, midpoints, length)
         curves.require_samples(int(counts[0]), _MIN_TANGENT_SAMPLES)
-        is_determined = np.isfinite(force_weights).all(axis=1)
+        is_determined = np.isfinite(force_weights[:, 0])
         if not is_determined[0]:
             raise UnavailableError.of("results.displacement_jumps")
         n_tangents = int(np.argmin([*is_determined, False]))
@@ -626,7 +626,7 @@ class Tangents:
         first, last = d.min() + 0.5 * half_length, d.max() - 0.5 * half_length
         positions = positions[(positions <= last) & (positions >= first)]
         _, weights, _ = _weigh_parabolas(d, positions, half_length)
-        is_determined = np.isfinite(weights).all(axis=1)
+        is_determined = np.isfinite(weights[:, 0])
         slopes = f @ weights[is_determined].T
         half_onset = _interpolate_first_crossing(positions[is_determined], slopes, slope)
         onset_change = np.where(np.isnan(half_onset), 0.0, half_onset - onset)
@@ -692,10 +692,11 @@ def _weigh_parabolas(d: Floats, positions: Floats, length: float) -> tuple[Float
         powers = x ** np.arange(3.0)[:, None]
         determinant = np.linalg.det(powers @ powers.T / max(len(x), 1))
         is_enough = len(x) >= _MIN_TANGENT_SAMPLES and np.ptp(x) >= 0.5
-        weights[:, row, start:stop] = np.nan
-        if is_enough and determinant > min_determinant:
-            parabola = curves.compute_polynomial_weights(x, degree=2)
-            weights[:, row, start:stop] = parabola[0], parabola[1] / length
+        if not (is_enough and determinant > min_determinant):
+            weights[:, row] = np.nan
+            continue
+        parabola = curves.compute_polynomial_weights(x, degree=2)
+        weights[:, row, start:stop] = parabola[0], parabola[1] / length
     return weights[0], weights[1], stops - starts
 
 

@@ -545,13 +545,14 @@ class LoadingStiffness(CycleKind):
         return Extractor(compute, window.slope.n_samples, compute_noisy, ends_at_samples=True)
 
     def list_doubts(self, test: ReducedTest, branches: list[Branch]) -> tuple[Reason, ...]:
-        """List a doubt if over 10 % of the samples of the window are in its first fiftieth."""
+        """List further doubts, one if over 10 % of the samples are in a fiftieth of the window."""
         # At constant speed, a fiftieth of the samples is there; the limit is five times as many.
         window = return_failure(self._choose_window)(curves.make_trace(test), branches[0].cycle)
+        doubts = super().list_doubts(test, branches)
         if isinstance(window, Failure) or window.start_sample_fraction <= 0.1:
-            return ()
+            return doubts
         fraction, limit = window.start_sample_fraction, window.onset.limit
-        return (Reason.of("results.rest_in_window", share=fraction, limit=limit),)
+        return (*doubts, Reason.of("results.rest_in_window", share=fraction, limit=limit))
 
     def _choose_window(self, trace: Trace, cycle: int, limit: float | None = None) -> LoadingSlope:
         """Choose the samples for the stiffness of a cycle on a curve."""

@@ -71,6 +71,13 @@ class ElasticWindow:
     of: Literal["strain", "strength"]
     straight: float
 
+    @property
+    def text(self) -> str:
+        """Text on a stated window; empty for the longest straight part."""
+        if self.start is None or self.stop is None:
+            return ""
+        return f" from {self.start:.3%} to {self.stop:.3%} of the {self.of}"
+
 
 _NO_SLOPE = Estimate(np.nan, np.nan, 0)
 
@@ -85,7 +92,7 @@ class TensileCurve:
     strain, stress : shape (n,), 1 and Pa; strain is counted from the first sample or, if slack was
         subtracted, from the end of the slack; NaN while the extensometer is off
     window : samples of the elastic line
-    is_line_searched : whether the line is that of the longest straight part, not a stated window
+    stated_window : text on the stated window of the line; empty for the longest straight part
     stress_noise, strain_noise : Pa and 1, standard deviations of single samples
     slope_estimate : Pa, slope of the elastic line with its interval
     slope : Pa, slope of the elastic line
@@ -97,7 +104,7 @@ class TensileCurve:
     strain: Floats
     stress: Floats
     window: slice
-    is_line_searched: bool
+    stated_window: str
     stress_noise: float
     strain_noise: float
     slope_estimate: Estimate = _NO_SLOPE
@@ -162,7 +169,7 @@ def fit_tensile_curve(test: ReducedTest, settings: ElasticWindow) -> TensileCurv
         strain=strain,
         stress=stress,
         window=slice(0, 0),
-        is_line_searched=settings.start is None,
+        stated_window=settings.text,
         stress_noise=_estimate_noise(stress),
         strain_noise=_estimate_noise(strain),
     )
@@ -329,6 +336,7 @@ class TensileQuantity:
     has_line : whether the quantity depends on the elastic line
     errors : further standard errors of the quantity, by cause
     doubts : further reasons to doubt the quantity
+    method : method of the quantity; if empty, that of the kind
     remark : remark on the quantity of this test
     """
 
@@ -337,6 +345,7 @@ class TensileQuantity:
     has_line: bool = True
     errors: Errors = field(default_factory=dict)
     doubts: tuple[Reason, ...] = ()
+    method: str = ""
     remark: str = ""
 
 
@@ -371,7 +380,8 @@ class TensionResult(Kind):
                 doubts = (*_list_line_doubts(test, curve, quantity.compute), *doubts)
             ends = np.minimum(quantity.sample_range, len(curve.time) - 1)
             start, stop = curve.time[ends].tolist()
-            context: dict[str, Any] = {"period": (start, stop), "remark": quantity.remark}
+            context: dict[str, Any] = {"period": (start, stop), "method": quantity.method}
+            context["remark"] = quantity.remark
             yield self.make_result(test, outcome, errors, output=output, doubts=doubts, **context)
 
 
@@ -418,7 +428,7 @@ def _list_line_doubts(
     travel of the machine, because the gauge length lies between the grips. An extension that does
     may have a wrong unit.
     """
-    if curve.is_line_searched:
+    if not curve.stated_window:
         strain, stress = (values[curve.window] for values in (curve.strain, curve.stress))
         is_upper, half_values = stress > 0.5 * (np.nanmin(stress) + np.nanmax(stress)), []
         for is_in_half in (~is_upper, is_upper):
@@ -488,7 +498,8 @@ class ElasticModulus(TensionResult):
         rounding = np.sqrt(2.0) * curve.slope * _estimate_rounding(strain) / np.ptp(strain)
         errors = {causes.RESOLUTION_OF_DISPLACEMENT: float(rounding)}
         low, high = (1e-6 * f(curve.stress[window]) for f in (np.nanmin, np.nanmax))
-        context: dict[str, Any] = {"doubts": doubts, "remark": f"from {low:.4g} to {high:.4g} MPa"}
+        context: dict[str, Any] = {"doubts": doubts, "method": self.method + curve.stated_window}
+        context["remark"] = f"from {low:.4g} to {high:.4g} MPa"
         return [TensileQuantity(_get_slope, sample_range, errors=errors, **context)]
 
     def measure(self, test: ReducedTest) -> Iterator[MeasuredItem]:
