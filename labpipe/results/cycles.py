@@ -12,15 +12,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from labpipe.records.arrays import (
-    Flags,
-    Floats,
-    Ints,
-    convert_to_slice,
-    divide,
-    drop_missing,
-    median,
-)
+from labpipe.records.arrays import Flags, Floats, Ints, convert_to_slice, divide, drop_missing
 from labpipe.records.curve import Branch, Curve, Direction
 from labpipe.records.declarations import CURVE_QUANTITIES, Force, Output
 from labpipe.records.estimates import UnavailableError, return_failure
@@ -337,11 +329,11 @@ def find_noise_doubts(values: Floats, quantity: str) -> tuple[Reason, ...]:
     usual_bends = np.median(stretches, axis=1)[distances > min_distance]
     sides = [bends[max(peak - width, 0) : max(peak - 2, 0)], bends[peak : peak + width - 2]]
     is_broken = len(values) > 0 and values[peak : peak + width].min() < 0.5 * values[peak]
-    nearby = [median(side) for side in sides[: 1 if is_broken else 2] if len(side) >= width // 2]
+    nearby = [np.median(side) for side in sides[: 1 if is_broken else 2] if len(side) >= width // 2]
     if len(usual_bends) < min_stretches or not nearby:
         return ()
     # The steps of a converter are at least as large as its smallest bends.
-    usual = max(float(np.quantile(usual_bends, 0.9)), median(bends[bends > 0.0]))
+    usual = max(float(np.quantile(usual_bends, 0.9)), float(np.median(bends[bends > 0.0])))
     if not max(nearby) > max(max_ratio * usual, min_fraction * float(values[peak])):
         return ()
     return (Reason.of("results.noise_at_peak", quantity=quantity, ratio=max(nearby) / usual),)
@@ -363,35 +355,34 @@ def find_lead_doubts(curve: Curve) -> tuple[Reason, ...]:
     """
     reach, min_lead, min_sharpness, min_difference, min_noise_ratio = 3, 2, 0.7, 0.4, 8.0
     force, d = (find_loading_sign(curve, x) * x for x in (curve.force, curve.displacement))
-    noise, leads = float(estimate_fast_noise(drop_missing(force))), dict[Direction, list[int]]()
-
-    def measure_bend(values: Floats, sample: int, width: int) -> float:
-        """Measure the bend of a curve, divided by the number of samples on each side."""
-        return float(2.0 * values[sample] - values[sample - width] - values[sample + width]) / width
-
+    leads, min_samples = dict[Direction, list[int]](), 30
+    branch_samples = [branch.stop - branch.start for branch in curve.branches]
+    if min(branch_samples) < min_samples or len(drop_missing(force)) < min_samples:
+        return ()
+    noise = float(estimate_fast_noise(drop_missing(force)))
     for branch, next_branch in pairwise(curve.branches):
         sign = 1.0 if branch.direction is Direction.LOADING else -1.0
         shorter = min(branch.stop - branch.start, next_branch.stop - next_branch.start)
-        width, start = max(shorter // 10, 2 * reach), next_branch.start - shorter // 5
-        near_turn = slice(start, next_branch.start + shorter // 5 + 1)
-        force_turn, turn = (start + int(np.argmax(sign * x[near_turn])) for x in (force, d))
-        ends = min(force_turn, turn) - width, max(force_turn, turn) + width + 1
-        leads.setdefault(branch.direction, []).append(0)
-        if start < 0 or ends[0] < 0 or ends[1] > len(d):
-            continue
-        bend, whole_bend = (sign * measure_bend(force, force_turn, x) for x in (reach, width))
-        travel_bend, whole_travel_bend = (
-            sign * measure_bend(d, *x) for x in ((force_turn, reach), (turn, width))
+        width, search = max(shorter // 10, 2 * reach), shorter // 5
+        start = max(next_branch.start - search - width, 0)
+        samples = slice(start, next_branch.start + search + width + 1)
+        f, x = sign * force[samples], sign * d[samples]
+        force_turn, turn = (width + int(np.argmax(values[width:-width])) for values in (f, x))
+        # Changes of the rates within the reach, and within the width.
+        bend, travel_bend, whole_bend, whole_travel_bend = (
+            float(2.0 * values[i] - values[i - step] - values[i + step]) / step
+            for values, i, step in (
+                *((f, force_turn, reach), (x, force_turn, reach)),
+                *((f, force_turn, width), (x, turn, width)),
+            )
         )
-        is_clear = bend * reach > min_noise_ratio * noise and whole_travel_bend > 0.0
-        is_sharp = bend > min_sharpness * whole_bend > 0.0
-        if not (is_clear and is_sharp):
-            continue
-        if bend / whole_bend > travel_bend / whole_travel_bend + min_difference:
-            leads[branch.direction][-1] = turn - force_turn
+        is_clear = bend * reach > min_noise_ratio * noise and min(whole_bend, whole_travel_bend) > 0
+        sharpness = bend / whole_bend if is_clear else 0.0
+        is_sharp = sharpness > max(min_sharpness, travel_bend / whole_travel_bend + min_difference)
+        leads.setdefault(branch.direction, []).append((turn - force_turn) * is_sharp)
     if len(leads) < 2 or min(map(min, leads.values())) < min_lead:
         return ()
-    return (Reason.of("results.force_leads", lead=median(np.concatenate([*leads.values()]))),)
+    return (Reason.of("results.force_leads", lead=np.median(np.concatenate([*leads.values()]))),)
 
 
 def _find_period(branches: list[Branch], start: float, stop: float) -> Stretch | None:

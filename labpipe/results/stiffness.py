@@ -576,25 +576,19 @@ class Hardening(Kind):
         """Measure the ratio of each later cycle to the first one, in which the scale cancels."""
         first_cycle, *later_cycles = test.require(test.cycles or None)
         stiffness = LoadingStiffness(over=self.over)
-        choose = partial(stiffness.choose_samples, test, cycle=1)
-        first_outcome = return_failure(test.measure_number)(choose)
+        choose_first = partial(stiffness.choose_samples, test, cycle=1)
+        first = return_failure(test.measure_number)(choose_first)
         first_doubts = stiffness.list_doubts(test, first_cycle)
-
-        def choose_first(trace: Trace) -> Extractor:
-            extractor = return_failure(stiffness.choose_samples)(test, trace, 1)
-            if isinstance(extractor, Failure):
-                raise UnavailableError.of("results.no_first_stiffness", why=extractor.message)
-            return extractor
 
         @return_failure
         def measure_ratio(cycle: int) -> MeasuredNumber:
+            if isinstance(first, Failure):
+                raise UnavailableError.of("results.no_first_stiffness", why=first.message)
+            if first.value <= _MIN_DIVISOR_ERRORS * first.error:
+                raise UnavailableError.of("results.first_stiffness_is_noise", value=first.value)
             choose = partial(stiffness.choose_samples, test, cycle=cycle)
             ratio = combine_numbers(lambda _, x, first: divide(x, first), choose, choose_first)
-            hardening, first_stiffness = test.measure_number(ratio), test.require(first_outcome)
-            value = first_stiffness.value
-            if value <= _MIN_DIVISOR_ERRORS * first_stiffness.error:
-                raise UnavailableError.of("results.first_stiffness_is_noise", value=value)
-            return hardening
+            return test.measure_number(ratio)
 
         for later_cycle in later_cycles:
             loading = later_cycle[0]

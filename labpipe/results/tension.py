@@ -13,7 +13,7 @@ from abc import abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Annotated, Any, ClassVar, Literal, TypeAlias
+from typing import Annotated, ClassVar, Literal, TypeAlias
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -24,6 +24,7 @@ from labpipe.records.curve import Direction, FittedLine
 from labpipe.records.declarations import Fraction, Needs, Output, SnakeName
 from labpipe.records.estimates import Estimate, Failure, UnavailableError, return_failure
 from labpipe.records.quality import Reason
+from labpipe.records.result import Result
 from labpipe.results import kinds
 from labpipe.results.curves import make_trace, require_samples
 from labpipe.results.cycles import find_noise_doubts
@@ -336,8 +337,6 @@ class TensileQuantity:
     has_line : whether the quantity depends on the elastic line
     errors : further standard errors of the quantity, by cause
     doubts : further reasons to doubt the quantity
-    method : method of the quantity; if empty, that of the kind
-    remark : remark on the quantity of this test
     """
 
     compute: QuantityFunction
@@ -345,8 +344,6 @@ class TensileQuantity:
     has_line: bool = True
     errors: Errors = field(default_factory=dict)
     doubts: tuple[Reason, ...] = ()
-    method: str = ""
-    remark: str = ""
 
 
 class TensionResult(Kind):
@@ -380,9 +377,9 @@ class TensionResult(Kind):
                 doubts = (*_list_line_doubts(test, curve, quantity.compute), *doubts)
             ends = np.minimum(quantity.sample_range, len(curve.time) - 1)
             start, stop = curve.time[ends].tolist()
-            context: dict[str, Any] = {"period": (start, stop), "method": quantity.method}
-            context["remark"] = quantity.remark
-            yield self.make_result(test, outcome, errors, output=output, doubts=doubts, **context)
+            yield self.make_result(
+                test, outcome, errors, output=output, period=(start, stop), doubts=doubts
+            )
 
 
 def _change_inputs(test: ReducedTest, curve: TensileCurve) -> Iterator[tuple[str, TensileCurve]]:
@@ -497,15 +494,15 @@ class ElasticModulus(TensionResult):
         strain, sample_range = drop_missing(curve.strain[window]), (window.start, window.stop)
         rounding = np.sqrt(2.0) * curve.slope * _estimate_rounding(strain) / np.ptp(strain)
         errors = {causes.RESOLUTION_OF_DISPLACEMENT: float(rounding)}
-        low, high = (1e-6 * f(curve.stress[window]) for f in (np.nanmin, np.nanmax))
-        context: dict[str, Any] = {"doubts": doubts, "method": self.method + curve.stated_window}
-        context["remark"] = f"from {low:.4g} to {high:.4g} MPa"
-        return [TensileQuantity(_get_slope, sample_range, errors=errors, **context)]
+        return [TensileQuantity(_get_slope, sample_range, errors=errors, doubts=doubts)]
 
     def measure(self, test: ReducedTest) -> Iterator[MeasuredItem]:
         """Measure the slope, and yield the line for figures."""
-        yield from super().measure(test)
+        (modulus,) = (x for x in super().measure(test) if isinstance(x, Result))
         curve = test.require(test.tensile_curve)
+        low, high = (1e-6 * f(curve.stress[curve.window]) for f in (np.nanmin, np.nanmax))
+        method, remark = self.method + curve.stated_window, f"from {low:.4g} to {high:.4g} MPa"
+        yield replace(modulus, method=method, remark=remark)
         path = test.required_curve.displacement[_select_loading(make_trace(test))[curve.window]]
         start, stop = float(np.nanmin(path)), float(np.nanmax(path))
         strain = float(np.nanmin(curve.strain[curve.window]))
