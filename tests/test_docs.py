@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import re
 import shlex
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, get_args
@@ -26,6 +28,7 @@ from labpipe.readers import READERS
 from labpipe.records.curve import ClockFit, Curve, Shape
 from labpipe.records.declarations import Step
 from labpipe.records.recording import MarkerTracks, RigidBody
+from tests.builders.small_tests import Lab
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
@@ -212,6 +215,37 @@ def test_protocols_and_test_sheets_in_pages_are_valid(path: Path, tmp_path: Path
             sheet.write_text(text, encoding="utf-8")
             protocol = resolve_protocol(load_test_sheet(sheet), sheet, ROOT / "protocols")
             assert (ROOT / "protocols" / f"{protocol.name}.yaml").exists()
+
+
+WITH_A_RESULT = """
+import importlib, sys
+import labpipe.results.cycles as module
+exec(sys.argv.pop(1), vars(module))
+importlib.reload(sys.modules["labpipe.results"])
+from labpipe.cli import main
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+def test_the_result_of_the_how_to_can_be_added(
+    pristine: Lab, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text = page("docs/how-to/extend.md")
+    [example] = [code for code in fenced(text, "python") if "CycleKind" in code]
+    [asked] = re.findall(r"`(- \{result: end-force.*?\})`", text)
+    lab = pristine.copy(tmp_path)
+    monkeypatch.chdir(lab.home)
+    protocol = (ROOT / "protocols" / "wire-cantilever.yaml").read_text(encoding="utf-8")
+    (lab.home / "protocols").mkdir()
+    (lab.home / "protocols" / "wire-cantilever.yaml").write_text(
+        protocol.replace("results:\n", f"results:\n  {asked}\n"), encoding="utf-8"
+    )
+    command = [sys.executable, "-c", WITH_A_RESULT, example, "process", str(lab.sheet)]
+    done = subprocess.run([*command, "--no-figures"], check=False, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    end, peak = (lab.results[f"{name}.1"] for name in ("end_force", "peak_force"))
+    assert end["status"] == "ok"
+    assert 0.9 * peak["value"] < end["value"] < peak["value"]
 
 
 def result_units() -> dict[str, str]:

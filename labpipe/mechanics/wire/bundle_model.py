@@ -105,7 +105,7 @@ def compute_bundle_model(bundle: Bundle, tables: Mapping[str, WireTable]) -> Bun
     curvature, range_notes = _find_common_range(wire_tables, layout)
     moment_slip = compute_slipping_moment(curvature, wire_tables, counts)
     stretching = compute_stretching_moment(curvature, layout.y, layout.kind, wire_tables)
-    linear_ranges = _find_linear_ranges(wire_tables, layout, stick.neutral_point[1])
+    linear_ranges = _find_linear_ranges(wire_tables, layout, stick.neutral[1])
     circle_centre, circle_diameter = _find_circle(bundle, layout)
     bore = bundle.conduit_bore
     model = BundleModel(
@@ -114,10 +114,7 @@ def compute_bundle_model(bundle: Bundle, tables: Mapping[str, WireTable]) -> Bun
         low=float(np.dot(counts, [table.slip_stiffness for table in wire_tables])),
         free=float(own_stiffness.sum()),
         high=float(stick.tensor[1, 1]),
-        tensor=stick.tensor,
-        principal=stick.principal_stiffness,
-        principal_angle=stick.principal_angle,
-        neutral=stick.neutral_point,
+        **asdict(stick),
         axial_stiffness=float(axial_stiffness.sum()),
         smallest_bore=circle_diameter,
         middle=circle_centre,
@@ -285,16 +282,16 @@ class StickStiffness:
     ----------
     tensor : shape (2, 2), N m^2, bending stiffness; the xx component is for bending along x, the yy
         component for bending along y
-    neutral_point : m, (x, y) of the intersection of the neutral axes: the centroid of the axial
+    neutral : m, (x, y) of the intersection of the neutral axes: the centroid of the axial
         stiffnesses
-    principal_stiffness : N m^2, smallest and largest stiffness of all directions
+    principal : N m^2, smallest and largest stiffness of all directions
     principal_angle : rad, in (-pi/2, pi/2], from the x axis to the direction of the largest
         stiffness; 0 if all directions are equal
     """
 
     tensor: Floats
-    neutral_point: tuple[float, float]
-    principal_stiffness: tuple[float, float]
+    neutral: tuple[float, float]
+    principal: tuple[float, float]
     principal_angle: float
 
 

@@ -76,12 +76,12 @@ class LoadingCurve(ArrayRecord):
     tip_angle : rad, angle of the tangent at the tip from the undeformed axis
     clamp_curvature : 1/m, curvature at the clamp
     stiffness : N/m, derivative of the tension with respect to deflection; at rest, the secant to
-        the first deflection. It is NaN beyond rest if stations may unload
-    tension_sensitivity : shape (parameters, n), N, derivative of the tension above that at rest
-        with respect to each parameter of the law, at constant deflection. It is NaN beyond rest if
-        stations may unload
+        the first deflection. If stations may unload, it is NaN at all other points
+    tension_sensitivity : shape (parameters, n), N, derivatives of the tension above that at rest
+        with respect to the logarithms of the parameters of the law, at constant deflection. They
+        are zero at rest. If stations may unload, they are NaN at all other points
     full_curve : curve up to the last deflection, of which this curve is the first part. It is the
-        first guess for a similar law
+        first guess for a similar law. None for a curve that was not cut
     """
 
     deflection: Vector
@@ -103,6 +103,21 @@ class LoadingCurve(ArrayRecord):
     def clamp_moment(self) -> Floats:
         """Moments at the clamp, N m, shape (n,)."""
         return self.moment[:, 0]
+
+    def require_reached(self, deflection: Floats) -> None:
+        """Raise ValueError if a deflection, m, is negative or beyond the end of the curve.
+
+        A wire with weight, or on a string, has other forces if it is deflected away from the pull.
+        """
+        last_deflection = self.deflection[-1]
+        is_outside = (deflection < 0.0) | (deflection > last_deflection)
+        if np.any(is_outside):
+            message = (
+                f"deflection={np.max(deflection[is_outside]):.6g} m: the curve begins at rest and "
+                f"ends at {last_deflection:.6g} m, where the tip is inclined by "
+                f"{np.degrees(self.tip_angle[-1]):.3g} deg"
+            )
+            raise ValueError(message)
 
     def count_loading_points(self) -> int:
         """Count the points, including rest, up to which no station unloads.
@@ -135,9 +150,8 @@ def load_cantilever(
     ----------
     table : law of first loading, with its derivatives with respect to parameters
     length : m, length of the wire
-    rig : string and counterweight; the string is straight and without tension if the wire is
-        straight. None for an end load normal to the undeformed axis that holds the tip level at
-        rest
+    rig : string and counterweight; its `anchor_height` has no effect. None for an end load normal
+        to the undeformed axis. At rest, string or end load hold the tip level
     self_weight : N/m, weight per length of the wire; may be 0
     deflection : m, deflection of the tip from rest
     guess : curve of the same cantilever for the same deflection with a similar law; None if there
@@ -157,8 +171,9 @@ def load_cantilever(
     spacing_power = 2.75  # points are denser near rest, where strands begin to slip
     last_deflection = min(deflection, _UNLOADING_DEFLECTION * length)
     deflections = last_deflection * (np.arange(1, n_points + 1) / n_points) ** spacing_power
-    full_guess = None if guess is None else guess.full_curve
-    curve = find_equilibria(table, length, rig, self_weight, deflections, guess=full_guess)
+    curve = find_equilibria(
+        table, length, rig, self_weight, deflections, guess=guess and guess.full_curve
+    )
     n_loading = curve.count_loading_points()
     names = [item.name for item in fields(curve) if item.name not in {"moment", "full_curve"}]
     first_points = {name: getattr(curve, name)[..., :n_loading] for name in names}
@@ -183,7 +198,7 @@ def find_equilibria(
         `load_cantilever`
     deflections : shape (n,), m, deflections from rest in the direction of the pull, increasing
     n_stations : number of stations along a wire whose stations may unload from their largest
-        moments; the curve then has no derivatives. None for first loading
+        moments. None for first loading, which alone gives the derivatives of the curve
     guess : curve at these deflections with a similar law; None if there is none
 
     Returns
@@ -209,15 +224,14 @@ def find_equilibria(
     coarse = Cantilever(law, make_stations(_N_COARSE_STATIONS, length), self_weight, condition)
     one_grid_wire = replace(coarse, stations=stations)
     wire = replace(one_grid_wire, coarse_wire=coarse)
-    first_guess = None if guess is None else (guess.moment, guess.tension)
-    if first_guess is None:
-        first_guess = _solve_from_linear(table, coarse, bend_from_rest, tolerance=_COARSE_TOLERANCE)
-    solution = None if first_guess is None else _solve_from_guess(wire, *first_guess)
-    solve_one_grid = partial(_solve_from_linear, table, tolerance=_MOMENT_TOLERANCE)
-    solution = solution or solve_one_grid(one_grid_wire, bend_from_rest)
+    solve = partial(_solve_from_linear, table, loading_law=bend_from_rest)
+    first_guess = guess and (guess.moment, guess.tension)
+    first_guess = first_guess or solve(coarse, tolerance=_COARSE_TOLERANCE)
+    solution = first_guess and _solve_from_guess(wire, *first_guess)
+    solution = solution or solve(one_grid_wire, tolerance=_MOMENT_TOLERANCE)
     if solution is None:
         level_wire = replace(one_grid_wire, condition=TipCondition(rig, np.zeros(1)))
-        has_rest = solve_one_grid(level_wire, bend_from_rest) is not None
+        has_rest = solve(level_wire, tolerance=_MOMENT_TOLERANCE) is not None
         place = f"up to a deflection of {np.max(deflections):.6g} m" if has_rest else "at rest"
         message = f"length={length:.6g} m: no equilibrium found {place}"
         raise ValueError(message)
@@ -229,12 +243,12 @@ _Equilibria: TypeAlias = tuple[Floats, Floats]
 
 
 def _solve_from_linear(
-    table: LoadingTable, wire: Cantilever, first_loading: BendingLaw, *, tolerance: float
+    table: LoadingTable, wire: Cantilever, *, loading_law: BendingLaw, tolerance: float
 ) -> _Equilibria | None:
-    """Solve for all deflections from a first guess; None if no solution is found.
+    """Solve for all deflections without the solution for a similar law; None if this fails.
 
-    The guess is the solution at rest plus the moments of a linear wire. If Newton's method fails
-    from this guess, it starts again from the solution for first loading.
+    The first guess is the solution at rest plus the moments of a linear wire. If Newton's method
+    fails from this guess, it starts again from the solution for the law of first loading.
     """
     position, deflection = wire.stations.position, wire.condition.deflection
     assert deflection is not None
@@ -242,7 +256,7 @@ def _solve_from_linear(
     # The end load of a linear wire with a level tip is 3 w L / 8.
     tip_force, weight = 0.375 * wire.self_weight * length, 0.0 if rig is None else rig.weight
     moment = (tip_force - 0.5 * wire.outer_weight) * (length - position)
-    loading_wire = replace(wire, law=first_loading)
+    loading_wire = replace(wire, law=loading_law)
     level_wire = replace(loading_wire, condition=TipCondition(rig, np.zeros(1)))
     rest = level_wire.solve(moment[None], np.array([tip_force + weight]), tolerance=tolerance)
     if rest is None:
@@ -274,7 +288,7 @@ def _solve_from_guess(wire: Cantilever, moment: Floats, load: Floats) -> _Equili
 def _make_curve(
     table: LoadingTable, wire: Cantilever, moment: Floats, load: Floats, *, is_first_loading: bool
 ) -> LoadingCurve:
-    """Make the loading curve of equilibria; beyond first loading, derivatives are NaN."""
+    """Make the loading curve of equilibria; if stations may unload, its derivatives are NaN."""
     bent, deflection = wire.bend(moment, load), wire.condition.deflection
     assert deflection is not None
     # Row 0 is the derivative with respect to deflection; the others are those to parameters.
@@ -306,31 +320,24 @@ def interpolate_force(curve: LoadingCurve, deflection: Floats) -> tuple[Floats, 
     Parameters
     ----------
     curve : loading curve
-    deflection : shape (n,), m, in any order and of any sign, because the law is odd
+    deflection : shape (n,), m, in any order
 
     Returns
     -------
-    Force, shape (n,), N, with errors of about 4e-4 of the largest force, and its derivative with
-    respect to each parameter of the law, shape (parameters, n), N. Both are NaN where the
-    deflection is NaN.
+    Force, shape (n,), N, with errors of about 4e-4 of the largest force, and its derivatives with
+    respect to the logarithms of the parameters of the law, shape (parameters, n), N. Both are NaN
+    where the deflection is NaN.
 
     Raises
     ------
     ValueError
-        If a deflection is beyond the end of the curve.
+        If a deflection is outside the curve.
     """
-    magnitude, last_deflection = np.abs(deflection), curve.deflection[-1]
-    if np.any(magnitude > last_deflection):
-        message = (
-            f"deflection={np.nanmax(magnitude):.6g} m: the curve ends at {last_deflection:.6g} m, "
-            f"where the tip is inclined by {np.degrees(curve.tip_angle[-1]):.3g} deg"
-        )
-        raise ValueError(message)
+    curve.require_reached(deflection)
     sensitivity = curve.tension_sensitivity
     values = np.vstack([curve.force, sensitivity])
     slopes = np.vstack([curve.stiffness, np.gradient(sensitivity, curve.deflection, axis=1)])
-    interpolated = CubicHermiteSpline(curve.deflection, values, slopes, axis=1)(magnitude)
-    interpolated *= np.sign(deflection)
+    interpolated = CubicHermiteSpline(curve.deflection, values, slopes, axis=1)(deflection)
     return interpolated[0], interpolated[1:]
 
 
@@ -533,8 +540,8 @@ def interpolate_end_load(table: WireTable, deflections: Floats | float) -> Float
 
     Returns
     -------
-    End loads, N, in the shape of the deflections; NaN beyond the end of the curve, and if the table
-    has no curve.
+    End loads, N, in the shape of the deflections; NaN for negative deflections, beyond the end of
+    the curve, and if the table has no curve.
 
     Notes
     -----

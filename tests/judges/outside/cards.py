@@ -151,7 +151,7 @@ def six_wires(of: Values) -> Bounds:
     angle = np.pi / 3.0 * np.arange(6)
     x, y = of["circle_mm"] * 1e-3 * np.array([np.cos(angle), np.sin(angle)])
     pull = np.full(6, compute_stretch_torsion(wire).axial_stiffness)
-    stuck = compute_stick_tensor(x, y, np.full(6, high), pull).principal_stiffness[1]
+    stuck = compute_stick_tensor(x, y, np.full(6, high), pull).principal[1]
     inner, outer = (each * 1e-3 for each in of.get("sheath_mm", (0.0, 0.0)))
     sheath = of["modulus_insulation_mpa"] * 1e6 * np.pi / 64.0 * (outer**4 - inner**4)
     return 6.0 * low + sheath, stuck + sheath

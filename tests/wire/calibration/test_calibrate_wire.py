@@ -120,7 +120,7 @@ def test_residuals_and_searches_that_are_doubted(monkeypatch: pytest.MonkeyPatch
     slow = calibrated(curves, Settings({"copper_scale": FIXED}, gain=0.005))
     assert "residuals_correlated" in codes(slow)
     assert slow.levels.correlation == pytest.approx(0.9, abs=0.06)
-    monkeypatch.setattr("labpipe.mechanics.wire.calibration.objective._MAX_SEARCH_STEPS", 1)
+    monkeypatch.setattr("labpipe.mechanics.wire.calibration.objective._MAX_SEARCH_STEPS", 0)
     choices = {"copper_scale": FIXED, "insulation_modulus": ParameterChoice(3e9)}
     assert "search_unsettled" in codes(calibrated(THREE[:1], Settings(choices, scatter=0.03)))
 
@@ -131,7 +131,7 @@ def test_a_model_that_cannot_follow(monkeypatch: pytest.MonkeyPatch) -> None:
     failure = calibrate(WIRE, (deep,), Settings({"copper_scale": FIXED}))
     assert isinstance(failure, CalibrationFailure)
     assert failure.code == "model_cannot_follow"
-    assert "deflection=0.05 m: the curve ends at 0.0385" in failure.message
+    assert "deflection=0.05 m: the curve begins at rest and ends at 0.0385" in failure.message
 
 
 STRAND = split_law(place_rings((Layer(1, 0.5e-3),)), Contacts((), ()))

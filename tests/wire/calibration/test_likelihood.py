@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from labpipe.mechanics.wire.calibration.calibrate_wire import calibrate
+from labpipe.mechanics.wire.calibration import local_minima
+from labpipe.mechanics.wire.calibration.calibrate_wire import _find_interval_at_99, calibrate
 from labpipe.mechanics.wire.calibration.identification import compute_t_quantile
 from labpipe.mechanics.wire.calibration.law_components import split_law
 from labpipe.mechanics.wire.calibration.local_minima import (
@@ -37,8 +38,10 @@ from labpipe.mechanics.wire.calibration.objective import (
 )
 from labpipe.mechanics.wire.calibration.variances import compute_quantiles
 from labpipe.records.arrays import Floats
+from labpipe.records.curve import Interval
 from labpipe.records.wire import (
     PARAMETERS,
+    CalibratedParameter,
     Calibration,
     CalibrationFailure,
     Identifiability,
@@ -92,6 +95,19 @@ def test_the_least_has_no_slope() -> None:
     fit = search(believed, Levels(1.0, 0.0, 0.0), start(1.0, 1.0, 1.0))
     assert np.exp(fit.logs[2]) == pytest.approx(1.5, rel=1e-3)
     assert not fit.unknowns[3:].any()
+
+
+@pytest.mark.parametrize("best_objective", [np.inf, 0.0])
+def test_a_search_that_cannot_go_on_has_not_converged(
+    best_objective: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The model follows the curves nowhere but at the start."""
+    monkeypatch.setattr(
+        "labpipe.mechanics.wire.calibration.objective._evaluate_step", lambda *_: None
+    )
+    fit = search(PROBLEM, LEVELS, start(5.0, 2.0, 2.0), best_objective=best_objective)
+    assert not fit.has_converged
+    assert fit.unknowns.tolist() == start(5.0, 2.0, 2.0).tolist()
 
 
 def test_how_far_fits_are_apart_in_standard_deviations() -> None:
@@ -249,6 +265,16 @@ def test_a_profile_ends_where_its_deviance_jumps(
     assert sign * (side.end - place) == pytest.approx(0.7, abs=1e-3)
 
 
+@pytest.mark.parametrize(("height", "is_open"), [(0.98, True), (1.0, False), (1.005, False)])
+def test_a_profile_may_end_at_a_bound(
+    height: float, monkeypatch: pytest.MonkeyPatch, *, is_open: bool
+) -> None:
+    fit = search(HELD, LEVELS, start(1.0, 1.0, 1.0))
+    monkeypatch.setattr(_ProfilePath, "evaluate", lambda *_: (1.96 * height, fit))
+    side = _find_end(_ProfilePath(fit, 1, np.zeros(1)), 1.0, 1.96, 100.0)
+    assert (side.end, side.is_open) == (PROBLEM.upper[1], is_open)
+
+
 def test_intervals_that_touch_or_overlap_are_one() -> None:
     none = np.zeros(0)
     ends = [(4.0, 5.0), (0.0, 2.0), (2.0, 3.0), (0.5, 1.0)]
@@ -309,6 +335,22 @@ def test_along_the_line_of_the_leasts_parameters_reach_as_far_as_their_profiles(
     assert find_line_range(fit, 2, 1.727) == pytest.approx((higher.lower, higher.upper), abs=0.01)
     assert higher.threshold_above == pytest.approx(1.727 * traced.threshold_above)
     assert higher.lower < traced.lower < traced.upper < higher.upper
+
+
+def test_a_short_interval_of_a_long_line_is_followed_to_99_per_cent(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Both ends are those of 99 %, although the line of minima determines only one of them."""
+    minima = fit_of(Settings({"radial_friction": FIXED, "copper_scale": FIXED}))
+    (profile,), (at_99,) = (follow_profiles(minima, 1, factor=f) for f in (1.0, 1.727))
+    interval = Interval(*np.exp([profile.lower, profile.upper]))
+    modulus = CalibratedParameter("insulation_modulus", "Pa", 1e9, (interval,))
+    assert _find_interval_at_99(minima, 1, modulus) == (interval.lower, interval.upper)
+    far = float(profile.lower + np.log(2.5))
+    monkeypatch.setattr(local_minima, "find_line_range", lambda *_: (profile.lower, far))
+    lower, upper = _find_interval_at_99(minima, 1, modulus)
+    assert lower == pytest.approx(np.exp(at_99.lower))
+    assert upper == pytest.approx(np.exp(far))
 
 
 def fit_of(settings: Settings, **more: float) -> Minima:

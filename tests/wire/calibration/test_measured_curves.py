@@ -8,7 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labpipe.mechanics.wire.calibration.calibrate_wire import Settings, calibrate, predict
+from labpipe.mechanics.wire.calibration.calibrate_wire import (
+    Settings,
+    calibrate,
+    find_tested_curvature,
+    predict,
+)
 from labpipe.mechanics.wire.calibration.measured_curves import (
     MeasuredCurve,
     compare_curves,
@@ -30,7 +35,14 @@ from labpipe.records.wire import (
     Solution,
 )
 from tests.approved import Approve
-from tests.builders.loading_tests import exact_curve, measured, memory_noise, rig_of, wire_of
+from tests.builders.loading_tests import (
+    TRUTH,
+    exact_curve,
+    measured,
+    memory_noise,
+    rig_of,
+    wire_of,
+)
 
 CURVE = MeasuredCurve("A2", "t", "s", 0.085, np.linspace(0, 0.05, 5), np.arange(5.0), 0.002)
 
@@ -114,6 +126,7 @@ def test_what_is_refused(approved: Approve) -> None:
         (replace(CURVE, noise=0.0),),
         (replace(CURVE, noise=np.array([1.0, 1.0, np.nan, 1.0, 1.0])),),
         (replace(CURVE, length=0.07),),
+        (replace(CURVE, deflection=-1.0 - CURVE.deflection),),
     ]
     lines = []
     for curves in refused:
@@ -215,8 +228,22 @@ def test_what_a_prediction_lacks(calibration: Calibration) -> None:
     notes = predict(doubtful, wire_of("A2"), 0.085, D).notes
     assert [note.code for note in notes] == ["one_sample", "not_identified"]
     assert notes[1].message.startswith("phi is open; ")
-    with pytest.raises(ValueError, match=r"deflection=0.05 m: the curve ends at 0.04"):
+    with pytest.raises(ValueError, match=r"deflection=0.05 m: .* ends at 0.04"):
         predict(calibration, wire_of("A2"), 0.06, D)
+    with pytest.raises(ValueError, match=r"deflection=0.05 m: .* ends at 0.04"):
+        find_tested_curvature(wire_of("A2"), TRUTH, [replace(CURVE, length=0.06)])
+
+
+def test_a_band_contains_its_curve(calibration: Calibration) -> None:
+    """Quantiles of a mixture that lies on one side of the fit have the same sign."""
+    first = calibration.solutions[0]
+    for shift in (5.0, -5.0):
+        shifts = np.sign(shift) * np.abs(first.mixture.shift) + shift
+        shifted = replace(first, mixture=replace(first.mixture, shift=shifts))
+        band = predict(replace(calibration, solutions=(shifted,)), wire_of("A2"), 0.085, D)
+        near, far = (band.lower_mean, band.upper_mean)[:: int(np.sign(shift))]
+        assert near == pytest.approx(band.force)
+        assert np.all(np.abs(far - band.force)[1:] > band.force[1:])
 
 
 def external(deflection: Floats, force: Floats) -> ExternalCurve:

@@ -21,6 +21,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from labpipe.mechanics.law.plays import require
 from labpipe.mechanics.wire.calibration import identification, local_minima, objective
 from labpipe.mechanics.wire.calibration.law_components import compute_loading_curve
 from labpipe.mechanics.wire.calibration.local_minima import LocalMinimum, Minima, find_minima
@@ -97,7 +98,7 @@ def calibrate(
 _RISE_FACTOR_99 = 1.727
 """Rise of the objective at the ends of a 99 % interval, relative to that at the ends of a 95 % one.
 
-Other solutions are reported up to this rise.
+Solutions outside the 95 % set are reported up to this multiple of their limit.
 """
 
 
@@ -206,13 +207,15 @@ def _find_interval_at_99(
     """Find the ends of the 99 % interval, including values on the line of minima.
 
     An identified parameter must also be identified at 99 %, because noise may shorten an interval.
+    The profiles are followed to 99 % only if this can change the verdict.
     """
     # With a smaller ratio of the ends at 95 %, the ratio at 99 % is below `MAX_IDENTIFIED_RATIO`.
     min_ratio = 1.5
     lower, upper = parameter.intervals[0].lower, parameter.intervals[-1].upper
     line_range = local_minima.find_line_range(minima, index, _RISE_FACTOR_99)
     interval_ends = [lower, upper, *np.exp(line_range).tolist()]
-    if min_ratio < upper / lower < identification.MAX_IDENTIFIED_RATIO:
+    is_wide = max(interval_ends) > min_ratio * min(interval_ends)
+    if is_wide and upper < identification.MAX_IDENTIFIED_RATIO * lower:
         for profile in local_minima.follow_profiles(minima, index, factor=_RISE_FACTOR_99):
             interval_ends += np.exp([profile.lower, profile.upper]).tolist()
     return min(interval_ends), max(interval_ends)
@@ -377,21 +380,25 @@ def predict(
     Raises
     ------
     ValueError
-        If first loading ends before the largest deflection.
+        If a deflection is negative, or first loading or the stress-strain curve of a material ends
+        before the largest.
 
     Notes
     -----
     The bands are pointwise, with quantiles of t averaged over the possible scatters of samples.
     Noise is added as 1.96 s in quadrature.
     """
-    max_deflection = float(np.nanmax(np.abs(deflection)))
+    max_deflection = float(np.nanmax(deflection))
     forces, lower_limits, upper_limits = [], [], []
     for solution in (solution for solution in calibration.solutions if solution.is_allowed):
         curve = compute_calibrated_curve(wire, solution.values, length, rig, max_deflection)
         force, sensitivity = interpolate_force(curve, deflection)
         gradients = np.vstack([sensitivity, force]).T
-        mean_error = np.abs(compute_quantiles(solution.mixture, gradients))
-        error = np.abs(compute_quantiles(solution.mixture, gradients, force))
+        quantiles = (
+            compute_quantiles(solution.mixture, gradients, slope) for slope in (0.0, force)
+        )
+        # A band contains its curve, also if both quantiles have the same sign.
+        mean_error, error = (np.maximum([-below, above], 0.0) for below, above in quantiles)
         scatter = np.sqrt(np.maximum(error**2 - mean_error**2, 0.0))
         # In the nonlinear model, the uncertainty of the parameters is larger.
         mean_error *= calibration.widening * np.sqrt(1.0 - solution.rise / solution.limit)
@@ -431,19 +438,16 @@ def find_tested_curvature(wire: Wire, values: Floats, curves: Sequence[MeasuredC
     Raises
     ------
     ValueError
-        If there is no curve, or first loading ends before the end of a curve.
+        If there is no curve, or first loading or the stress-strain curve of a material ends before
+        the end of a measured curve.
     """
-    if not curves:
-        message = "curves: expected at least one"
-        raise ValueError(message)
-    deflections: dict[tuple[float, StringRig | None], float] = {}
-    for curve in curves:
-        setup, peak = (curve.length, curve.rig), float(np.nanmax(np.abs(curve.deflection)))
-        deflections[setup] = max(peak, deflections.get(setup, 0.0))
+    require("curves", list(curves), "at least one", holds=bool(curves))
     curvatures = []
-    for setup, peak in deflections.items():
-        loading = compute_calibrated_curve(wire, values, *setup, peak)
-        curvatures.append(float(np.interp(peak, loading.deflection, loading.clamp_curvature)))
+    for curve in curves:
+        peak = float(np.nanmax(curve.deflection))
+        loading = compute_calibrated_curve(wire, values, curve.length, curve.rig, peak)
+        loading.require_reached(np.array([peak]))
+        curvatures.append(float(loading.clamp_curvature[-1]))
     return max(curvatures)
 
 
@@ -462,7 +466,8 @@ def compute_calibrated_curve(
     Raises
     ------
     ValueError
-        If the curve of a material ends before the deflection is reached.
+        If the stress-strain curve of a material ends before the deflection is reached, or no
+        equilibrium is found.
     """
     law = wire.law
     values = np.where(np.isnan(values), law.nominal, values)

@@ -251,16 +251,10 @@ def make_loading_table(law: WireLaw, values: Floats, largest_curvature: float) -
     ----------
     law : law of the wire, split into its components
     values : shape (3,), values of `PARAMETERS`; inactive parameters are ignored
-    largest_curvature : 1/m, end of the table
-
-    Raises
-    ------
-    ValueError
-        If a strand or the insulation is bent beyond the range of the curve of its material.
+    largest_curvature : 1/m, end of the table, within the known range of the law
     """
     knots_per_interval = 4
     corner_offset = 1e-9  # relative distance from a corner at which slopes are evaluated
-    _require_known(law, values, largest_curvature)
     edges = _find_edges(law, values, largest_curvature)
     fractions = np.arange(knots_per_interval) / knots_per_interval
     knots = (edges[:-1, None] + np.diff(edges)[:, None] * fractions).ravel()
@@ -272,15 +266,6 @@ def make_loading_table(law: WireLaw, values: Floats, largest_curvature: float) -
         sensitivities.append(-derivative * compliances[-1])
     moment, _, _ = law.compute_moment(values, curvature)
     return LoadingTable(moment, curvature, *compliances, *sensitivities)
-
-
-def _require_known(law: WireLaw, values: Floats, curvature: float) -> None:
-    """Raise ValueError if a curvature is beyond the range of a component."""
-    relative_tolerance = 1e-9  # for rounding errors
-    known_curvature, cause = law.find_known_range(values)
-    if curvature > known_curvature * (1.0 + relative_tolerance):
-        message = f"curvature={curvature:.6g} 1/m: {cause}"
-        raise ValueError(message)
 
 
 def _find_edges(law: WireLaw, values: Floats, largest_curvature: float) -> Floats:
@@ -324,13 +309,18 @@ def compute_loading_curve(
     Raises
     ------
     ValueError
-        If the curve of a material ends before the deflection is reached.
+        If the stress-strain curve of a material ends before the deflection is reached, or no
+        equilibrium is found.
     """
     curvature_margin = 3.0  # relative to a wire whose curvature decreases linearly to the tip
     ratio = min(deflection / length, 0.9)
-    known_curvature, _ = law.find_known_range(values)
+    rounding_tolerance = 1e-9  # relative to the known curvature
+    known_curvature, cause = law.find_known_range(values)
     last_curvature = curvature_margin * 3.0 * ratio / (1.0 - ratio**2) / length
     table = make_loading_table(law, values, min(known_curvature, last_curvature))
     curve = load_cantilever(table, length, rig, self_weight, deflection, guess=guess)
-    _require_known(law, values, float(curve.clamp_curvature.max()))
+    clamp_curvature = float(curve.clamp_curvature.max())
+    if clamp_curvature > known_curvature * (1.0 + rounding_tolerance):
+        message = f"curvature={clamp_curvature:.6g} 1/m: {cause}"
+        raise ValueError(message)
     return curve

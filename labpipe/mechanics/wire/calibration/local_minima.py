@@ -619,7 +619,7 @@ def _find_end(path: _ProfilePath, sign: float, root: float, error: float) -> _Pr
         distance = _choose_distance(inner, outer, n_same_side, root, max_distance)
     else:  # without convergence, the wider interval is taken
         distance = outer[0] if outer else max_distance
-    is_open = outer is None and distance >= max_distance
+    is_open = outer is None and height < root and distance >= max_distance
     return _ProfileSide(minimum_log + sign * distance, is_open, points)
 
 

@@ -42,7 +42,7 @@ class MeasuredCurve(ArrayRecord):
     length : m, free length of the wire
     deflection : shape (n,), m, deflection of the tip from rest
     force : shape (n,), N, force of the load cell, zeroed at rest; `select_usable_curves` leaves out
-        points at which force or deflection is NaN
+        points at which force or deflection is NaN, or the deflection is negative
     noise : N, standard deviation of the force, one value or shape (n,). It includes the noise of
         the deflection times the slope of the curve
     rig : string and counterweight; None for an end load normal to the undeformed axis
@@ -90,7 +90,7 @@ class MeasuredCurve(ArrayRecord):
 
         Errors of the deflection are multiplied by the secant stiffness from rest to the peak.
         """
-        slope = self.peak / float(np.nanmax(np.abs(self.deflection)))
+        slope = self.peak / float(np.nanmax(self.deflection))
         shared = compute_shared_errors(self, np.full(len(self.force), slope))
         return float(np.sqrt(np.nanmean(np.asarray(self.noise) ** 2 + np.sum(shared**2, axis=0))))
 
@@ -115,7 +115,7 @@ def compute_shared_errors(curve: MeasuredCurve, slope: Floats) -> Floats:
 def select_usable_curves(
     curves: tuple[MeasuredCurve, ...],
 ) -> tuple[MeasuredCurve, ...] | CalibrationFailure:
-    """Select the finite points of curves, and the curves with such points.
+    """Select the finite points of curves on the side of the pull, and the curves with such points.
 
     Returns
     -------
@@ -129,7 +129,7 @@ def select_usable_curves(
     A common error e of n curves shifts their mean by e. Independent errors of n^(1/2) e have the
     same effect on the mean, but reduce the weight of the differences between curves.
     """
-    usable = tuple(_select_finite_points(curve) for curve in curves)
+    usable = tuple(_select_usable_points(curve) for curve in curves)
     usable = tuple(curve for curve in usable if len(curve.force))
     factor = np.sqrt(len(usable))
     usable = tuple(replace(curve, scale_error=factor * curve.scale_error) for curve in usable)
@@ -145,7 +145,7 @@ def select_usable_curves(
             return CalibrationFailure.of(
                 "mechanics.wire.noise_not_positive", test=test, noise=noise
             )
-        deflection = float(np.max(np.abs(curve.deflection)))
+        deflection = float(np.max(curve.deflection))
         if deflection > MAX_DEFLECTION * curve.length:
             return CalibrationFailure.of(
                 "mechanics.wire.deflection_too_large",
@@ -157,11 +157,11 @@ def select_usable_curves(
     return usable
 
 
-def _select_finite_points(curve: MeasuredCurve) -> MeasuredCurve:
-    """Return the curve without points at which force or deflection is not finite."""
-    is_finite = np.isfinite(curve.deflection) & np.isfinite(curve.force)
-    deflection, force = curve.deflection[is_finite], curve.force[is_finite]
-    noise = np.asarray(curve.noise)[is_finite]
+def _select_usable_points(curve: MeasuredCurve) -> MeasuredCurve:
+    """Return the curve without non-finite forces and deflections, and negative deflections."""
+    is_usable = np.isfinite(curve.deflection) & np.isfinite(curve.force) & (curve.deflection >= 0.0)
+    deflection, force = curve.deflection[is_usable], curve.force[is_usable]
+    noise = np.asarray(curve.noise)[is_usable]
     return replace(curve, deflection=deflection, force=force, noise=noise)
 
 

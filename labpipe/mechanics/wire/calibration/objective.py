@@ -276,12 +276,12 @@ def compute_model_forces(
         deflections = np.concatenate([curves[i].deflection for i in indices])
         curve = curves[indices[0]]  # all curves of a setup have the same length, rig and weight
         loading = compute_loading_curve(
-            *(law, values, curve.length, curve.rig, float(np.max(np.abs(deflections)))),
+            *(law, values, curve.length, curve.rig, float(np.max(deflections))),
             self_weight=curve.self_weight,
             guess=guess[indices[0]].loading_curve if guess else None,
         )
         force, sensitivity = interpolate_force(loading, deflections)
-        slope = np.interp(np.abs(deflections), loading.deflection, loading.stiffness)
+        slope = np.interp(deflections, loading.deflection, loading.stiffness)
         cuts = np.cumsum([len(curves[i].deflection) for i in indices])[:-1]
         split_arrays = (np.split(array, cuts, axis=-1) for array in (force, sensitivity, slope))
         for index, *arrays in zip(indices, *split_arrays, strict=True):
@@ -353,7 +353,8 @@ class Fit:
         (`compute_whitened_products`)
     model_forces : forces of the model for each curve
     n_steps : number of steps of the search
-    has_converged : whether the search converged
+    has_converged : whether the search ended at a minimum; false if the largest number of steps was
+        reached, or the model cannot follow the curves after a further step
     """
 
     problem: Problem
@@ -481,29 +482,31 @@ def search(
     max_idle_steps = 3  # successive idle steps after which a search in a flat valley ends
     relative_tolerance = 1e-3  # decrease relative to the rise above the better fit
     table_error = 1e-2  # error of the objective because curves are tabulated
-    min_damping, damping_factor, max_damping = 1e-6, 10.0, 1e8
+    min_damping, damping_factor = 1e-6, 10.0
     max_far_steps = 8  # largest number of steps with a rise above `MAX_RISE`
     fit = evaluate_objective(problem, levels, start, guess)
     damping, n_steps, n_idle_steps = min_damping, 0, 0
-    while damping <= max_damping and n_idle_steps < max_idle_steps:
+    is_blocked = False  # whether the model cannot follow the curves after the last step
+    while True:
         rise = fit.objective - best_objective
-        if n_steps >= (max_far_steps if rise > MAX_RISE else _MAX_SEARCH_STEPS):
-            break
+        max_steps = max_far_steps if rise > MAX_RISE else _MAX_SEARCH_STEPS
         step, decrease = _compute_step(fit, damping)
-        if decrease <= max(tolerance, relative_tolerance * rise):
-            return replace(fit, n_steps=n_steps, has_converged=True)
+        is_small = decrease <= max(tolerance, relative_tolerance * rise)
+        has_ended = is_small or n_idle_steps >= max_idle_steps
+        if has_ended or n_steps >= max_steps:
+            return replace(fit, n_steps=n_steps, has_converged=has_ended and not is_blocked)
         n_steps += 1
         next_fit = _take_step(fit, step, decrease)
+        is_blocked = next_fit is None
         if next_fit is not None and next_fit.objective <= fit.objective:
             max_idle_decrease = max(idle_decrease, rise / _MAX_SEARCH_STEPS)
             is_idle = fit.objective - next_fit.objective <= max_idle_decrease
             n_idle_steps = n_idle_steps + 1 if is_idle else 0
             fit, damping = next_fit, max(damping / damping_factor**2, min_damping)
         elif decrease <= table_error:
-            return replace(fit, n_steps=n_steps, has_converged=True)
+            return replace(fit, n_steps=n_steps, has_converged=not is_blocked)
         else:
             damping *= damping_factor
-    return replace(fit, n_steps=n_steps, has_converged=n_steps < _MAX_SEARCH_STEPS)
 
 
 def _take_step(fit: Fit, step: Floats, decrease: float) -> Fit | None:
