@@ -330,7 +330,7 @@ def find_noise_doubts(values: Floats, quantity: str) -> tuple[Reason, ...]:
     sides = [bends[max(peak - width, 0) : max(peak - 2, 0)], bends[peak : peak + width - 2]]
     is_broken = len(values) > 0 and values[peak : peak + width].min() < 0.5 * values[peak]
     nearby = [np.median(side) for side in sides[: 1 if is_broken else 2] if len(side) >= width // 2]
-    if len(usual_bends) < min_stretches or not nearby:
+    if len(usual_bends) < min_stretches or not nearby or not bends.any():
         return ()
     # The steps of a converter are at least as large as its smallest bends.
     usual = max(float(np.quantile(usual_bends, 0.9)), float(np.median(bends[bends > 0.0])))
@@ -377,8 +377,10 @@ def find_lead_doubts(curve: Curve) -> tuple[Reason, ...]:
             )
         )
         is_clear = bend * reach > min_noise_ratio * noise and min(whole_bend, whole_travel_bend) > 0
-        sharpness = bend / whole_bend if is_clear else 0.0
-        is_sharp = sharpness > max(min_sharpness, travel_bend / whole_travel_bend + min_difference)
+        if not is_clear:
+            return ()
+        sharpness, travel_sharpness = bend / whole_bend, travel_bend / whole_travel_bend
+        is_sharp = sharpness > max(min_sharpness, travel_sharpness + min_difference)
         leads.setdefault(branch.direction, []).append((turn - force_turn) * is_sharp)
     if len(leads) < 2 or min(map(min, leads.values())) < min_lead:
         return ()
