@@ -210,6 +210,7 @@ class BendingStiffness(DerivedKind):
 
     result: ClassVar = "bending-stiffness"
     outputs: ClassVar = (Output("{name}", "N*m^2", is_slope=True),)
+    method: ClassVar = "{of} x L^3 / 3 or L^3 / 48"
     of: Annotated[StiffnessName, "Name of a stiffness above, such as initial_stiffness"]
     support: Annotated[
         Literal["cantilever", "three-point"],
@@ -242,12 +243,6 @@ class BendingStiffness(DerivedKind):
             if name in names and getattr(self.roller, key, None) is None:
                 yield Fault.of("results.no_roller", ("corrections",), name=name, key=key)
 
-    def list_methods(self, test: ReducedTest) -> tuple[str]:
-        """List the method: the formula, with the key of its length."""
-        del test
-        key, divisor = SUPPORTS[self.support]
-        return (f"{self.of} x L^3 / {divisor:g}, L = specimen.{key}",)
-
     def measure_outcome(self, test: ReducedTest, stiffness: Stiffness) -> kinds.Outcome:
         """Measure the bending stiffness from a stiffness and the length of the beam."""
         sizes = test.setup.sizes
@@ -265,9 +260,11 @@ class BendingStiffness(DerivedKind):
         return test.measure_number(combine_numbers(compute_rigidity, stiffness.choose_samples))
 
     def collect_context(self, test: ReducedTest, stiffness: Stiffness) -> dict[str, Any]:
-        """Return a remark on the effects of the corrections."""
+        """Return the method with its formula, and a remark on the effects of the corrections."""
         ratio = return_failure(self._compute_ratio)(test.setup.sizes, stiffness.window)
-        return {"remark": "" if isinstance(ratio, Failure) else ratio[1]}
+        key, divisor = SUPPORTS[self.support]
+        method = f"{{of}} x L^3 / {divisor:g}, L = specimen.{key}"
+        return {"method": method, "remark": "" if isinstance(ratio, Failure) else ratio[1]}
 
     def _compute_ratio(
         self, sizes: Mapping[str, float], window: tuple[float, float]
@@ -445,21 +442,15 @@ class MidSpan(RangeKind):
         Output("mid_span_curvature", "1/m", "Mid-span curvature", _MID_SPAN_QUANTITIES),
     )
     needs: ClassVar = Needs(branches=True, shape="three-point-shape")
+    methods: ClassVar = (
+        "slope of the moment P L / 4 against the curvature at mid-span "
+        "from {start_mm:g} mm to {stop_mm:g} mm of the first loading, time as instrument",
+        "curvature at mid-span at the turn of the motion, less that at rest",
+    )
     corrections: Annotated[
         tuple[Literal["large-deflection"], ...],
         "large-deflection: the supports push along the specimen as well",
     ] = ()
-
-    def list_methods(self, test: ReducedTest) -> tuple[str, str]:
-        """List the methods, with the formula of the moment."""
-        del test
-        is_corrected, moment = "large-deflection" in self.corrections, "P L / 4"
-        moment += " + P tan(slope at the supports) x deflection / 2" * is_corrected
-        return (
-            f"slope of the moment {moment} against the curvature at mid-span "
-            "from {start_mm:g} mm to {stop_mm:g} mm of the first loading, time as instrument",
-            "curvature at mid-span at the turn of the motion, less that at rest",
-        )
 
     def measure(self, test: ReducedTest) -> Iterator[MeasuredItem]:
         """Measure the slope of moment against mid-span curvature, and the curvature at the turn."""
@@ -475,8 +466,11 @@ class MidSpan(RangeKind):
                 errors[SHAPE] = abs(alternative.value - outcome.value) / sqrt(3.0)
                 errors[MARKER_SIDE] = shape.side_change * abs(outcome.value) / sqrt(3.0)
                 errors |= kinds.compute_scale_error(test, outcome) if output == 0 else {}
-            period = test.find_loading_period()
-            yield self.make_result(test, outcome, errors, output=output, period=period)
+            context: dict[str, Any] = {"output": output, "period": test.find_loading_period()}
+            if "large-deflection" in self.corrections:
+                moment = "P L / 4 + P tan(slope at the supports) x deflection / 2"
+                context["method"] = self.methods[output].replace("P L / 4", moment)
+            yield self.make_result(test, outcome, errors, **context)
 
     def _fit_stiffness(self, frames: _SpanFrames, curvature: Floats) -> Estimate:
         """Fit the slope of the moment against a curvature (frames,), 1/m, over the range."""

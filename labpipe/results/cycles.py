@@ -7,6 +7,7 @@ from abc import abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cache, partial
+from itertools import pairwise
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -275,17 +276,21 @@ class CycleKind(Kind):
         """
 
     def list_doubts(self, test: ReducedTest, branches: list[Branch]) -> tuple[Reason, ...]:
-        """List further doubts about the number of a cycle, such as a missing sample at the peak."""
+        """List further doubts: noise or a gap at a peak, or a force that leads the displacement."""
+        curve, doubts = test.required_curve, tuple[Reason, ...]()
+        if "displacement" in self.outputs[0].depends_on:
+            doubts = find_lead_doubts(curve)
         if self.peak_quantity is None:
-            return ()
-        curve, values = test.required_curve, getattr(test.required_curve, self.peak_quantity)
+            return doubts
+        values = getattr(curve, self.peak_quantity)
         cycle_values = values[find_cycle_samples(curve, branches[0].cycle)]
         signed_values = find_loading_sign(curve, values) * cycle_values
+        doubts += find_noise_doubts(signed_values, self.peak_quantity)
         peak = int(np.argmax(np.nan_to_num(signed_values, nan=-np.inf)))
         is_missing = np.isnan(cycle_values[max(peak - 1, 0) : peak + 2])
         if is_missing.all() or not is_missing.any():
-            return ()
-        return (Reason.of("results.gap_at_peak", quantity=self.peak_quantity),)
+            return doubts
+        return (*doubts, Reason.of("results.gap_at_peak", quantity=self.peak_quantity))
 
     def measure(self, test: ReducedTest) -> Iterator[MeasuredItem]:
         """Measure the number of each cycle."""
@@ -297,6 +302,89 @@ class CycleKind(Kind):
             doubts += self.list_doubts(test, branches)
             period, suffix = _find_period(branches, *self.branch_range), f".{cycle}"
             yield self.make_result(test, outcome, period=period, doubts=doubts, suffix=suffix)
+
+
+def find_noise_doubts(values: Floats, quantity: str) -> tuple[Reason, ...]:
+    """Find a doubt ``noise_at_peak`` if a signal is much noisier beside its peak than elsewhere.
+
+    Parameters
+    ----------
+    values : shape (n,), positive in the direction of loading; NaN are ignored
+    quantity : name of the quantity
+
+    Notes
+    -----
+    The noise of ten samples is the median magnitude of their third differences, on which smooth
+    bends and single steps have little effect. The noise beside the peak is that of the noisier
+    side; after a break, a specimen vibrates, and only the side before the peak counts. It is
+    compared with the noise that nine tenths of the stretches farther than 30 samples from the peak
+    do not exceed, so that serrated flow over a large part of a curve causes no doubt.
+    """
+    width, min_distance, min_stretches, max_ratio, min_fraction = 10, 30, 5, 8.0, 0.01
+    values = drop_missing(values)
+    bends = np.abs(np.diff(values, 3))
+    stretches = bends[: len(bends) // width * width].reshape(-1, width)
+    peak = int(np.argmax(values)) if len(values) else 0
+    distances = np.abs(width * (np.arange(len(stretches)) + 0.5) - peak)
+    usual_bends = np.median(stretches, axis=1)[distances > min_distance]
+    sides = [bends[max(peak - width, 0) : max(peak - 2, 0)], bends[peak : peak + width - 2]]
+    is_broken = len(values) > 0 and values[peak : peak + width].min() < 0.5 * values[peak]
+    nearby = [np.median(side) for side in sides[: 1 if is_broken else 2] if len(side) >= width // 2]
+    if len(usual_bends) < min_stretches or not nearby or not bends.any():
+        return ()
+    # The steps of a converter are at least as large as its smallest bends.
+    usual = max(float(np.quantile(usual_bends, 0.9)), float(np.median(bends[bends > 0.0])))
+    if not max(nearby) > max(max_ratio * usual, min_fraction * float(values[peak])):
+        return ()
+    return (Reason.of("results.noise_at_peak", quantity=quantity, ratio=max(nearby) / usual),)
+
+
+def find_lead_doubts(curve: Curve) -> tuple[Reason, ...]:
+    """Find a doubt ``force_leads`` if the force turns before the displacement, and more sharply.
+
+    Parameters
+    ----------
+    curve : one curve
+
+    Notes
+    -----
+    A specimen in which the force relaxes or falls may turn first at the end of loading, but not at
+    both ends of a loop. A viscous specimen in a sinusoidal motion does, but its force turns as
+    smoothly as the motion. The sharpness of a turn is the change of the rate within three samples
+    over that within a tenth of a branch: 1 for a corner, and at most 1/2 for a sine.
+    """
+    reach, min_lead, min_sharpness, min_difference, min_noise_ratio = 3, 2, 0.7, 0.4, 8.0
+    force, d = (find_loading_sign(curve, x) * x for x in (curve.force, curve.displacement))
+    leads, min_samples = dict[Direction, list[int]](), 30
+    branch_samples = [branch.stop - branch.start for branch in curve.branches]
+    if min(branch_samples) < min_samples or len(drop_missing(force)) < min_samples:
+        return ()
+    noise = float(estimate_fast_noise(drop_missing(force)))
+    for branch, next_branch in pairwise(curve.branches):
+        sign = 1.0 if branch.direction is Direction.LOADING else -1.0
+        shorter = min(branch.stop - branch.start, next_branch.stop - next_branch.start)
+        width, search = max(shorter // 10, 2 * reach), shorter // 5
+        start = max(next_branch.start - search - width, 0)
+        samples = slice(start, next_branch.start + search + width + 1)
+        f, x = sign * force[samples], sign * d[samples]
+        force_turn, turn = (width + int(np.argmax(values[width:-width])) for values in (f, x))
+        # Changes of the rates within the reach, and within the width.
+        bend, travel_bend, whole_bend, whole_travel_bend = (
+            float(2.0 * values[i] - values[i - step] - values[i + step]) / step
+            for values, i, step in (
+                *((f, force_turn, reach), (x, force_turn, reach)),
+                *((f, force_turn, width), (x, turn, width)),
+            )
+        )
+        is_clear = bend * reach > min_noise_ratio * noise and min(whole_bend, whole_travel_bend) > 0
+        if not is_clear:
+            return ()
+        sharpness, travel_sharpness = bend / whole_bend, travel_bend / whole_travel_bend
+        is_sharp = sharpness > max(min_sharpness, travel_sharpness + min_difference)
+        leads.setdefault(branch.direction, []).append((turn - force_turn) * is_sharp)
+    if len(leads) < 2 or min(map(min, leads.values())) < min_lead:
+        return ()
+    return (Reason.of("results.force_leads", lead=np.median(np.concatenate([*leads.values()]))),)
 
 
 def _find_period(branches: list[Branch], start: float, stop: float) -> Stretch | None:

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from math import inf, isclose
-from typing import Annotated, ClassVar, TypeAlias
+from typing import Annotated, Any, ClassVar, TypeAlias
 
 import numpy as np
 
@@ -176,24 +176,22 @@ class FailureResult(Kind):
     )
     needs: ClassVar = Needs(branches=True, correction="failure")
 
-    def list_methods(self, test: ReducedTest) -> tuple[str, str]:
-        """List the methods of both numbers, which are different for a slow loss."""
-        failure = test.failure
-        if isinstance(failure, FailurePoint) and failure.slow_loss_limit is not None:
-            fraction = f"{failure.slow_loss_limit:.0%} of the peak, which is lost slowly"
-            return f"last sample with {fraction}", f"force at the last sample with {fraction}"
-        return (
-            "first sample of the final loss of force; the interval reaches to the next one",
-            "force at the first sample of the final loss",
-        )
+    methods: ClassVar = (
+        "first sample of the final loss of force; the interval reaches to the next one",
+        "force at the first sample of the final loss",
+    )
 
     def measure(self, test: ReducedTest) -> Iterator[MeasuredItem]:
-        """Measure displacement and force at the failure."""
-        period, doubts = _describe_failure(test)
-        displacement, force = test.measure_numbers(partial(_choose_failure_samples, test))
-        failure_period = period[1], period[1]
-        yield self.make_result(test, displacement, period=failure_period, doubts=doubts)
-        yield self.make_result(test, force, output=1, period=period, doubts=doubts)
+        """Measure displacement and force at the failure; a slow loss has other methods."""
+        (start, stop), doubts = _describe_failure(test)
+        numbers = test.measure_numbers(partial(_choose_failure_samples, test))
+        methods, slow_loss_limit = self.methods, test.require(test.failure).slow_loss_limit
+        if slow_loss_limit is not None:
+            sample = f"last sample with {slow_loss_limit:.0%} of the peak, which is lost slowly"
+            methods = sample, f"force at the {sample}"
+        for output, period in enumerate(((stop, stop), (start, stop))):
+            context: dict[str, Any] = {"method": methods[output], "period": period}
+            yield self.make_result(test, numbers[output], output=output, doubts=doubts, **context)
 
 
 def _choose_failure_samples(test: ReducedTest, trace: Trace) -> Extractor:
@@ -439,6 +437,7 @@ class ForceLimit(Kind):
         Output(FORCE_LIMIT, "N", "Smallest force allowed", ()),
         Output(PEAK_OVER_LIMIT, "1", "Peak force over its limit", ("force", "observation")),
     )
+    methods: ClassVar = "stated by the protocol", "largest force over the smallest force allowed"
     card: Annotated[
         LimitCard | None, ShippedCard(), "A shipped card by its name, or one that is written out"
     ] = None
@@ -454,18 +453,9 @@ class ForceLimit(Kind):
         elif self.card is not None and not self.column:
             yield Fault.of("protocol.no_card_column", ("card",))
 
-    def list_methods(self, test: ReducedTest) -> tuple[str, str]:
-        """List the methods of both numbers; the method of the limit names its source."""
-        del test
-        source = "stated by the protocol"
-        if self.card is not None:
-            source = f"column {self.column} of a card: {self.card.source}"
-        return source, "largest force over the smallest force allowed"
-
     def measure(self, test: ReducedTest) -> Iterator[MeasuredItem]:
         """Divide the largest force by the limit for the conductor of the test sheet."""
         limit, section = self._find_limit(test.setup.labels.get(CONDUCTOR_LABEL, ""))
-        limit_method, ratio_method = self.list_methods(test)
         peak = max(PeakForce().compute_results(test), key=lambda peak: peak.value or -inf)
         doubts = test.collect_doubts(("observation",), None)
         reasons = tuple(dict.fromkeys([*peak.reasons, *doubts]))
@@ -479,11 +469,14 @@ class ForceLimit(Kind):
             and Interval(peak.interval.lower / limit, peak.interval.upper / limit),
             status=status,
             reasons=reasons,
-            method=ratio_method,
+            method=self.methods[1],
             estimate=None if peak.estimate is None else peak.estimate / limit,
             budget=tuple(replace(x, change=x.change / limit) for x in peak.budget),
         )
-        yield Result(FORCE_LIMIT, limit, "N", method=limit_method, remark=section)
+        source = self.methods[0]
+        if self.card is not None:
+            source = f"column {self.column} of a card: {self.card.source}"
+        yield Result(FORCE_LIMIT, limit, "N", method=source, remark=section)
         yield replace(ratio, remark=judge_sample(ratio).text)
 
     def _find_limit(self, conductor: str) -> tuple[float, str]:

@@ -420,11 +420,6 @@ class Kind(ABC):
             If the test has none of the outputs.
         """
 
-    def list_methods(self, test: ReducedTest) -> tuple[str, ...]:
-        """List the method of each output, before settings are filled into it."""
-        del test
-        return self.methods or (self.method,) * len(self.outputs)
-
     def compute(self, test: ReducedTest) -> list[MeasuredItem]:
         """Measure a test, or return all outputs as not available.
 
@@ -474,7 +469,8 @@ class Kind(ABC):
             interval gets the normal interval of its error
         errors : further standard errors, added to an `Estimate`; ignored for other outcomes
         output : index of the output in `outputs`; settings are filled into the name of the output
-        method : method of the number; if empty, that of `Kind.list_methods`
+        method : method of the number, with settings as replacement fields; if empty, that of the
+            class
         period : s on the clock of the curve, first and last time of the samples; None for the whole
             record
         doubts : further reasons to doubt the number
@@ -485,7 +481,8 @@ class Kind(ABC):
         lengths = {f"{name}_mm": 1e3 * x for name, x in settings.items() if isinstance(x, float)}
         declaration = self.outputs[output]
         name, made_of = declaration.name.format_map(settings) + suffix, settings.get("of", "")
-        method = method or self.list_methods(test)[output].format_map(settings | lengths)
+        method = method or (self.methods[output] if self.methods else self.method)
+        method = method.format_map(settings | lengths)
         outcome, budget = _widen_estimate(outcome, errors or {})
         if isinstance(outcome, Failure):
             test_doubts = test.collect_doubts((*declaration.depends_on, *_SIGN_QUANTITIES), period)

@@ -545,13 +545,14 @@ class LoadingStiffness(CycleKind):
         return Extractor(compute, window.slope.n_samples, compute_noisy, ends_at_samples=True)
 
     def list_doubts(self, test: ReducedTest, branches: list[Branch]) -> tuple[Reason, ...]:
-        """List a doubt if over 10 % of the samples of the window are in its first fiftieth."""
+        """List further doubts, one if over 10 % of the samples are in a fiftieth of the window."""
         # At constant speed, a fiftieth of the samples is there; the limit is five times as many.
         window = return_failure(self._choose_window)(curves.make_trace(test), branches[0].cycle)
+        doubts = super().list_doubts(test, branches)
         if isinstance(window, Failure) or window.start_sample_fraction <= 0.1:
-            return ()
+            return doubts
         fraction, limit = window.start_sample_fraction, window.onset.limit
-        return (Reason.of("results.rest_in_window", share=fraction, limit=limit),)
+        return (*doubts, Reason.of("results.rest_in_window", share=fraction, limit=limit))
 
     def _choose_window(self, trace: Trace, cycle: int, limit: float | None = None) -> LoadingSlope:
         """Choose the samples for the stiffness of a cycle on a curve."""
@@ -575,25 +576,19 @@ class Hardening(Kind):
         """Measure the ratio of each later cycle to the first one, in which the scale cancels."""
         first_cycle, *later_cycles = test.require(test.cycles or None)
         stiffness = LoadingStiffness(over=self.over)
-        choose = partial(stiffness.choose_samples, test, cycle=1)
-        first_outcome = return_failure(test.measure_number)(choose)
+        choose_first = partial(stiffness.choose_samples, test, cycle=1)
+        first = return_failure(test.measure_number)(choose_first)
         first_doubts = stiffness.list_doubts(test, first_cycle)
-
-        def choose_first(trace: Trace) -> Extractor:
-            extractor = return_failure(stiffness.choose_samples)(test, trace, 1)
-            if isinstance(extractor, Failure):
-                raise UnavailableError.of("results.no_first_stiffness", why=extractor.message)
-            return extractor
 
         @return_failure
         def measure_ratio(cycle: int) -> MeasuredNumber:
+            if isinstance(first, Failure):
+                raise UnavailableError.of("results.no_first_stiffness", why=first.message)
+            if first.value <= _MIN_DIVISOR_ERRORS * first.error:
+                raise UnavailableError.of("results.first_stiffness_is_noise", value=first.value)
             choose = partial(stiffness.choose_samples, test, cycle=cycle)
             ratio = combine_numbers(lambda _, x, first: divide(x, first), choose, choose_first)
-            hardening, first_stiffness = test.measure_number(ratio), test.require(first_outcome)
-            value = first_stiffness.value
-            if value <= _MIN_DIVISOR_ERRORS * first_stiffness.error:
-                raise UnavailableError.of("results.first_stiffness_is_noise", value=value)
-            return hardening
+            return test.measure_number(ratio)
 
         for later_cycle in later_cycles:
             loading = later_cycle[0]
@@ -665,8 +660,8 @@ class InitialStiffness(RangeKind):
         window = self.start, self.stop
         choose_samples = partial(_choose_secant_window, start=self.start, stop=self.stop)
         outcome, period = test.measure_number(choose_samples), test.find_loading_period(*window)
-        doubts = kinds.find_pause_doubts(test, window)
-        result = self.make_result(test, outcome, period=period, doubts=doubts)
+        doubts, method = kinds.find_pause_doubts(test, window), InitialStiffness.method
+        result = self.make_result(test, outcome, method=method, period=period, doubts=doubts)
         yield result
         yield Stiffness(result.name, choose_samples, outcome.value, period, window, doubts=doubts)
 
@@ -681,10 +676,6 @@ class LineStiffness(InitialStiffness):
         "interval for correlated noise"
     )
     name: Annotated[SnakeName, "Such as stiffness_first"] = "stiffness"
-
-    def list_methods(self, test: ReducedTest) -> tuple[str]:
-        """Return the method, which has time as the instrument if the test has a shape."""
-        return (self.method if test.shape is None else InitialStiffness.method,)
 
     def measure(self, test: ReducedTest) -> Iterator[MeasuredItem]:
         """Fit a least-squares line or, for a test with a shape, a line with time as instrument."""

@@ -24,8 +24,10 @@ from labpipe.records.curve import Direction, FittedLine
 from labpipe.records.declarations import Fraction, Needs, Output, SnakeName
 from labpipe.records.estimates import Estimate, Failure, UnavailableError, return_failure
 from labpipe.records.quality import Reason
+from labpipe.records.result import Result
 from labpipe.results import kinds
 from labpipe.results.curves import make_trace, require_samples
+from labpipe.results.cycles import find_noise_doubts
 from labpipe.results.kinds import Errors, Kind, MeasuredItem, ReducedTest
 from labpipe.results.stiffness import compute_area
 from labpipe.uncertainty.autocorrelation import LinearFit, estimate_fast_noise, fit_linear
@@ -70,6 +72,13 @@ class ElasticWindow:
     of: Literal["strain", "strength"]
     straight: float
 
+    @property
+    def text(self) -> str:
+        """Text on a stated window; empty for the longest straight part."""
+        if self.start is None or self.stop is None:
+            return ""
+        return f" from {self.start:.3%} to {self.stop:.3%} of the {self.of}"
+
 
 _NO_SLOPE = Estimate(np.nan, np.nan, 0)
 
@@ -84,7 +93,7 @@ class TensileCurve:
     strain, stress : shape (n,), 1 and Pa; strain is counted from the first sample or, if slack was
         subtracted, from the end of the slack; NaN while the extensometer is off
     window : samples of the elastic line
-    is_line_searched : whether the line is that of the longest straight part, not a stated window
+    stated_window : text on the stated window of the line; empty for the longest straight part
     stress_noise, strain_noise : Pa and 1, standard deviations of single samples
     slope_estimate : Pa, slope of the elastic line with its interval
     slope : Pa, slope of the elastic line
@@ -96,7 +105,7 @@ class TensileCurve:
     strain: Floats
     stress: Floats
     window: slice
-    is_line_searched: bool
+    stated_window: str
     stress_noise: float
     strain_noise: float
     slope_estimate: Estimate = _NO_SLOPE
@@ -161,7 +170,7 @@ def fit_tensile_curve(test: ReducedTest, settings: ElasticWindow) -> TensileCurv
         strain=strain,
         stress=stress,
         window=slice(0, 0),
-        is_line_searched=settings.start is None,
+        stated_window=settings.text,
         stress_noise=_estimate_noise(stress),
         strain_noise=_estimate_noise(strain),
     )
@@ -416,7 +425,7 @@ def _list_line_doubts(
     travel of the machine, because the gauge length lies between the grips. An extension that does
     may have a wrong unit.
     """
-    if curve.is_line_searched:
+    if not curve.stated_window:
         strain, stress = (values[curve.window] for values in (curve.strain, curve.stress))
         is_upper, half_values = stress > 0.5 * (np.nanmin(stress) + np.nanmax(stress)), []
         for is_in_half in (~is_upper, is_upper):
@@ -475,15 +484,7 @@ class ElasticModulus(TensionResult):
 
     result: ClassVar = "elastic-modulus"
     outputs: ClassVar = (Output("elastic_modulus", "Pa", "Modulus of elasticity"),)
-
-    def list_methods(self, test: ReducedTest) -> tuple[str]:
-        """List the method, with the range of stress of the elastic line."""
-        curve = test.tensile_curve
-        if not isinstance(curve, TensileCurve) or curve.line_failure is not None:
-            return ("slope of the elastic line",)
-        stress = curve.stress[curve.window]
-        low, high = 1e-6 * float(np.nanmin(stress)), 1e-6 * float(np.nanmax(stress))
-        return (f"slope of the elastic line from {low:.4g} to {high:.4g} MPa",)
+    method: ClassVar = "slope of the elastic line"
 
     def list_quantities(self, test: ReducedTest, curve: TensileCurve) -> Sequence[TensileQuantity]:
         """List the slope of the elastic line, whose residuals may be correlated."""
@@ -497,8 +498,11 @@ class ElasticModulus(TensionResult):
 
     def measure(self, test: ReducedTest) -> Iterator[MeasuredItem]:
         """Measure the slope, and yield the line for figures."""
-        yield from super().measure(test)
+        (modulus,) = (x for x in super().measure(test) if isinstance(x, Result))
         curve = test.require(test.tensile_curve)
+        low, high = (1e-6 * f(curve.stress[curve.window]) for f in (np.nanmin, np.nanmax))
+        method, remark = self.method + curve.stated_window, f"from {low:.4g} to {high:.4g} MPa"
+        yield replace(modulus, method=method, remark=remark)
         path = test.required_curve.displacement[_select_loading(make_trace(test))[curve.window]]
         start, stop = float(np.nanmin(path)), float(np.nanmax(path))
         strain = float(np.nanmin(curve.strain[curve.window]))
@@ -634,11 +638,12 @@ class TensileStrength(TensionResult):
 
 
 def _find_peak_doubts(test: ReducedTest, curve: TensileCurve) -> tuple[Reason, ...]:
-    """Find a doubt if the record ends without a break, since the force may rise again."""
+    """Find doubts about the peak: noise, or an end of the record while the force may rise again."""
+    doubts = find_noise_doubts(curve.stress, "force")
     if isinstance(test.failure, kinds.FailurePoint):
-        return ()
-    stress = curve.stress[~np.isnan(curve.stress)]
-    return (Reason.of("results.ends_at_peak", share=float(stress[-1] / stress.max())),)
+        return doubts
+    stress = drop_missing(curve.stress)
+    return (*doubts, Reason.of("results.ends_at_peak", share=float(stress[-1] / stress.max())))
 
 
 def _find_extensometer_doubts(test: ReducedTest, curve: TensileCurve) -> tuple[Reason, ...]:

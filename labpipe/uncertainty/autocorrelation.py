@@ -520,26 +520,23 @@ def _compute_half_widths(mixture: SpectrumPosterior, variances: Floats, offsets:
     """Compute the half widths that contain 95 % of the mixture of t-distributions, shape (p,).
 
     Each spectrum has a variance and an offset from the mean for each coefficient, shape (g, p).
-    Newton's method is used. For large offsets, the coverage is not a concave function of the half
-    width, so half widths are limited to at least a tenth of the first estimate.
     """
+    from scipy.optimize import brentq  # a slow import
+
     min_probability = 1e-15  # spectra with a lower probability are ignored
-    deviations = np.sqrt(np.maximum(variances, 0.0))
-    positive_deviations = np.where(deviations > 0.0, deviations, 1.0)
-    mean_logarithm = mixture.probabilities @ np.log(positive_deviations)
-    half_widths: Floats = scipy.special.stdtrit(mixture.dof, 0.975) * np.exp(mean_logarithm)
-    min_half_widths = 0.1 * half_widths
-    is_relevant = mixture.probabilities > min_probability
-    weights, scales = mixture.probabilities[is_relevant], positive_deviations[is_relevant]
-    centres, dof = offsets[is_relevant] / scales, mixture.dof
-    for _ in range(12):
-        upper, lower = half_widths / scales - centres, half_widths / scales + centres
-        coverage = weights @ (scipy.special.stdtr(dof, upper) - scipy.special.stdtr(dof, -lower))
-        # Densities of Student's t-distribution.
-        kernels = [(1.0 + t * t / dof) ** (-0.5 * (dof + 1)) for t in (upper, lower)]
-        density = sum(kernels) / (np.sqrt(dof) * scipy.special.beta(0.5, 0.5 * dof))
-        step = (0.95 - coverage) / (weights @ (density / scales))
-        half_widths = np.maximum(half_widths + step, min_half_widths)
-        if np.all(np.abs(step) <= 1e-6 * half_widths):
-            break
-    return np.where(np.any(deviations > 0.0, axis=0), half_widths, 0.0)
+    is_relevant, dof = mixture.probabilities > min_probability, mixture.dof
+    weights, half_widths = mixture.probabilities[is_relevant], np.zeros(variances.shape[1])
+
+    def compute_excess(half_width: float, scales: Floats, centres: Floats) -> float:
+        upper, lower = half_width / scales - centres, half_width / scales + centres
+        inside = scipy.special.stdtr(dof, upper) - scipy.special.stdtr(dof, -lower)
+        return float(weights @ inside) - 0.95
+
+    for column in np.flatnonzero((variances > 0.0).any(axis=0)):
+        scales = np.sqrt(variances[is_relevant, column])
+        centres = offsets[is_relevant, column] / scales
+        largest = 2.0 * np.max(scales * (np.abs(centres) + scipy.special.stdtrit(dof, 0.975)))
+        half_widths[column] = brentq(
+            compute_excess, 0.0, largest, (scales, centres), xtol=1e-12 * largest
+        )
+    return half_widths

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 Array = NDArray[np.floating]
 SEEDS = range(31000, 31006)
@@ -208,11 +209,30 @@ def missing_words(table: Table, rng: np.random.Generator) -> None:
     table.force[start : start + 5] = -9999.0
 
 
+def force_early(table: Table, rng: np.random.Generator) -> None:
+    rows = int(rng.integers(3, 10))
+    table.force[:-rows] = table.force[rows:].copy()
+
+
+def travel_filtered(table: Table, rng: np.random.Generator) -> None:
+    """The amplifier of the travel follows with a time constant of 0.3 to 1 s."""
+    keep = np.exp(-0.05 / rng.uniform(0.3, 1.0))
+    table.travel = lfilter([1.0 - keep], [1.0, -keep], table.travel)
+
+
+def noise_at_the_top(table: Table, rng: np.random.Generator) -> None:
+    """Something disturbs the load cell while the motion turns, for half a second or longer."""
+    reach, top = int(rng.integers(5, 20)), table.turns[1]
+    noise = rng.normal(0.0, rng.uniform(0.03, 0.1) * table.force.max(), 2 * reach + 1)
+    table.force[top - reach : top + reach + 1] += noise
+
+
 CYCLIC: tuple[Accident, ...] = (
     *(force_zeroed, range_switched, force_stepped_at_the_top, travel_stepped_at_a_turn),
     *(encoder_scaled, encoder_wrapped, travel_stepped_twice, rows_of_zeros, force_late),
     *(turned_in_time, columns_exchanged, rows_copied, force_stepped_on_the_way_back),
-    *(travel_stepped_on_the_way, travel_reversed),
+    *(travel_stepped_on_the_way, travel_reversed, noise_at_the_top),
+    *(force_early, travel_filtered),
 )
 PULLED = (second_specimen, second_specimen_after_return, missing_words)
 

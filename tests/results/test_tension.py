@@ -126,8 +126,11 @@ def test_strength_and_elongations_are_those_of_samples() -> None:
     "line", ["from: 0.05 %, to: 0.12 %", "{from: 5 %, to: 40 %, of: strength}", "straight: 99.99 %"]
 )
 def test_a_stated_window_gives_the_modulus_too(line: str) -> None:
-    results = measure_replicates(steel(), line.strip("{}"))
-    assert results["elastic_modulus"].value == pytest.approx(MODULUS, rel=0.01)
+    modulus = measure_replicates(steel(), line.strip("{}"))["elastic_modulus"]
+    assert modulus.value == pytest.approx(MODULUS, rel=0.01)
+    assert modulus.method.startswith("slope of the elastic line")
+    assert ("from" in modulus.method) is ("from" in line)  # one mean for all searched lines
+    assert modulus.remark.endswith("MPa")
 
 
 def test_a_gauge_length_known_to_one_percent_is_one_percent_of_the_modulus() -> None:
@@ -144,7 +147,7 @@ def test_a_curve_above_its_elastic_line_by_six_times_the_noise_is_doubtful(
     """One sample beyond a line up to 200 MPa, of which 1 % are less than six times 1 MPa."""
     strain = np.linspace(0.0, 0.002, 201)
     stress = MODULUS * strain + above * (np.arange(201) == 150)
-    pull = TensileCurve(strain, strain, stress, slice(0, 101), True, 1e6, 0.0)
+    pull = TensileCurve(strain, strain, stress, slice(0, 101), "", 1e6, 0.0)
     line = replace(pull, slope=MODULUS, mean_strain=0.0005, mean_stress=MODULUS * 0.0005)
     test = ReducedTest(Signals(), setup=Setup(sizes={"gauge_length": GAUGE}))
     doubts = _list_line_doubts(test, line, lambda pull: pull.slope)
