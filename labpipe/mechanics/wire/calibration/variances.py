@@ -36,8 +36,8 @@ from labpipe.records.wire import ScatterMixture
 
 _LOG_VARIANCE_STEP = 0.02
 """Step of the logarithms of variances for numerical derivatives."""
-_UP, _DOWN = np.exp([_LOG_VARIANCE_STEP, -_LOG_VARIANCE_STEP]).tolist()
-"""Factors on variances for a step up and a step down."""
+_STEP_UP_FACTOR, _STEP_DOWN_FACTOR = np.exp([_LOG_VARIANCE_STEP, -_LOG_VARIANCE_STEP]).tolist()
+"""Factors on variances for a numerical derivative."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -184,8 +184,10 @@ def estimate_uncertainty(fit: Fit) -> Uncertainty:
         total = linear.compute_products(samples / noise).sum(axis=0) / noise
         return _compute_posterior(fit, total)[1]
 
-    by_noise = compute_covariance(_UP, 1.0) - compute_covariance(_DOWN, 1.0)
-    by_samples = compute_covariance(1.0, _UP) - compute_covariance(1.0, _DOWN)
+    by_noise = compute_covariance(_STEP_UP_FACTOR, 1.0) - compute_covariance(_STEP_DOWN_FACTOR, 1.0)
+    by_samples = compute_covariance(1.0, _STEP_UP_FACTOR) - compute_covariance(
+        1.0, _STEP_DOWN_FACTOR
+    )
     covariance_by_level = np.stack([by_noise, by_samples]) / (2.0 * _LOG_VARIANCE_STEP)
     is_known = fit.problem.scatter is not None or fit.levels.scatter == 0.0
     level_covariance = _compute_level_covariance(linear, fit.levels, is_scatter_known=is_known)
@@ -193,9 +195,10 @@ def estimate_uncertainty(fit: Fit) -> Uncertainty:
 
 
 def _compute_posterior(fit: Fit, total: Floats) -> tuple[Floats, Floats]:
-    """Compute shift from the fit, shape (4,), and covariance, shape (4, 4), of parameters and gain.
+    """Compute the shift of parameters and gain from the fit, shape (4,), and their covariance.
 
-    They follow from the whitened products `total`, shape (5, 5), and from the priors.
+    Both follow from the priors and from the sum of the whitened products, shape (5, 5). The
+    covariance has the shape (4, 4).
     """
     problem = fit.problem
     is_free = np.append(problem.is_free, problem.gain_uncertainty > 0.0)
@@ -229,8 +232,13 @@ def _compute_level_covariance(
     # The projection is inversely proportional to a common factor of both variances. The derivative
     # of the trace with respect to noise is the derivative with respect to both minus that with
     # respect to the samples.
-    by_both = (compute_trace(_UP, _UP) - compute_trace(_DOWN, _DOWN)) / (2.0 * _LOG_VARIANCE_STEP)
-    by_samples = (compute_trace(1.0, _UP) - compute_trace(1.0, _DOWN)) / (2.0 * _LOG_VARIANCE_STEP)
+    by_both = (
+        compute_trace(_STEP_UP_FACTOR, _STEP_UP_FACTOR)
+        - compute_trace(_STEP_DOWN_FACTOR, _STEP_DOWN_FACTOR)
+    ) / (2.0 * _LOG_VARIANCE_STEP)
+    by_samples = (compute_trace(1.0, _STEP_UP_FACTOR) - compute_trace(1.0, _STEP_DOWN_FACTOR)) / (
+        2.0 * _LOG_VARIANCE_STEP
+    )
     samples_term = float(np.sum(_project(linear, noise, samples) ** 2)) * samples**2
     cross_term = -(by_both - by_samples) * samples
     noise_term = linear.freedom - samples_term - 2.0 * cross_term
