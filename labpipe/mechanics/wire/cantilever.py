@@ -387,8 +387,8 @@ class Cantilever:
         moment : shape (n, stations), N m, first guess
         load : shape (n,), N, first guess
         tolerance : largest change of the moments in the last step, relative to the largest moment
-            of each equilibrium. Convergence is quadratic. With steps from a coarse wire, convergence is
-            linear, and a hundredth of the tolerance is required
+            of each equilibrium. Convergence is quadratic. With steps from a coarse wire,
+            convergence is linear, and a hundredth of the tolerance is required
         moment_floor : N m, added to the largest moment
 
         Returns
