@@ -31,13 +31,7 @@ from labpipe.mechanics.wire.calibration.measured_curves import (
     select_usable_curves,
     whiten,
 )
-from labpipe.mechanics.wire.calibration.objective import (
-    P,
-    Settings,
-    Wire,
-    search,
-    set_up_problem,
-)
+from labpipe.mechanics.wire.calibration.objective import P, Settings, Wire, search, set_up_problem
 from labpipe.mechanics.wire.calibration.variances import compute_quantiles, estimate_uncertainty
 from labpipe.mechanics.wire.cantilever import StringRig
 from labpipe.mechanics.wire.first_loading import LoadingCurve, interpolate_force
@@ -113,9 +107,7 @@ def make_calibration(minima: Minima, settings: Settings) -> Calibration:
     """
     fit, problem = minima.fit, minima.fit.problem
     candidates = [_make_solution(minima, minimum) for minimum in minima.local_minima]
-    solutions = tuple(
-        solution for solution in candidates if solution.rise <= _RISE_RATIO_99 * solution.limit
-    )
+    solutions = tuple(item for item in candidates if item.rise <= _RISE_RATIO_99 * item.limit)
     parameters = tuple(
         _make_parameter(minima, solutions, index, settings.choices.get(name, ParameterChoice()))
         for index, name in enumerate(PARAMETERS)
@@ -168,7 +160,7 @@ def _make_parameter(
     name, problem, uncertainty = PARAMETERS[index], minima.fit.problem, minima.lowest.uncertainty
     value = float(np.exp(minima.fit.logs[index]))
     if not problem.law.is_active[index]:
-        text = f"{identification.PARAMETER_PHRASES[name]} does not act on this wire"
+        text = f"{identification.PHRASES[name]} does not act on this wire"
         return CalibratedParameter(name, PARAMETER_UNITS[name], np.nan, explanation=text)
     if not problem.is_free[index]:
         fixed = CalibratedParameter(name, PARAMETER_UNITS[name], value, source=choice.source)

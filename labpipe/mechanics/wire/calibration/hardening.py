@@ -214,14 +214,11 @@ def calibrate_share(
     found.
     """
     tests = [test for test in tests if test.measures]
-    tests_by_setup = {test.setup: test for test in tests}
+    setups = {test.setup: test for test in tests}
     if not tests:
         return None
     try:
-        computed = {
-            setup: _compute_test_measures(test, make_law, names)
-            for setup, test in tests_by_setup.items()
-        }
+        computed = {key: _compute_measures(test, make_law, names) for key, test in setups.items()}
     except ValueError:
         return None
     rows = [(test, name) for test in tests for name in CYCLE_MEASURES if name in test.measures]
@@ -258,7 +255,7 @@ def calibrate_share(
     )
 
 
-def _compute_test_measures(
+def _compute_measures(
     test: CycledTest, make_law: LawMaker, names: Sequence[str]
 ) -> tuple[Floats, Floats]:
     """Compute the measures of a test for each share, and their derivatives.

@@ -25,7 +25,7 @@ from labpipe.records.wire import (
     Solution,
 )
 
-PARAMETER_PHRASES: Mapping[str, str] = {
+PHRASES: Mapping[str, str] = {
     RADIAL_FRICTION: "phi = F_rad (mu_s + mu_p)",
     INSULATION_MODULUS: "the modulus of the insulation",
     COPPER_SCALE: "the strength of the copper",
@@ -116,7 +116,7 @@ def describe_parameter(
     interval_99 : ends of the 99 % interval; None without such an interval
     """
     key, interval, verdict = parameter.name, parameter.interval, parameter.verdict
-    name, value = PARAMETER_PHRASES[key], format_value(key, parameter.value)
+    name, value = PHRASES[key], format_value(key, parameter.value)
     if interval is None:
         source = _format_source(parameter.source)
         return format_sentence("mechanics.wire.held", name=name, value=value, source=source)
@@ -174,9 +174,7 @@ def describe_solutions(solutions: Sequence[Solution]) -> str:
     texts = []
     for index, solution in enumerate(solutions):
         pairs = zip(PARAMETERS, solution.values.tolist(), strict=True)
-        values = (
-            f"{PARAMETER_PHRASES[name]} {format_value(name, v)}" for name, v in pairs if v > 0.0
-        )
+        values = (f"{PHRASES[name]} {format_value(name, v)}" for name, v in pairs if v > 0.0)
         likelihood = f", {solution.likelihood:.2g} times as likely as (1)" if index else ""
         outside = "" if solution.is_allowed else ", outside of the 95 % set"
         rmse = f"{1e3 * solution.rmse:.3g} mN"
@@ -208,7 +206,7 @@ def find_separability(names: tuple[str, ...], jacobian: Floats, subject: str) ->
         name: bool(weight < max_unknown_weight) for name, weight in zip(names, weights, strict=True)
     }
     value_texts = [f"{value:.0f}" if value >= 100.0 else f"{value:.2g}" for value in values]
-    unknown_names = [PARAMETER_PHRASES.get(name, name) for name in names if not is_known[name]]
+    unknown_names = [PHRASES.get(name, name) for name in names if not is_known[name]]
     n_known = len(names) - int(is_unknown.sum())
     verdict = f"{subject} can be distinguished"
     if len(unknown_names) == 1:
@@ -248,7 +246,7 @@ def compare_with_prior(name: str, conflict: PriorConflict) -> PriorConflict:
     contradicts = conflict.size > limit
     message = format_sentence(
         "mechanics.wire.prior_contradicts" if contradicts else "mechanics.wire.prior_agrees",
-        name=PARAMETER_PHRASES[name],
+        name=PHRASES[name],
         centre=format_value(name, conflict.centre),
         factor=conflict.factor,
         source=_format_source(conflict.source),

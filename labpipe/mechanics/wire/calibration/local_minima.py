@@ -44,20 +44,20 @@ from scipy.optimize import brentq
 from scipy.special import ndtr
 
 from labpipe.mechanics.wire.calibration import objective, variances
-from labpipe.mechanics.wire.calibration.objective import Fit, Levels, P, Problem, apply_step, search
+from labpipe.mechanics.wire.calibration.law_components import COPPER, INSULATION
+from labpipe.mechanics.wire.calibration.objective import (
+    MAX_SOLUTION_RISE,
+    Fit,
+    Levels,
+    P,
+    Problem,
+    apply_step,
+    search,
+)
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import NORMAL_95
-from labpipe.records.wire import (
-    COPPER_SCALE,
-    INSULATION_MODULUS,
-    PARAMETERS,
-    ScatterMixture,
-)
+from labpipe.records.wire import ScatterMixture
 
-_INSULATION_INDEX, _COPPER_INDEX = (
-    PARAMETERS.index(INSULATION_MODULUS),
-    PARAMETERS.index(COPPER_SCALE),
-)
 _LINE_STEP = 0.3
 """Spacing of points on the line, in the logarithm of the strength of the copper."""
 _MIN_SEPARATION = 0.1 * _LINE_STEP
@@ -133,10 +133,7 @@ def find_minima(problem: Problem, logs: Floats) -> Minima:
     fit = lowest if lowest is fit else refine_levels(lowest)
     fits = [fit]
     for minimum in line_minima:
-        if (
-            minimum is not lowest
-            and minimum.objective - lowest.objective <= objective.MAX_SOLUTION_RISE
-        ):
+        if minimum is not lowest and minimum.objective - lowest.objective <= MAX_SOLUTION_RISE:
             fits += _search_from(fit, minimum)
     distinct_fits: list[Fit] = []  # two searches may end in the same minimum
     for fit in sorted(fits, key=lambda fit: fit.objective):
@@ -149,7 +146,7 @@ def find_minima(problem: Problem, logs: Floats) -> Minima:
     local_minima = tuple(
         LocalMinimum(fit, rise, variances.estimate_uncertainty(fit), variances.make_mixture(fit))
         for fit in distinct_fits
-        if (rise := max(fit.objective - best.objective, 0.0)) <= objective.MAX_SOLUTION_RISE
+        if (rise := max(fit.objective - best.objective, 0.0)) <= MAX_SOLUTION_RISE
     )
     unknowns = np.array([fit.unknowns[: P + 1] for fit in line])
     return Minima(local_minima, unknowns, np.array(rises), compute_widening(line, best))
@@ -210,7 +207,7 @@ def _drop_offsets(unknowns: Floats, levels: Levels) -> Floats:
 
 def _has_trade_off(problem: Problem) -> bool:
     """Return whether insulation and copper are both fitted and can replace each other."""
-    return bool(problem.is_free[_INSULATION_INDEX] and problem.is_free[_COPPER_INDEX])
+    return bool(problem.is_free[INSULATION] and problem.is_free[COPPER])
 
 
 def _yield_starts(problem: Problem, logs: Floats) -> Iterator[Floats]:
@@ -224,15 +221,13 @@ def _yield_starts(problem: Problem, logs: Floats) -> Iterator[Floats]:
     nominal = np.where(is_nominal, np.log(np.where(is_nominal, nominal_values, 1.0)), logs)
     models = objective.compute_model_forces(problem.law, np.exp(nominal), problem.curves)
     total = sum(float(np.abs(model.force).sum()) for model in models)
-    insulation_total = sum(
-        float(np.abs(model.sensitivity[_INSULATION_INDEX]).sum()) for model in models
-    )
+    insulation_total = sum(float(np.abs(model.sensitivity[INSULATION]).sum()) for model in models)
     copper_total = max(total - insulation_total, 0.01 * total)
     measured_total = sum(float(np.abs(curve.force).sum()) for curve in problem.curves)
     for fraction in insulation_fractions:
         start = nominal.copy()
-        start[_INSULATION_INDEX] += np.log(fraction * measured_total / insulation_total)
-        start[_COPPER_INDEX] += np.log((1.0 - fraction) * measured_total / copper_total)
+        start[INSULATION] += np.log(fraction * measured_total / insulation_total)
+        start[COPPER] += np.log((1.0 - fraction) * measured_total / copper_total)
         yield np.clip(start, problem.lower, problem.upper)
 
 
@@ -267,7 +262,7 @@ def find_local_minima(line: list[Fit], fit: Fit) -> list[Fit]:
 
 def _get_log_strength(fit: Fit) -> float:
     """Return the logarithm of the strength of the copper of a fit."""
-    return float(fit.logs[_COPPER_INDEX])
+    return float(fit.logs[COPPER])
 
 
 def _compute_barrier(line: list[Fit], first: Fit, second: Fit) -> float:
@@ -293,7 +288,7 @@ def follow_line(fit: Fit) -> list[Fit]:
     if not _has_trade_off(problem):
         return [fit]
     sides = []
-    for bound in (float(problem.lower[_COPPER_INDEX]), float(problem.upper[_COPPER_INDEX])):
+    for bound in (float(problem.lower[COPPER]), float(problem.upper[COPPER])):
         count = int(np.ceil(abs(bound - strength) / _LINE_STEP))
         sides.append(_follow_to_bound(fit, np.linspace(strength, bound, count + 1)[1:]))
     return [*sides[0][::-1], fit, *sides[1]]
@@ -301,13 +296,13 @@ def follow_line(fit: Fit) -> list[Fit]:
 
 def _follow_to_bound(fit: Fit, strengths: Floats) -> list[Fit]:
     """Fit at successive strengths of the copper; each search starts from an extrapolation."""
-    fits, problem = [fit, fit], fit.problem.hold(_COPPER_INDEX)
+    fits, problem = [fit, fit], fit.problem.hold(COPPER)
     search_line = partial(search, problem, fit.levels, tolerance=0.01, best_objective=fit.objective)
     for strength in strengths:
         previous, last = fits[-2:]
         change = np.clip(last.logs - previous.logs, -1.0, 1.0)
         start = apply_step(last, np.pad(change, (0, len(last.unknowns) - P)))
-        start[_COPPER_INDEX] = strength
+        start[COPPER] = strength
         try:
             fits.append(search_line(start, guess=last.model_forces))
         except ValueError:

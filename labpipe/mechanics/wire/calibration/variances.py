@@ -23,6 +23,7 @@ References
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,8 +37,6 @@ from labpipe.records.wire import ScatterMixture
 
 _LOG_VARIANCE_STEP = 0.02
 """Step of the logarithms of variances for numerical derivatives."""
-_STEP_UP_FACTOR, _STEP_DOWN_FACTOR = np.exp([_LOG_VARIANCE_STEP, -_LOG_VARIANCE_STEP]).tolist()
-"""Factors on variances for a numerical derivative."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -184,14 +183,20 @@ def estimate_uncertainty(fit: Fit) -> Uncertainty:
         total = linear.compute_products(samples / noise).sum(axis=0) / noise
         return _compute_posterior(fit, total)[1]
 
-    by_noise = compute_covariance(_STEP_UP_FACTOR, 1.0) - compute_covariance(_STEP_DOWN_FACTOR, 1.0)
-    by_samples = compute_covariance(1.0, _STEP_UP_FACTOR) - compute_covariance(
-        1.0, _STEP_DOWN_FACTOR
-    )
-    covariance_by_level = np.stack([by_noise, by_samples]) / (2.0 * _LOG_VARIANCE_STEP)
+    by_level = [_differentiate(compute_covariance, *level) for level in ((1.0, 0.0), (0.0, 1.0))]
+    covariance_by_level = np.stack(by_level)
     is_known = fit.problem.scatter is not None or fit.levels.scatter == 0.0
     level_covariance = _compute_level_covariance(linear, fit.levels, is_scatter_known=is_known)
     return Uncertainty(compute_covariance(1.0, 1.0), covariance_by_level, level_covariance)
+
+
+def _differentiate(
+    compute: Callable[[float, float], Floats], noise_weight: float, sample_weight: float
+) -> Floats:
+    """Differentiate a function of factors on both variances, with respect to their logarithms."""
+    log_changes = _LOG_VARIANCE_STEP * np.array([noise_weight, sample_weight])
+    difference = compute(*np.exp(log_changes).tolist()) - compute(*np.exp(-log_changes).tolist())
+    return np.asarray(difference / (2.0 * _LOG_VARIANCE_STEP))
 
 
 def _compute_posterior(fit: Fit, total: Floats) -> tuple[Floats, Floats]:
@@ -226,19 +231,14 @@ def _compute_level_covariance(
         return np.diag([2.0 / linear.freedom, 0.0])
     noise, samples = levels.noise, levels.scatter**2
 
-    def compute_trace(noise_factor: float, sample_factor: float) -> float:
-        return float(np.trace(_project(linear, noise * noise_factor, samples * sample_factor)))
+    def compute_trace(noise_factor: float, sample_factor: float) -> Floats:
+        return np.trace(_project(linear, noise * noise_factor, samples * sample_factor))
 
     # The projection is inversely proportional to a common factor of both variances. The derivative
     # of the trace with respect to noise is the derivative with respect to both minus that with
     # respect to the samples.
-    by_both = (
-        compute_trace(_STEP_UP_FACTOR, _STEP_UP_FACTOR)
-        - compute_trace(_STEP_DOWN_FACTOR, _STEP_DOWN_FACTOR)
-    ) / (2.0 * _LOG_VARIANCE_STEP)
-    by_samples = (compute_trace(1.0, _STEP_UP_FACTOR) - compute_trace(1.0, _STEP_DOWN_FACTOR)) / (
-        2.0 * _LOG_VARIANCE_STEP
-    )
+    by_both = float(_differentiate(compute_trace, 1.0, 1.0))
+    by_samples = float(_differentiate(compute_trace, 0.0, 1.0))
     samples_term = float(np.sum(_project(linear, noise, samples) ** 2)) * samples**2
     cross_term = -(by_both - by_samples) * samples
     noise_term = linear.freedom - samples_term - 2.0 * cross_term
