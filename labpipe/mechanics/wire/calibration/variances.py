@@ -232,7 +232,7 @@ def _compute_level_covariance(
     noise, samples = levels.noise, levels.scatter**2
 
     def compute_trace(noise_factor: float, sample_factor: float) -> Floats:
-        return np.trace(_project(linear, noise * noise_factor, samples * sample_factor))
+        return np.asarray(np.trace(_project(linear, noise * noise_factor, samples * sample_factor)))
 
     # The projection is inversely proportional to a common factor of both variances. The derivative
     # of the trace with respect to noise is the derivative with respect to both minus that with
