@@ -18,7 +18,7 @@ from numpy.polynomial import Polynomial
 
 from labpipe.errors import LabpipeError
 from labpipe.mechanics.wire.calibration.hardening import ENERGY, RATIO, RESIDUAL, CycledTest
-from labpipe.mechanics.wire.calibration.measured_curves import MAX_DEFLECTION, MeasuredCurve
+from labpipe.mechanics.wire.calibration.measured_curves import MAX_DEFLECTION_RATIO, MeasuredCurve
 from labpipe.mechanics.wire.cantilever import StringRig
 from labpipe.messages import format_sentence
 from labpipe.protocol.load import parse_protocol
@@ -193,8 +193,8 @@ def read_first_loadings(
     files : result.h5 files
     min_points : minimum number of points of a curve, each a mean of consecutive samples;
         a curve of more samples has fewer than twice as many points
-    max_deflection : largest deflection that is used, m. The limit is at most `MAX_DEFLECTION` times
-        the free length; None for this limit
+    max_deflection : largest deflection that is used, m. The limit is at most `MAX_DEFLECTION_RATIO`
+        times the free length; None for this limit
     report_name : function that is called with the name of each test before it is read
 
     Returns
@@ -255,7 +255,7 @@ def extract_first_loading(
     length = result.specimen.dimensions.get("length", protocol.specimen.length)
     if length is None:
         raise NotUsableError.of("mechanics.studies.no_length")
-    limit = min(max_deflection or np.inf, MAX_DEFLECTION * length)
+    limit = min(max_deflection or np.inf, MAX_DEFLECTION_RATIO * length)
     loading_rows = slice(branch.start, branch.stop)
     deflection = average_blocks(curve.displacement[loading_rows], min_points)
     force = average_blocks(curve.force[loading_rows], min_points)

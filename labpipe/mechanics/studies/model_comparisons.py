@@ -19,7 +19,7 @@ from labpipe.mechanics.wire.calibration.calibrate_wire import (
     predict,
 )
 from labpipe.mechanics.wire.calibration.measured_curves import (
-    MAX_DEFLECTION,
+    MAX_DEFLECTION_RATIO,
     MeasuredCurve,
     compare_curves,
     compute_curve_errors,
@@ -408,7 +408,7 @@ def _compare_external_curve(
         max_deflection = max(float(np.max(band.displacement, initial=0.0)), max_deflection)
         bounds = band.lower, band.upper
         test_match = compare_curves(curve, band.displacement, band.mean, bounds, "the tests")
-    grid = np.linspace(0.0, min(max_deflection, MAX_DEFLECTION * curve.length), 200)
+    grid = np.linspace(0.0, min(max_deflection, MAX_DEFLECTION_RATIO * curve.length), 200)
     model_rig = None if curve.is_normal else rig
     try:
         prediction = predict(calibration, wire, curve.length, grid, rig=model_rig)

@@ -343,24 +343,18 @@ def find_sites(n_wires: int) -> Floats:
     ValueError
         If `n_wires` is less than 1.
     """
-    max_hexagon_wires = 37  # a larger hexagon is wider than a round section of the lattice
+    # Index in `_LATTICE_CENTRES` of the centre of a hexagon, keyed by its number of wires. A larger
+    # hexagon is wider than a round section of the lattice.
+    hexagon_centres = {1: 0, 7: 0, 19: 0, 37: 0, 3: 1, 12: 1, 27: 1}
     require("number", n_wires, "a whole number >= 1", holds=n_wires >= 1)
-    centre = _find_hexagon_centre(n_wires) if n_wires <= max_hexagon_wires else None
-    if centre is None:
-        sites = _search_densest_heap(n_wires)
-    else:
+    if n_wires in hexagon_centres:
+        centre = _LATTICE_CENTRES[hexagon_centres[n_wires]]
         sites = _cut_lattice(n_wires, centre, is_hexagonal=True)
+    else:
+        sites = _search_densest_heap(n_wires)
     sites = sites - sites.mean(axis=0)
     angle = np.round(np.arctan2(sites[:, 1], sites[:, 0]), 9) % np.round(2.0 * np.pi, 9)
     return np.asarray(sites[np.lexsort([angle, np.round(np.hypot(*sites.T), 9)])])
-
-
-def _find_hexagon_centre(n_wires: int) -> Floats | None:
-    """Return the centre of the hexagon with this number of wires; None if there is no hexagon."""
-    n_rings = (math.isqrt(12 * n_wires - 3) - 3) // 6
-    if n_wires == 1 + 3 * n_rings * (n_rings + 1):
-        return np.asarray(_LATTICE_CENTRES[0])
-    return np.asarray(_LATTICE_CENTRES[1]) if n_wires == 3 * math.isqrt(n_wires // 3) ** 2 else None
 
 
 def _cut_lattice(n_wires: int, centre: Floats, *, is_hexagonal: bool = False) -> Floats:

@@ -386,9 +386,9 @@ class Cantilever:
         ----------
         moment : shape (n, stations), N m, first guess
         load : shape (n,), N, first guess
-        tolerance : largest last change of the moments, relative to the largest moment of each
-            equilibrium. Convergence is quadratic. With steps from a coarse wire, convergence is
-            linear, and a hundredth of the tolerance is required
+        tolerance : largest change of the moments in the last step, relative to the largest moment
+            of each equilibrium. Convergence is quadratic. With steps from a coarse wire,
+            convergence is linear, and a hundredth of the tolerance is required
         moment_floor : N m, added to the largest moment
 
         Returns
@@ -690,7 +690,7 @@ def _solve_next(
 ) -> WireState | None:
     """Find the next equilibrium; None if Newton's method fails or rotates a station too far."""
     max_rotation = 1.0  # rad; after a larger rotation in one step, the wire may be curled
-    tolerance = 1e-7  # relative last change of the moments; convergence is quadratic
+    tolerance = 1e-7  # relative change of the moments in the last step; convergence is quadratic
     max_extrapolation = 4.0  # relative to the last step
     moment_floor = 1e-9 * law.stiffness / length  # EI / L bends the wire by a radian
     stations = make_stations(len(state.moment), length)

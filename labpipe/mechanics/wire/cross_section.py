@@ -209,8 +209,7 @@ class CrossSection(ArrayRecord):
     kind : name of the layout
     layers : layers of strands from the axis outwards
     x, y : shape (strands,), m, centres of the strands, in the order of the layers
-    overlap : m, largest overlap of strands with each other or with the bore; not positive if there
-        is none
+    overlap : m, largest overlap of strands with each other or with the bore; 0 without overlap
     insulation : tube around the strands; None for bare strands
     """
 

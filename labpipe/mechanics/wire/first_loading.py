@@ -55,11 +55,14 @@ The relative differences from the loads with 160 stations are at most 1e-4.
 _N_COARSE_STATIONS = 12
 """Number of stations of the coarse wire, on which Newton's steps are computed."""
 _MOMENT_TOLERANCE = 1e-5
-"""Largest last change of the moments, relative to the largest moment."""
-_COARSE_TOLERANCE = 1e-3
+"""Largest change of a moment in the last Newton step, relative to the largest moment."""
+_COARSE_MOMENT_TOLERANCE = 1e-3
 """As `_MOMENT_TOLERANCE`, for the coarse wire, whose solution is the first guess for the wire."""
-_UNLOADING_DEFLECTION = 0.7
-"""Approximate deflection, relative to the length, at which stations at the tip begin to unload."""
+_MAX_LOADING_RATIO = 0.7
+"""Largest ratio of deflection to length on a loading curve.
+
+At about this deflection, stations at the tip begin to unload.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -122,8 +125,8 @@ class LoadingCurve(ArrayRecord):
     def count_loading_points(self) -> int:
         """Count the points, including rest, up to which no station unloads.
 
-        At deflections beyond about 0.7 of the length the moments near the tip decrease. In a
-        sagging wire they may decrease earlier.
+        The moments near the tip decrease beyond a deflection of about 0.7 of the length. They may
+        decrease earlier in a wire that sags.
         """
         relative_tolerance = 1e-5  # smaller decreases of a moment are errors of the solution
         moment_step = np.diff(self.moment, axis=0)
@@ -169,7 +172,7 @@ def load_cantilever(
     """
     n_points = 64
     spacing_power = 2.75  # points are denser near rest, where strands begin to slip
-    last_deflection = min(deflection, _UNLOADING_DEFLECTION * length)
+    last_deflection = min(deflection, _MAX_LOADING_RATIO * length)
     deflections = last_deflection * (np.arange(1, n_points + 1) / n_points) ** spacing_power
     curve = find_equilibria(
         table, length, rig, self_weight, deflections, guess=guess and guess.full_curve
@@ -226,7 +229,7 @@ def find_equilibria(
     wire = replace(one_grid_wire, coarse_wire=coarse)
     solve = partial(_solve_from_linear, table, loading_law=bend_from_rest)
     first_guess = guess and (guess.moment, guess.tension)
-    first_guess = first_guess or solve(coarse, tolerance=_COARSE_TOLERANCE)
+    first_guess = first_guess or solve(coarse, tolerance=_COARSE_MOMENT_TOLERANCE)
     solution = first_guess and _solve_from_guess(wire, *first_guess)
     solution = solution or solve(one_grid_wire, tolerance=_MOMENT_TOLERANCE)
     if solution is None:
@@ -275,7 +278,7 @@ def _solve_from_linear(
 
 def _solve_from_guess(wire: Cantilever, moment: Floats, load: Floats) -> _Equilibria | None:
     """Solve for all deflections from the solution for a similar law; None if none is near."""
-    max_relative_change = 0.3  # relative to the largest moment; above it, the wire may be curled
+    max_relative_change = 0.3  # of the moments, relative to the largest; beyond, a wire may curl
     moment = moment @ make_transfer_matrix(moment.shape[1], len(wire.stations.position)).T
     solution = wire.solve(moment, load, tolerance=_MOMENT_TOLERANCE)
     if solution is None:
@@ -363,13 +366,16 @@ class EndLoadPath:
     def find_deflection(self, curve: MomentCurve, curvature: float) -> float:
         """Find the deflection, m, at which the clamp has a curvature, 1/m.
 
-        The deflection is infinite if the path does not reach the curvature. The clamp moment must
-        increase along the path.
+        The clamp moment must increase along the path.
 
         Parameters
         ----------
         curve : law of the wire
         curvature : 1/m, curvature at the clamp
+
+        Returns
+        -------
+        The deflection; infinite if the path does not reach the curvature.
         """
         moment = float(np.interp(curvature, curve.curvature, curve.moment, right=np.inf))
         if moment >= self.clamp_moment[-1]:
@@ -398,8 +404,8 @@ def compute_end_load_path(
 
     Returns
     -------
-    Load and clamp moment at each deflection, up to the end of the law, and the state at rest of a
-    wire with weight.
+    Load and clamp moment at the deflections before the clamp leaves the range of the law, and the
+    state at rest of a wire with weight.
 
     Raises
     ------
@@ -409,7 +415,8 @@ def compute_end_load_path(
 
     Notes
     -----
-    The deflections before the first decrease are solved together, the others one after another.
+    The deflections up to the first that does not increase are solved together, the others one
+    after another.
     """
     require_positive("length", length)
     require_finite("deflections", deflections)
@@ -420,12 +427,12 @@ def compute_end_load_path(
     table = LoadingTable.of_plays(law)
     is_rising = np.append(np.diff(deflections, prepend=0.0) > 0.0, False)
     rising_deflections = deflections[: int(np.argmin(is_rising))]
-    is_below = unloading_grid < np.max(rising_deflections, initial=0.0)
-    grid = np.union1d(rising_deflections, unloading_grid[is_below])
+    is_reached = unloading_grid < np.max(rising_deflections, initial=0.0)
+    grid = np.union1d(rising_deflections, unloading_grid[is_reached])
     curve = find_equilibria(table, length, None, self_weight, grid, n_stations=n_stations)
 
     def make_state(row: int, history: Floats) -> WireState:
-        """Make the state in a row of the curve, after a history of the law."""
+        """Make the state in a row of the curve, where the law has a history."""
         moment, load = curve.moment[row], float(curve.tension[row])
         response, deflection = law.respond(moment, history), float(curve.deflection[row])
         bent, force = (moment, response.curvature, response.history), np.array([0.0, load])
@@ -456,8 +463,8 @@ def _describe_rest(state: WireState, length: float) -> WireAtRest:
     return WireAtRest(float(state.force[1]), moment, curvature, sag=-float(np.min(shape.y)))
 
 
-_LAST_PATH_DEFLECTION = 0.8
-"""Last tip deflection of the path of a wire, relative to the length."""
+_MAX_PATH_RATIO = 0.8
+"""Largest ratio of tip deflection to length on the path of a wire."""
 
 
 def bend_cantilever(spec: WireSpec, curve: MomentCurve, self_weight: float) -> EndLoadPath:
@@ -471,8 +478,8 @@ def bend_cantilever(spec: WireSpec, curve: MomentCurve, self_weight: float) -> E
 
     Returns
     -------
-    The path from rest. It has a note if the weight was left out because no equilibrium was found
-    with the weight, and a note if the law ends before 0.8 of the length. If the law cannot be made
+    The path from rest. It has a note if the weight was left out because the wire does not stay
+    level under it, and a note if the law ends before 0.8 of the length. If the law cannot be made
     concave, the path has a single point at zero, and a note.
 
     Raises
@@ -498,7 +505,7 @@ def bend_cantilever(spec: WireSpec, curve: MomentCurve, self_weight: float) -> E
         )
         notes.append(note)
         path = _bend_to_end(law, spec.length, 0.0)
-    nominal_deflection = _LAST_PATH_DEFLECTION * spec.length
+    nominal_deflection = _MAX_PATH_RATIO * spec.length
     if path.deflection[-1] < nominal_deflection:
         note = QualityNote.of(
             "mechanics.wire.cantilever_cut",
@@ -513,12 +520,12 @@ def bend_cantilever(spec: WireSpec, curve: MomentCurve, self_weight: float) -> E
 
 
 def _bend_to_end(law: PlayLaw, length: float, self_weight: float) -> EndLoadPath:
-    """Compute the path from rest up to 0.8 of the length, or to the end of the law."""
+    """Compute the path from rest to 0.8 of the length, or to the end of the law."""
     n_points = 49  # including zero
-    spacing_power = 3  # the first point is at 1e-5 of the last point, before strands slip
+    spacing_power = 3  # the first point is at 1e-5 of the last deflection, before strands slip
     last_moment_factor = 0.9999  # last clamp moment relative to the largest moment of the law
     unlimited_law = replace(law, largest_moment=np.inf)
-    last_deflection = _LAST_PATH_DEFLECTION * length
+    last_deflection = _MAX_PATH_RATIO * length
     for _ in range(2):
         deflection = last_deflection * np.linspace(0.0, 1.0, n_points) ** spacing_power
         path = compute_end_load_path(unlimited_law, length, deflection[1:], self_weight=self_weight)

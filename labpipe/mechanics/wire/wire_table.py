@@ -337,7 +337,8 @@ def _find_section_notes(
 ) -> Iterator[QualityNote]:
     """Yield notes on a loose bore, eccentric strands, overlaps, and yielding in tension.
 
-    The model assumes elastic strands in tension. The note states that real strands would yield.
+    Strands of the model are elastic in tension. The note on yielding compares their stress with
+    that of the stress-strain curve.
     """
     min_fill = 0.4  # fraction of the area of the bore; two strands that touch the bore fill 0.5
     max_silent_offset, touch_tolerance = 0.02, 1e-9  # relative to the radius of the bore

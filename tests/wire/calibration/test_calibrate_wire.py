@@ -126,7 +126,9 @@ def test_residuals_and_searches_that_are_doubted(monkeypatch: pytest.MonkeyPatch
 
 
 def test_a_model_that_cannot_follow(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("labpipe.mechanics.wire.calibration.measured_curves.MAX_DEFLECTION", 0.95)
+    monkeypatch.setattr(
+        "labpipe.mechanics.wire.calibration.measured_curves.MAX_DEFLECTION_RATIO", 0.95
+    )
     deep = replace(THREE[0], length=0.055, rig=None)
     failure = calibrate(WIRE, (deep,), Settings({"copper_scale": FIXED}))
     assert isinstance(failure, CalibrationFailure)

@@ -110,7 +110,7 @@ def test_the_weight_of_a_short_wire_hardly_matters_as_the_force_is_zeroed(
     assert heavy == pytest.approx(compute_cycles(law, LENGTH, PEAK, rig=rig), rel=2e-3)
 
 
-_COMPUTE = hardening._compute_test
+_COMPUTE = hardening._compute_measures
 
 
 @cache
@@ -120,7 +120,7 @@ def computed() -> tuple[Floats, Floats]:
 
 @pytest.fixture
 def computed_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(hardening, "_compute_test", lambda *_: computed())
+    monkeypatch.setattr(hardening, "_compute_measures", lambda *_: computed())
 
 
 def measured(

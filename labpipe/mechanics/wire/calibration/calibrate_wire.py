@@ -31,13 +31,7 @@ from labpipe.mechanics.wire.calibration.measured_curves import (
     select_usable_curves,
     whiten,
 )
-from labpipe.mechanics.wire.calibration.objective import (
-    P,
-    Settings,
-    Wire,
-    search,
-    set_up_problem,
-)
+from labpipe.mechanics.wire.calibration.objective import P, Settings, Wire, search, set_up_problem
 from labpipe.mechanics.wire.calibration.variances import compute_quantiles, estimate_uncertainty
 from labpipe.mechanics.wire.cantilever import StringRig
 from labpipe.mechanics.wire.first_loading import LoadingCurve, interpolate_force
@@ -74,7 +68,8 @@ def calibrate(
     ----------
     wire : wire with the nominal values of its sheet
     curves : measured curves of first loading, all of this wire
-    settings : fixed parameters, priors, and uncertainty of the load cell; None for the default
+    settings : treatment of parameters, gain uncertainty of the load cell, and scatter of samples;
+        None for the default
 
     Returns
     -------
@@ -95,7 +90,7 @@ def calibrate(
     return make_calibration(minima, settings)
 
 
-_RISE_FACTOR_99 = 1.727
+_RISE_RATIO_99 = 1.727
 """Rise of the objective at the ends of a 99 % interval, relative to that at the ends of a 95 % one.
 
 Solutions outside the 95 % set are reported up to this multiple of their limit.
@@ -112,7 +107,7 @@ def make_calibration(minima: Minima, settings: Settings) -> Calibration:
     """
     fit, problem = minima.fit, minima.fit.problem
     candidates = [_make_solution(minima, minimum) for minimum in minima.local_minima]
-    solutions = tuple(x for x in candidates if x.rise <= _RISE_FACTOR_99 * x.limit)
+    solutions = tuple(item for item in candidates if item.rise <= _RISE_RATIO_99 * item.limit)
     parameters = tuple(
         _make_parameter(minima, solutions, index, settings.choices.get(name, ParameterChoice()))
         for index, name in enumerate(PARAMETERS)
@@ -161,7 +156,7 @@ def _make_solution(minima: Minima, minimum: LocalMinimum) -> Solution:
 def _make_parameter(
     minima: Minima, solutions: tuple[Solution, ...], index: int, choice: ParameterChoice
 ) -> CalibratedParameter:
-    """Build the record of a parameter, with profile, verdict and comparison with its prior."""
+    """Build the record of a parameter, with profiles, verdict and comparison with its prior."""
     name, problem, uncertainty = PARAMETERS[index], minima.fit.problem, minima.lowest.uncertainty
     value = float(np.exp(minima.fit.logs[index]))
     if not problem.law.is_active[index]:
@@ -184,8 +179,8 @@ def _make_parameter(
         is_open_above=any(profile.is_open_above for profile in profiles),
         at_bound=_find_active_bound(minima, index),
         profiles=tuple(
-            Profile(np.exp(x.logs), x.deviance, x.threshold_below, x.threshold_above)
-            for x in profiles
+            Profile(np.exp(item.logs), item.deviance, item.threshold_below, item.threshold_above)
+            for item in profiles
         ),
         conflict=_fit_without_prior(minima, index, choice) if choice.factor is not None else None,
     )
@@ -212,18 +207,18 @@ def _find_interval_at_99(
     # With a smaller ratio of the ends at 95 %, the ratio at 99 % is below `MAX_IDENTIFIED_RATIO`.
     min_ratio = 1.5
     lower, upper = parameter.intervals[0].lower, parameter.intervals[-1].upper
-    line_range = local_minima.find_line_range(minima, index, _RISE_FACTOR_99)
+    line_range = local_minima.find_line_range(minima, index, _RISE_RATIO_99)
     interval_ends = [lower, upper, *np.exp(line_range).tolist()]
     is_wide = max(interval_ends) > min_ratio * min(interval_ends)
     if is_wide and upper < identification.MAX_IDENTIFIED_RATIO * lower:
-        for profile in local_minima.follow_profiles(minima, index, factor=_RISE_FACTOR_99):
+        for profile in local_minima.follow_profiles(minima, index, factor=_RISE_RATIO_99):
             interval_ends += np.exp([profile.lower, profile.upper]).tolist()
     return min(interval_ends), max(interval_ends)
 
 
 def _find_active_bound(minima: Minima, index: int) -> str:
-    """Return the bound at which the search ended; empty if none, or for a flat objective."""
-    min_slope = 0.05  # of half the objective with respect to the logarithm of the parameter
+    """Return the bound at which the search ended; empty without a bound or a slope beyond it."""
+    min_slope = 0.05  # slope of half the objective over the logarithm of the parameter
     log_value, problem = minima.fit.logs[index], minima.fit.problem
     slope = -float(objective.make_normal_equations(minima.fit)[1][index])
     if log_value <= problem.lower[index] and slope > min_slope:
@@ -236,23 +231,24 @@ def _fit_without_prior(minima: Minima, index: int, choice: ParameterChoice) -> P
 
     The size of a conflict is the square root of the decrease of the objective without the prior.
     """
-    best, problem = minima.fit, minima.fit.problem
+    prior_fit, problem = minima.fit, minima.fit.problem
     precision = np.where(np.arange(P) == index, 0.0, problem.prior_precision)
     free_problem = replace(problem, prior_precision=precision)
     fits = [
-        search(free_problem, best.levels, minimum.fit.unknowns, guess=minimum.fit.model_forces)
+        search(free_problem, prior_fit.levels, minimum.fit.unknowns, guess=minimum.fit.model_forces)
         for minimum in minima.local_minima
     ]
     fit = min(fits, key=lambda fit: fit.objective)
     uncertainty = estimate_uncertainty(fit)
     variance = float(uncertainty.covariance[index, index])
+    # The variance of the prior is known; the degrees of freedom of the sum are Satterthwaite's.
     variance_ratio = (variance + 1.0 / problem.prior_precision[index]) / variance
     freedom = uncertainty.compute_freedom(np.eye(P + 1)[index]) * variance_ratio**2
     conflict = PriorConflict(
         centre=float(np.exp(problem.prior_centre[index])),
         factor=float(choice.factor or np.nan),
         estimate=float(np.exp(fit.logs[index])),
-        size=float(np.sqrt(max(best.objective - fit.objective, 0.0))),
+        size=float(np.sqrt(max(prior_fit.objective - fit.objective, 0.0))),
         freedom=float(freedom),
         source=choice.source,
     )
@@ -270,7 +266,7 @@ def _compute_correlations(minima: Minima) -> Floats:
 
 
 def _make_noise_levels(minima: Minima) -> NoiseLevels:
-    """Build the record of noise and scatter, with degrees of freedom from their variances."""
+    """Build the record of noise and scatter, with the degrees of freedom of their variances."""
     level_covariance, levels = minima.lowest.uncertainty.level_covariance, minima.fit.levels
     scatter_freedom = 0.0 if minima.fit.problem.scatter is None else np.inf
     if level_covariance[1, 1] > 0.0:
@@ -286,7 +282,7 @@ def _make_noise_levels(minima: Minima) -> NoiseLevels:
 
 
 def _compute_separability(minima: Minima) -> Separability:
-    """Compute the separability of the active parameters, for noise without scatter of samples."""
+    """Compute the separability of the active parameters, without the scatter of samples."""
     fit = minima.fit
     active = np.flatnonzero(fit.problem.law.is_active).tolist()
     whitened_derivatives = [
@@ -372,10 +368,10 @@ def predict(
     -------
     The curve of the best solution with two bands. Both contain the uncertainty of the parameters
     (linear in their logarithms) and of the gain. The band of a measured curve also contains the
-    scatter of samples and noise. With several solutions, a band extends from the lowest lower limit
-    to the highest upper limit of all solutions. A solution with a higher objective has a narrower
-    band. Differences between the two wires (dimensions, lots of copper and insulation) are not
-    included.
+    scatter of samples and the noise. With several solutions, a band extends from the lowest lower
+    limit to the highest upper limit of all solutions. A solution with a higher objective has a
+    narrower band. Bands do not include differences between the calibrated wire and this wire
+    (dimensions, lots of copper and insulation).
 
     Raises
     ------
@@ -386,7 +382,7 @@ def predict(
     Notes
     -----
     The bands are pointwise, with quantiles of t averaged over the possible scatters of samples.
-    Noise is added as 1.96 s in quadrature.
+    The noise, with the standard deviation s, is added as 1.96 s in quadrature.
     """
     max_deflection = float(np.nanmax(deflection))
     forces, lower_limits, upper_limits = [], [], []
@@ -400,7 +396,7 @@ def predict(
         # A band contains its curve, also if both quantiles have the same sign.
         mean_error, error = (np.maximum([-below, above], 0.0) for below, above in quantiles)
         scatter = np.sqrt(np.maximum(error**2 - mean_error**2, 0.0))
-        # In the nonlinear model, the uncertainty of the parameters is larger.
+        # A nonlinear model has wider bands, a solution with a rise has narrower bands.
         mean_error *= calibration.widening * np.sqrt(1.0 - solution.rise / solution.limit)
         error = np.hypot(np.hypot(mean_error, scatter), NORMAL_95 * noise)
         forces.append(force)
@@ -433,7 +429,7 @@ def find_tested_curvature(wire: Wire, values: Floats, curves: Sequence[MeasuredC
     ----------
     wire : calibrated wire
     values : shape (3,), calibrated values of `PARAMETERS`; NaN for parameters without effect
-    curves : measured curves of this wire
+    curves : measured curves of this wire. Its `self_weight` is used, not that of the curves
 
     Raises
     ------

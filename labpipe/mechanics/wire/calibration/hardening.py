@@ -8,7 +8,8 @@ fitted to the tests by least squares. Their covariance contains the errors of th
 of the samples and the uncertainty of the calibrated parameters.
 
 Creep of the insulation increases residual deflection and energy and decreases the second peak. If
-the shares from the residual deflection and from the peaks differ, the result is marked as creep.
+the shares from the residual deflection and from the peaks differ, the result is marked as affected
+by creep.
 """
 
 from __future__ import annotations
@@ -35,13 +36,13 @@ from labpipe.records.wire import IsotropicShare
 
 RESIDUAL, ENERGY, RATIO = "residual", "energy", "ratio"
 CYCLE_MEASURES = (RESIDUAL, ENERGY, RATIO)
-"""Residual deflection, m; energy dissipated in the first cycle, J; second peak over first peak."""
+"""Residual deflection, m; energy dissipated in the first cycle, J; second peak by first peak."""
 COMPUTED_SHARES = (0.0, 0.35, 0.7, 1.0)
-"""Isotropic shares for which a test is computed; a cubic interpolates between them."""
+"""Isotropic shares for which measures are computed; a cubic interpolates between them."""
 MAX_SHARE_DIFFERENCE = 2.5
 """Largest difference of the shares from residual deflection and from peaks, in standard errors.
 
-If the difference is larger, the result is marked as creep.
+If the difference is larger, the result is marked as affected by creep.
 """
 LawMaker = Callable[[Mapping[str, float], float], PlayLaw]
 """Function that returns the law of a wire for changed parameters and an isotropic share.
@@ -74,7 +75,7 @@ class CycledTest:
 
     @property
     def setup(self) -> tuple[object, ...]:
-        """Inputs of the computed measures, with the peak rounded to 1 %."""
+        """Inputs of the computed measures, with the logarithm of the peak rounded to 0.01."""
         return self.length, round(100.0 * math.log(self.peak)), self.rig, self.self_weight
 
 
@@ -217,14 +218,14 @@ def calibrate_share(
     if not tests:
         return None
     try:
-        computed = {setup: _compute_test(test, make_law, names) for setup, test in setups.items()}
+        computed = {key: _compute_measures(test, make_law, names) for key, test in setups.items()}
     except ValueError:
         return None
     rows = [(test, name) for test in tests for name in CYCLE_MEASURES if name in test.measures]
     measured, errors = np.array([test.measures[name] for test, name in rows]).T
     by_share, by_parameter = (
-        np.stack([computed[test.setup][k][:, CYCLE_MEASURES.index(name)] for test, name in rows])
-        for k in range(2)
+        np.stack([computed[test.setup][i][:, CYCLE_MEASURES.index(name)] for test, name in rows])
+        for i in range(2)
     )
     row_names = np.array([name for _, name in rows])
     sample_errors = np.where(row_names == RATIO, 0.0, measured * scatter)
@@ -254,7 +255,7 @@ def calibrate_share(
     )
 
 
-def _compute_test(
+def _compute_measures(
     test: CycledTest, make_law: LawMaker, names: Sequence[str]
 ) -> tuple[Floats, Floats]:
     """Compute the measures of a test for each share, and their derivatives.

@@ -30,10 +30,10 @@ PHRASES: Mapping[str, str] = {
     INSULATION_MODULUS: "the modulus of the insulation",
     COPPER_SCALE: "the strength of the copper",
 }
-"""Wording for each parameter in sentences, keyed by the names of `PARAMETERS`."""
+"""Phrase for each parameter in a sentence, keyed by the names of `PARAMETERS`."""
 
 Alternatives: TypeAlias = Sequence[tuple[float, float]]
-"""Value of a parameter in each solution outside the 95 % set, and likelihood of the solution.
+"""Value of a parameter in each solution outside the 95 % set, and likelihood of that solution.
 
 The likelihood is relative to that of the best solution.
 """

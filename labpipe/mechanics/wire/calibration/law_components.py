@@ -32,17 +32,13 @@ from labpipe.mechanics.wire.cross_section import CrossSection, compute_tube_mome
 from labpipe.mechanics.wire.first_loading import LoadingCurve, load_cantilever
 from labpipe.mechanics.wire.materials import Material, RambergOsgood, compute_elastic_ratio
 from labpipe.records.arrays import Floats
-from labpipe.records.wire import (
-    COPPER_SCALE,
-    INSULATION_MODULUS,
-    PARAMETERS,
-    RADIAL_FRICTION,
-)
+from labpipe.records.wire import COPPER_SCALE, INSULATION_MODULUS, PARAMETERS, RADIAL_FRICTION
 
-_FRICTION, _INSULATION, _COPPER = (
+FRICTION, INSULATION, COPPER = (
     PARAMETERS.index(name) for name in (RADIAL_FRICTION, INSULATION_MODULUS, COPPER_SCALE)
 )
-_MIN_GAP = 1e-6
+"""Indices of radial friction, modulus of the insulation and copper scale in `PARAMETERS`."""
+_MIN_CURVATURE_GAP = 1e-6
 """Relative difference below which two curvatures are merged."""
 
 MomentFunction: TypeAlias = Callable[[Floats], tuple[Floats, Floats]]
@@ -127,7 +123,7 @@ class WireLaw:
             last_curvature = component.last_curvature * component.compute_scale(values)
             if last_curvature < known_curvature:
                 known_curvature, name = last_curvature, component.limit_name
-                at_scale = f" at a copper scale of {values[_COPPER]:.4g}" if component.power else ""
+                at_scale = f" at a copper scale of {values[COPPER]:.4g}" if component.power else ""
                 cause = f"the {name} is known up to {last_curvature:.6g} 1/m{at_scale}"
         return known_curvature, cause
 
@@ -157,7 +153,7 @@ def split_law(section: CrossSection, contacts: Contacts, *, orientation: float =
     components, nominal = [], np.full(len(PARAMETERS), np.nan)
     if contacts.friction_sum > 0.0:
         components.append(_split_friction(section, contacts, orientation))
-        nominal[_FRICTION] = contacts.radial_force * contacts.friction_sum
+        nominal[FRICTION] = contacts.radial_force * contacts.friction_sum
     tube = section.insulation
     if tube is not None:
         limit = tube.curve.largest_strain / tube.outer_radius if tube.curve else np.inf
@@ -166,13 +162,13 @@ def split_law(section: CrossSection, contacts: Contacts, *, orientation: float =
             moment, slope = compute_tube_moment(tube, np.minimum(curvature, limit))
             return moment / tube.modulus, slope / tube.modulus
 
-        component = LawComponent(_INSULATION, bend_tube, limit, "insulation", is_proportional=True)
+        component = LawComponent(INSULATION, bend_tube, limit, "insulation", is_proportional=True)
         components.append(component)
-        nominal[_INSULATION] = tube.modulus
+        nominal[INSULATION] = tube.modulus
     for exponent in sorted({_get_exponent(layer.material) for layer in section.layers}):
         components.append(_split_strands(section, exponent))
         if exponent > 0.0:
-            nominal[_COPPER] = 1.0
+            nominal[COPPER] = 1.0
     return WireLaw(tuple(components), nominal)
 
 
@@ -186,7 +182,7 @@ def _split_friction(section: CrossSection, contacts: Contacts, orientation: floa
     onsets = onsets[np.isfinite(onsets)]
     knots = np.geomspace(onsets.min(), last_knot_factor * onsets.max(), n_knots)
     knots = np.union1d(onsets, knots)
-    knots = knots[np.diff(knots, prepend=0.0) > _MIN_GAP * knots]
+    knots = knots[np.diff(knots, prepend=0.0) > _MIN_CURVATURE_GAP * knots]
     law = compute_moment_curve(section, unit_contacts, knots, orientation=orientation)
     curvature, moment = np.append(0.0, knots), np.append(0.0, law.stick + law.slip)
     slopes = np.diff(moment) / np.diff(curvature)
@@ -200,7 +196,7 @@ def _split_friction(section: CrossSection, contacts: Contacts, orientation: floa
         slope = slopes[segment]
         return moment[segment] + slope * (x - curvature[segment]), slope
 
-    component = LawComponent(_FRICTION, interpolate, power=1.0, corners=curvature[1:])
+    component = LawComponent(FRICTION, interpolate, power=1.0, corners=curvature[1:])
     return replace(component, reference_value=contacts.friction_sum)
 
 
@@ -225,7 +221,7 @@ def _split_strands(section: CrossSection, exponent: float) -> LawComponent:
         moment += layer.straight_count * layer.strand_stiffness * curvature * ratio
     power = 1.0 / (1.0 - exponent) if exponent > 0.0 else 0.0
     unit_moment = _interpolate_moment(curvature, moment)
-    return LawComponent(_COPPER, unit_moment, float(curvature[-1]), "material", power)
+    return LawComponent(COPPER, unit_moment, float(curvature[-1]), "material", power)
 
 
 def _interpolate_moment(curvature: Floats, moment: Floats) -> MomentFunction:
@@ -279,7 +275,7 @@ def _find_edges(law: WireLaw, values: Floats, largest_curvature: float) -> Float
     above = grid[np.minimum(np.searchsorted(grid, corners), len(grid) - 1)]
     below = grid[np.maximum(np.searchsorted(grid, corners) - 1, 0)]
     gap = np.minimum(np.abs(above - corners), np.abs(below - corners))
-    corners = corners[gap > _MIN_GAP * corners]
+    corners = corners[gap > _MIN_CURVATURE_GAP * corners]
     return np.concatenate([[0.0], np.sort(np.concatenate([grid, corners]))])
 
 

@@ -44,17 +44,20 @@ from scipy.optimize import brentq
 from scipy.special import ndtr
 
 from labpipe.mechanics.wire.calibration import objective, variances
-from labpipe.mechanics.wire.calibration.objective import Fit, Levels, P, Problem, apply_step, search
+from labpipe.mechanics.wire.calibration.law_components import COPPER, INSULATION
+from labpipe.mechanics.wire.calibration.objective import (
+    MAX_SOLUTION_RISE,
+    Fit,
+    Levels,
+    P,
+    Problem,
+    apply_step,
+    search,
+)
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import NORMAL_95
-from labpipe.records.wire import (
-    COPPER_SCALE,
-    INSULATION_MODULUS,
-    PARAMETERS,
-    ScatterMixture,
-)
+from labpipe.records.wire import ScatterMixture
 
-_TUBE, _COPPER = PARAMETERS.index(INSULATION_MODULUS), PARAMETERS.index(COPPER_SCALE)
 _LINE_STEP = 0.3
 """Spacing of points on the line, in the logarithm of the strength of the copper."""
 _MIN_SEPARATION = 0.1 * _LINE_STEP
@@ -130,7 +133,7 @@ def find_minima(problem: Problem, logs: Floats) -> Minima:
     fit = lowest if lowest is fit else refine_levels(lowest)
     fits = [fit]
     for minimum in line_minima:
-        if minimum is not lowest and minimum.objective - lowest.objective <= objective.MAX_RISE:
+        if minimum is not lowest and minimum.objective - lowest.objective <= MAX_SOLUTION_RISE:
             fits += _search_from(fit, minimum)
     distinct_fits: list[Fit] = []  # two searches may end in the same minimum
     for fit in sorted(fits, key=lambda fit: fit.objective):
@@ -138,24 +141,24 @@ def find_minima(problem: Problem, logs: Floats) -> Minima:
             distinct_fits.append(fit)
     best = distinct_fits[0]
     line = [best, *(point for point in line if _is_separate(point, best))]
-    line.sort(key=_get_strength)
+    line.sort(key=_get_log_strength)
     rises = [0.0 if fit is best else max(fit.objective - lowest.objective, 0.0) for fit in line]
     local_minima = tuple(
         LocalMinimum(fit, rise, variances.estimate_uncertainty(fit), variances.make_mixture(fit))
         for fit in distinct_fits
-        if (rise := max(fit.objective - best.objective, 0.0)) <= objective.MAX_RISE
+        if (rise := max(fit.objective - best.objective, 0.0)) <= MAX_SOLUTION_RISE
     )
     unknowns = np.array([fit.unknowns[: P + 1] for fit in line])
     return Minima(local_minima, unknowns, np.array(rises), compute_widening(line, best))
 
 
 def _is_separate(first: Fit, second: Fit) -> bool:
-    """Return whether two fits differ clearly in the strength of the copper."""
-    return abs(_get_strength(first) - _get_strength(second)) > _MIN_SEPARATION
+    """Return whether two fits differ in the strength of the copper, so that both are minima."""
+    return abs(_get_log_strength(first) - _get_log_strength(second)) > _MIN_SEPARATION
 
 
 def _search_from(fit: Fit, start: Fit) -> list[Fit]:
-    """Search with the levels of a fit from another fit; an empty list if the model fails."""
+    """Search from another fit, with the levels of a fit; no fit if the model cannot follow."""
     unknowns = _drop_offsets(start.unknowns, fit.levels)
     try:
         guess, best = start.model_forces, fit.objective
@@ -170,7 +173,7 @@ def refine_levels(fit: Fit) -> Fit:
     level_tolerance = 0.01  # absolute for the correlation, relative for noise and scatter
     for _ in range(max_rounds):
         correlation = variances.estimate_correlation(fit)
-        grams = objective.compute_products(fit, correlation)
+        grams = objective.compute_sample_grams(fit, correlation)
         levels = variances.estimate_levels(replace(fit, grams=grams), correlation)
         changes = (
             fit.levels.correlation - levels.correlation,
@@ -197,14 +200,14 @@ def _search_first_fit(problem: Problem, levels: Levels, starts: Iterable[Floats]
 
 
 def _drop_offsets(unknowns: Floats, levels: Levels) -> Floats:
-    """Set the logarithms of the factors of samples to 0 if the scatter is 0."""
+    """Return the unknowns, with factors of samples of 1 if the scatter is 0."""
     is_offset = np.arange(len(unknowns)) > P
     return np.where(is_offset & (levels.scatter == 0.0), 0.0, unknowns)
 
 
 def _has_trade_off(problem: Problem) -> bool:
     """Return whether insulation and copper are both fitted and can replace each other."""
-    return bool(problem.is_free[_TUBE] and problem.is_free[_COPPER])
+    return bool(problem.is_free[INSULATION] and problem.is_free[COPPER])
 
 
 def _yield_starts(problem: Problem, logs: Floats) -> Iterator[Floats]:
@@ -218,13 +221,13 @@ def _yield_starts(problem: Problem, logs: Floats) -> Iterator[Floats]:
     nominal = np.where(is_nominal, np.log(np.where(is_nominal, nominal_values, 1.0)), logs)
     models = objective.compute_model_forces(problem.law, np.exp(nominal), problem.curves)
     total = sum(float(np.abs(model.force).sum()) for model in models)
-    insulation_total = sum(float(np.abs(model.sensitivity[_TUBE]).sum()) for model in models)
+    insulation_total = sum(float(np.abs(model.sensitivity[INSULATION]).sum()) for model in models)
     copper_total = max(total - insulation_total, 0.01 * total)
     measured_total = sum(float(np.abs(curve.force).sum()) for curve in problem.curves)
     for fraction in insulation_fractions:
         start = nominal.copy()
-        start[_TUBE] += np.log(fraction * measured_total / insulation_total)
-        start[_COPPER] += np.log((1.0 - fraction) * measured_total / copper_total)
+        start[INSULATION] += np.log(fraction * measured_total / insulation_total)
+        start[COPPER] += np.log((1.0 - fraction) * measured_total / copper_total)
         yield np.clip(start, problem.lower, problem.upper)
 
 
@@ -248,7 +251,7 @@ def find_local_minima(line: list[Fit], fit: Fit) -> list[Fit]:
         if point is not fit and heights[index] <= min(heights[index - 1], heights[index + 1]):
             minima += _search_from(fit, point)
     distinct_minima: list[Fit] = []
-    for minimum in sorted(minima, key=_get_strength):
+    for minimum in sorted(minima, key=_get_log_strength):
         if distinct_minima and _compute_barrier(line, distinct_minima[-1], minimum) < min_barrier:
             pair = distinct_minima.pop(), minimum
             distinct_minima.append(min(pair, key=lambda fit: fit.objective))
@@ -257,15 +260,15 @@ def find_local_minima(line: list[Fit], fit: Fit) -> list[Fit]:
     return distinct_minima
 
 
-def _get_strength(fit: Fit) -> float:
+def _get_log_strength(fit: Fit) -> float:
     """Return the logarithm of the strength of the copper of a fit."""
-    return float(fit.logs[_COPPER])
+    return float(fit.logs[COPPER])
 
 
 def _compute_barrier(line: list[Fit], first: Fit, second: Fit) -> float:
-    """Compute the height of the line between two minima, above the higher minimum."""
-    low, high = _get_strength(first), _get_strength(second)
-    heights = [fit.objective for fit in line if low < _get_strength(fit) < high]
+    """Compute the height of the objective on the line between two minima, above the higher one."""
+    low, high = _get_log_strength(first), _get_log_strength(second)
+    heights = [fit.objective for fit in line if low < _get_log_strength(fit) < high]
     return max(heights, default=-np.inf) - max(first.objective, second.objective)
 
 
@@ -281,11 +284,11 @@ def follow_line(fit: Fit) -> list[Fit]:
     Fits for evenly spaced strengths of the copper from bound to bound, including the minimum. Only
     the minimum is returned unless insulation and copper are both fitted.
     """
-    problem, strength = fit.problem, _get_strength(fit)
+    problem, strength = fit.problem, _get_log_strength(fit)
     if not _has_trade_off(problem):
         return [fit]
     sides = []
-    for bound in (float(problem.lower[_COPPER]), float(problem.upper[_COPPER])):
+    for bound in (float(problem.lower[COPPER]), float(problem.upper[COPPER])):
         count = int(np.ceil(abs(bound - strength) / _LINE_STEP))
         sides.append(_follow_to_bound(fit, np.linspace(strength, bound, count + 1)[1:]))
     return [*sides[0][::-1], fit, *sides[1]]
@@ -293,13 +296,13 @@ def follow_line(fit: Fit) -> list[Fit]:
 
 def _follow_to_bound(fit: Fit, strengths: Floats) -> list[Fit]:
     """Fit at successive strengths of the copper; each search starts from an extrapolation."""
-    fits, problem = [fit, fit], fit.problem.hold(_COPPER)
+    fits, problem = [fit, fit], fit.problem.hold(COPPER)
     search_line = partial(search, problem, fit.levels, tolerance=0.01, best_objective=fit.objective)
     for strength in strengths:
         previous, last = fits[-2:]
         change = np.clip(last.logs - previous.logs, -1.0, 1.0)
         start = apply_step(last, np.pad(change, (0, len(last.unknowns) - P)))
-        start[_COPPER] = strength
+        start[COPPER] = strength
         try:
             fits.append(search_line(start, guess=last.model_forces))
         except ValueError:
@@ -347,9 +350,9 @@ def compute_tube_quantile(angle: float) -> float:
 
 
 def _sum_angles(products: Floats, side: range) -> float:
-    """Sum the rotations of the direction to successive points, rad, up to a largest distance.
+    """Sum the angles between the directions to successive points, rad, up to a largest distance.
 
-    The products are those of the differences of the points from the base.
+    `products` is the Gram matrix of the differences of the points from the base.
     """
     max_distance = 6.0  # standard deviations of noise; a farther curve does not fit by chance
     distance = np.sqrt(np.maximum(np.diag(products), 0.0))
@@ -391,7 +394,7 @@ class LocalProfile:
     logs : shape (n,), logarithms of the parameter, increasing
     deviance : shape (n,), rise of the objective above its minimum
     lower, upper : logarithms of the parameter at the ends of the interval
-    is_open_below, is_open_above : whether the deviance is below the threshold up to the bound
+    is_open_below, is_open_above : whether the deviance is below the threshold even at the bound
     threshold_below, threshold_above : deviance at which the interval ends
     """
 
@@ -523,7 +526,7 @@ class _ProfileSide:
     Parameters
     ----------
     end : logarithm of the parameter at the end of the interval
-    is_open : whether the deviance is below the threshold up to the bound
+    is_open : whether the deviance is below the threshold even at the bound
     points : logarithm of the parameter and root of the deviance of each point, in order of
         evaluation
     """
@@ -570,7 +573,7 @@ class _ProfilePath:
     index: int
     direction: Floats
 
-    def evaluate(self, start: Fit, log: float, root: float) -> tuple[float, Fit]:
+    def evaluate(self, start: Fit, log_value: float, root: float) -> tuple[float, Fit]:
         """Return the root of the deviance and the fit at a logarithm of the parameter.
 
         The search starts from a nearby fit. It is repeated without extrapolation if the deviance is
@@ -579,11 +582,11 @@ class _ProfilePath:
         max_factor = 3.0  # largest deviance after the first search, relative to the threshold
         problem = self.fit.problem.hold(self.index)
         search_profile = partial(search, problem, self.fit.levels, tolerance=1e-3)
-        shift = (log - float(start.logs[self.index])) * self.direction
+        shift = (log_value - float(start.logs[self.index])) * self.direction
         fits: list[Fit] = []
         for step in (shift, 0.0 * shift):
             unknowns = apply_step(start, step)
-            unknowns[self.index] = log
+            unknowns[self.index] = log_value
             fits.append(search_profile(unknowns, guess=start.model_forces))
             best = min(fits, key=lambda fit: fit.objective)
             rise = best.objective - self.fit.objective

@@ -23,7 +23,7 @@ from labpipe.records.wire import (
     ExternalCurve,
 )
 
-MAX_DEFLECTION = 0.65
+MAX_DEFLECTION_RATIO = 0.65
 """Largest deflection of a measured curve, relative to the length.
 
 At larger deflections, stations may unload (`wire.first_loading`).
@@ -146,13 +146,13 @@ def select_usable_curves(
                 "mechanics.wire.noise_not_positive", test=test, noise=noise
             )
         deflection = float(np.max(curve.deflection))
-        if deflection > MAX_DEFLECTION * curve.length:
+        if deflection > MAX_DEFLECTION_RATIO * curve.length:
             return CalibrationFailure.of(
                 "mechanics.wire.deflection_too_large",
                 test=curve.test,
                 deflection=1e3 * deflection,
                 length=1e3 * curve.length,
-                limit=MAX_DEFLECTION,
+                limit=MAX_DEFLECTION_RATIO,
             )
     return usable
 

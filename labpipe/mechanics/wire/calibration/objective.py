@@ -381,10 +381,10 @@ class Fit:
 def evaluate_objective(
     problem: Problem, levels: Levels, unknowns: Floats, guess: list[ModelForce] | None = None
 ) -> Fit:
-    """Evaluate the objective; `guess` has the forces of the model for similar unknowns."""
+    """Evaluate the objective; `guess` contains the forces of the model for similar unknowns."""
     forces = compute_model_forces(problem.law, np.exp(unknowns[:P]), problem.curves, guess)
     fit = Fit(problem, levels, unknowns, np.nan, np.zeros(0), forces)
-    grams = compute_products(fit, levels.correlation)
+    grams = compute_sample_grams(fit, levels.correlation)
     offsets = problem.compute_offsets(unknowns)
     precision = problem.compute_precision(levels.scatter)
     has_prior = np.isfinite(precision)
@@ -393,7 +393,7 @@ def evaluate_objective(
     return replace(fit, objective=data_term + prior_term, grams=grams)
 
 
-def compute_products(fit: Fit, correlation: float) -> Floats:
+def compute_sample_grams(fit: Fit, correlation: float) -> Floats:
     """Compute the Gram matrix of each sample, shape (samples, 5, 5), as in `Fit`."""
     problem = fit.problem
     grams = np.zeros((problem.n_samples, P + 2, P + 2))
@@ -443,10 +443,10 @@ def scale_matrix(matrix: Floats, ridge: float = 1e-12) -> tuple[Floats, Floats]:
     return matrix / np.outer(scale, scale) + ridge * np.eye(len(scale)), scale
 
 
-MAX_RISE = 200.0
+MAX_SOLUTION_RISE = 200.0
 """Rise of the objective above which a fit cannot be a solution.
 
-No squared quantile of a few samples is as large.
+The squared quantile of Student's t for two samples, 161, is smaller.
 """
 _MAX_SEARCH_STEPS = 60
 """Largest number of steps of a search."""
@@ -483,13 +483,13 @@ def search(
     relative_tolerance = 1e-3  # decrease relative to the rise above the better fit
     table_error = 1e-2  # error of the objective because curves are tabulated
     min_damping, damping_factor = 1e-6, 10.0
-    max_far_steps = 8  # largest number of steps with a rise above `MAX_RISE`
+    max_far_steps = 8  # largest number of steps with a rise above `MAX_SOLUTION_RISE`
     fit = evaluate_objective(problem, levels, start, guess)
     damping, n_steps, n_idle_steps = min_damping, 0, 0
     is_blocked = False  # whether the model cannot follow the curves after the last step
     while True:
         rise = fit.objective - best_objective
-        max_steps = max_far_steps if rise > MAX_RISE else _MAX_SEARCH_STEPS
+        max_steps = max_far_steps if rise > MAX_SOLUTION_RISE else _MAX_SEARCH_STEPS
         step, decrease = _compute_step(fit, damping)
         is_small = decrease <= max(tolerance, relative_tolerance * rise)
         has_ended = is_small or n_idle_steps >= max_idle_steps

@@ -23,6 +23,7 @@ References
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,8 +37,6 @@ from labpipe.records.wire import ScatterMixture
 
 _LOG_VARIANCE_STEP = 0.02
 """Step of the logarithms of variances for numerical derivatives."""
-_UP, _DOWN = np.exp([_LOG_VARIANCE_STEP, -_LOG_VARIANCE_STEP]).tolist()
-"""Factors on variances for a step up and a step down."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -184,18 +183,27 @@ def estimate_uncertainty(fit: Fit) -> Uncertainty:
         total = linear.compute_products(samples / noise).sum(axis=0) / noise
         return _compute_posterior(fit, total)[1]
 
-    by_noise = compute_covariance(_UP, 1.0) - compute_covariance(_DOWN, 1.0)
-    by_samples = compute_covariance(1.0, _UP) - compute_covariance(1.0, _DOWN)
-    covariance_by_level = np.stack([by_noise, by_samples]) / (2.0 * _LOG_VARIANCE_STEP)
+    by_level = [_differentiate(compute_covariance, *level) for level in ((1.0, 0.0), (0.0, 1.0))]
+    covariance_by_level = np.stack(by_level)
     is_known = fit.problem.scatter is not None or fit.levels.scatter == 0.0
     level_covariance = _compute_level_covariance(linear, fit.levels, is_scatter_known=is_known)
     return Uncertainty(compute_covariance(1.0, 1.0), covariance_by_level, level_covariance)
 
 
-def _compute_posterior(fit: Fit, total: Floats) -> tuple[Floats, Floats]:
-    """Compute shift from the fit, shape (4,), and covariance, shape (4, 4), of parameters and gain.
+def _differentiate(
+    compute: Callable[[float, float], Floats], noise_weight: float, sample_weight: float
+) -> Floats:
+    """Differentiate a function of factors on both variances, with respect to their logarithms."""
+    log_changes = _LOG_VARIANCE_STEP * np.array([noise_weight, sample_weight])
+    difference = compute(*np.exp(log_changes).tolist()) - compute(*np.exp(-log_changes).tolist())
+    return np.asarray(difference / (2.0 * _LOG_VARIANCE_STEP))
 
-    They follow from the whitened products `total`, shape (5, 5), and from the priors.
+
+def _compute_posterior(fit: Fit, total: Floats) -> tuple[Floats, Floats]:
+    """Compute the shift of parameters and gain from the fit, shape (4,), and their covariance.
+
+    Both follow from the priors and from the sum of the whitened products, shape (5, 5). The
+    covariance has the shape (4, 4).
     """
     problem = fit.problem
     is_free = np.append(problem.is_free, problem.gain_uncertainty > 0.0)
@@ -223,14 +231,14 @@ def _compute_level_covariance(
         return np.diag([2.0 / linear.freedom, 0.0])
     noise, samples = levels.noise, levels.scatter**2
 
-    def compute_trace(noise_factor: float, sample_factor: float) -> float:
-        return float(np.trace(_project(linear, noise * noise_factor, samples * sample_factor)))
+    def compute_trace(noise_factor: float, sample_factor: float) -> Floats:
+        return np.asarray(np.trace(_project(linear, noise * noise_factor, samples * sample_factor)))
 
     # The projection is inversely proportional to a common factor of both variances. The derivative
     # of the trace with respect to noise is the derivative with respect to both minus that with
     # respect to the samples.
-    by_both = (compute_trace(_UP, _UP) - compute_trace(_DOWN, _DOWN)) / (2.0 * _LOG_VARIANCE_STEP)
-    by_samples = (compute_trace(1.0, _UP) - compute_trace(1.0, _DOWN)) / (2.0 * _LOG_VARIANCE_STEP)
+    by_both = float(_differentiate(compute_trace, 1.0, 1.0))
+    by_samples = float(_differentiate(compute_trace, 0.0, 1.0))
     samples_term = float(np.sum(_project(linear, noise, samples) ** 2)) * samples**2
     cross_term = -(by_both - by_samples) * samples
     noise_term = linear.freedom - samples_term - 2.0 * cross_term
