@@ -537,11 +537,12 @@ def convert_sqlite_errors(path: Path) -> Iterator[None]:
     try:
         yield
     except sqlite3.Error as error:
-        code, message = _get_primary_code(error), "campaign.bad_catalog"
-        if code in _BUSY_CODES | _REFUSED_CODES:
-            is_busy = code in _BUSY_CODES
-            message = "campaign.catalog_in_use" if is_busy else "campaign.catalog_refused"
-        raise StoreError.about(message, path, found=error) from error
+        code = _get_primary_code(error)
+        if code in _BUSY_CODES:
+            raise StoreError.about("campaign.catalog_in_use", path, found=error) from error
+        if code in _REFUSED_CODES:
+            raise StoreError.about("campaign.catalog_refused", path, found=error) from error
+        raise StoreError.about("campaign.bad_catalog", path, found=error) from error
 
 
 _BUSY_CODES: Final = {sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED}

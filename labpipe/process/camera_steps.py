@@ -93,8 +93,9 @@ def run_marker_step(
 def _require(value: _T | None, step: str = "") -> _T:
     """Return a value that an earlier step computes, or marker data; raise a ValueError for None."""
     if value is None:
-        name = "process.needs_step" if step else "process.needs_markers"
-        raise ValueError(format_sentence(name, step=step))
+        if step:
+            raise ValueError(format_sentence("process.needs_step", step=step))
+        raise ValueError(format_sentence("process.needs_markers"))
     return value
 
 

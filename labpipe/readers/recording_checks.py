@@ -165,8 +165,8 @@ def _format_steps(steps: Floats, median_step: float) -> str:
 
 def _format_range(durations: Sequence[float] | Floats) -> str:
     """Format the shortest and the longest of some durations, s, for a note."""
-    shortest, longest = float(np.min(durations)), float(np.max(durations))
-    return f"{_format_duration(shortest)} to {_format_duration(longest)}"
+    ends = _format_duration(float(np.min(durations))), _format_duration(float(np.max(durations)))
+    return " to ".join(dict.fromkeys(ends))  # one duration if both are equal
 
 
 def _format_duration(seconds: float) -> str:

@@ -58,7 +58,7 @@ def with_sample(values: Floats, place: int, more: float) -> Floats:
 FADING = 50e-6 * np.arange(160.0)
 EARLIER = with_sample(TORN, int(np.flatnonzero(TRAVEL <= 0.01601)[-1]), -5.0)
 NOISE_OF_TWO = np.random.default_rng(1).normal(0.0, 0.02, len(TWICE))
-NOT_THERE = "{length: 1 m, section: {outer_diameter: 8 mm, inner_diameter: 9 mm}}"
+NOT_THERE = "{length: 1 m, section: {outer_diameter: 8 mm}}"
 
 LOOP = loop(noise=1e-3)
 LOOP_TIME = LOOP[0]
@@ -182,7 +182,7 @@ CASES: dict[str, Case] = {
     "sizes that are missing": of_pulls(
         STIFF, TRAVEL, PULL, specimen="{section: {area: 5 mm**2}}", results=[LINE, MODULUS]
     ),
-    "sizes that cannot be": of_pulls(
+    "an outer diameter alone": of_pulls(
         STIFF, TRAVEL, PULL, specimen=NOT_THERE, results=[LINE, *MODULI]
     ),
     "a specimen as stiff as its machine": of_pulls(

@@ -602,10 +602,15 @@ def _find_range_notes(path: RodPath, tested_curvature: float) -> Iterator[Qualit
 
 def _find_equilibrium_notes(responses: Sequence[Response]) -> Iterator[QualityNote]:
     """Yield notes on causes without an equilibrium for one sign of their amount, or for both."""
-    for n_unsolved, template in ((1, "mechanics.rod.one_sided"), (2, "mechanics.rod.silent")):
+
+    def join_causes(n_unsolved: int) -> str:
         causes = chain.from_iterable(item.list_unsolved_causes(n_unsolved) for item in responses)
-        if names := ", ".join(dict.fromkeys(causes)):
-            yield QualityNote.of(template, names, causes=names)
+        return ", ".join(dict.fromkeys(causes))
+
+    if names := join_causes(1):
+        yield QualityNote.of("mechanics.rod.one_sided", names, causes=names)
+    if names := join_causes(2):
+        yield QualityNote.of("mechanics.rod.silent", names, causes=names)
 
 
 def _find_jump_notes(path_groups: Sequence[Sequence[RodPath]]) -> Iterator[QualityNote]:
