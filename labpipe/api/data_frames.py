@@ -1,6 +1,6 @@
-"""Make pandas tables of results, curves, shapes, recordings, and of many processed tests.
+"""Make pandas tables of one test (results, budgets, curves, notes, recordings) and of many tests.
 
-Units are in ``frame.attrs["units"]``, keyed by column, or in a column ``unit``.
+Tables of results have a column ``unit``. Units of other tables are in ``frame.attrs["units"]``.
 """
 
 from __future__ import annotations
@@ -54,13 +54,13 @@ class Units:
     display: Mapping[str, str] | None = None
 
     def choose_result_scale(self, name: str, unit: str) -> Scale:
-        """Choose factor and unit of a result in an SI unit, or of a change of the result."""
+        """Choose the unit of a result, or of its change, and the factor from the SI unit."""
         if self.display is None:
             return Scale(1.0, unit)
         return choose_unit(name, unit, self.display)
 
     def choose_quantity_scale(self, quantity: str, unit: str) -> Scale:
-        """Choose factor and unit of a quantity in an SI unit, such as ``force`` in N."""
+        """Choose the unit of a quantity such as ``force``, and the factor from the SI unit."""
         target = unit if self.display is None else self.display.get(quantity, unit)
         return Scale(1.0 / get_conversion_factor(target, unit), target)
 
@@ -99,7 +99,7 @@ def make_results_frame(results: Iterable[Result], units: Units) -> pd.DataFrame:
     -------
     Table with index ``name`` and columns ``value``, ``estimate``, ``lower``, ``upper`` (float64,
     NaN if not available), ``unit``, ``status``, ``code``, ``reason`` (text; the last two are empty
-    if there is no reason).
+    if there is no reason; several codes are separated by commas).
     """
 
     def make_row(result: Result) -> list[object]:
@@ -207,8 +207,8 @@ class Recordings(Mapping[str, pd.DataFrame]):
     the export, with index ``time``. An export with several clocks, or with clocks and markers, has
     a table ``<role>/<clock>`` for each clock. Markers have a table with columns (marker, axis),
     which is named ``<role>/markers`` if the export has clocks, too. Each rigid body has a table
-    ``<role>/<body>`` with x, y, z, the quaternion qx, qy, qz, qw, and error. An unknown name raises
-    a `UsageError`.
+    ``<role>/<body>`` with x, y, z, the quaternion qx, qy, qz, qw, and error. Indexing with an
+    unknown name raises a `UsageError`.
 
     Parameters
     ----------
@@ -268,7 +268,7 @@ def _list_tables(
 
 
 def _make_channel_frame(recording: Recording, clock_name: str) -> pd.DataFrame:
-    """Make a table of the channels of a clock; the path replaces a name that is not unique."""
+    """Make a table of the channels of a clock; a channel without a unique name has its path."""
     clock = recording.get_clock(clock_name)
     channels = [channel for channel in recording.channels if channel.clock == clock_name]
     counts = Counter(channel.name for channel in channels)
@@ -347,7 +347,7 @@ def parse_fields(by: str | Sequence[str]) -> tuple[str, ...]:
 
 
 _TEST_COLUMNS = ("protocol", "date", "operator", "folder")
-"""Columns of a test that are not from the specimen of its sheet."""
+"""Columns of a test after the fields of its specimen."""
 
 
 class LeftOutWarning(UserWarning):
@@ -360,22 +360,22 @@ def table(folder: Paths, *, by: str | Sequence[str] = ()) -> pd.DataFrame:
     Parameters
     ----------
     folder : folder with processed tests at any depth, or several such folders
-    by : field or fields of the test sheets, which become the first columns and sort the rows
+    by : field or fields of the test sheets, whose columns follow ``test`` and which sort the rows
 
     Returns
     -------
     Table with a row for each result of each test. Its columns are ``test``; the fields of the
-    sheets (``type``, ``spool``, ``sample``, dimensions in m as float64, texts of a bundle, labels,
-    observations; a label with the name of another column is ``label_<name>``); ``protocol``,
-    ``date`` (datetime64), ``operator``, ``folder``; ``result`` (name of the result), ``value``,
-    ``estimate``, ``lower``, ``upper`` (SI, float64, NaN if not available), ``unit``, ``status``,
-    ``code``, ``reason``. Missing fields are NaN. ``attrs["left_out"]`` has the reason for each test
-    that is left out, keyed by folder.
+    sheets (``type``, ``spool``, ``sample``, dimensions in m as float64, fields of a bundle, labels,
+    observations; a label or observation with the name of another column is ``label_<name>``);
+    ``protocol``, ``date`` (datetime64), ``operator``, ``folder``; ``result`` (name of the result),
+    ``value``, ``estimate``, ``lower``, ``upper`` (SI, float64, NaN if not available), ``unit``,
+    ``status``, ``code``, ``reason``. A missing field is NaN, a missing date NaT.
+    ``attrs["left_out"]`` has the reason for each test that is left out, keyed by folder.
 
     Raises
     ------
     UsageError
-        If there is no processed test, or no sheet has a field of `by`.
+        If a folder has no processed test, or a field of `by` is in no sheet.
     StoreError
         If no summary can be read.
 
@@ -410,7 +410,7 @@ def table(folder: Paths, *, by: str | Sequence[str] = ()) -> pd.DataFrame:
 
 
 def _find_summaries(folders: Sequence[Path]) -> list[Path]:
-    """Find the summaries of processed tests, which are beside result files."""
+    """Find the summaries of processed tests; those without a result file are ignored."""
     summaries: dict[Path, None] = {}
     for folder in folders:
         files = list_files_below(folder, SUMMARY_FILE) if folder.is_dir() else []
@@ -487,7 +487,7 @@ def _parse_result(entry: Mapping[str, Any]) -> list[object]:
 
 
 def _make_column(name: str, values: Sequence[Any]) -> pd.Series:
-    """Make a column: dates in ``date``, numbers if all values are numbers, otherwise texts.
+    """Make a column: dates in ``date``, numbers if all present values are numbers, otherwise texts.
 
     Missing values are None in `values`, and NaN or NaT in the column.
     """
@@ -516,15 +516,16 @@ def groups(
     ``result``, ``mean``, ``estimate`` (mean without the contribution of noise), ``lower``,
     ``upper`` (95 % interval of the estimate), ``deviation`` (standard deviation of the averaged
     values; all in SI, float64), ``n`` (number of averaged values: samples, or means of spools),
-    ``tests`` (number of tests with the result), ``unit``, ``how`` (which values are averaged, and
-    why), ``reason`` (why there is no interval; otherwise empty). ``attrs["left_out"]`` has the
-    reason for each test that is left out, keyed by file.
+    ``tests`` (number of tests whose result is averaged), ``unit``, ``how`` (which values are
+    averaged, and why), ``reason`` (why there is no interval; otherwise empty).
+    ``attrs["left_out"]`` has the reason for each test that cannot be used, keyed by file; rejected
+    tests are not in it.
 
     Raises
     ------
     LabpipeError
-        If there is no processed test, none can be read, two have the same name, or no test sheet
-        has a field of `by`.
+        If there is no processed test, none can be read, all are rejected, two have the same name,
+        or a field of `by` is in no test sheet.
     """
     # This import takes half a second.
     from labpipe.campaign.reporting import ReportOptions, make_campaign, read_tests

@@ -23,13 +23,13 @@ _TABLE_HEADINGS = (
 )
 _TABLE_UNITS = ("", "", "", "N mm^2", "N mm^2", "1/m", "1/m", "N")
 _MAX_NAMES = 10
-"""Largest number of wires that a line names."""
+"""Largest number of wires that a line names; a note on all of more wires says so instead."""
 _RELATIVE_TIP_DEFLECTION = 0.3
 """Tip deflection at which the force is printed, as a fraction of the free length."""
 
 
 def run(options: argparse.Namespace) -> int:
-    """Compute moment-curvature and stiffness tables from a wire sheet."""
+    """Model the wires of a sheet and print the results; return 1 if a wire is refused."""
     with show_completion("wire", in_pipe=False) as (_, say):
         wires = model_wires(
             options.sheet, out=options.out, figures=not options.no_figures, png=options.png, say=say
@@ -49,7 +49,8 @@ def format_wire_models(wires: ModelledWires) -> str:
 
     Returns
     -------
-    A table with a row per wire, each note once, wires without a model, and the folder of the files.
+    The text: a table with a row per wire, each note and stress table once, wires without a model,
+    wires that are no longer in the sheet, and the folder of the files.
     """
     n_text_columns = 3
     rows = [_TABLE_HEADINGS, _TABLE_UNITS, *map(_format_cells, wires.tables)]
@@ -77,7 +78,7 @@ def format_wire_models(wires: ModelledWires) -> str:
 
 
 def _format_cells(table: WireTable) -> tuple[str, ...]:
-    """Format the table row of a wire; a force that is not available is a dash."""
+    """Format the table row of a wire, with a dash for an end load that is not available."""
     onset = table.find_slip_onset(0)
     force = float(interpolate_end_load(table, _RELATIVE_TIP_DEFLECTION * table.spec.length))
     return (

@@ -16,7 +16,7 @@ from labpipe.report.lab_report import PAGE_FILE
 
 
 def run(options: argparse.Namespace) -> int:
-    """Serve a report until interrupted; make it first if there is none."""
+    """Serve a report until Ctrl+C is pressed; write the report first if it does not exist."""
     folder = find_shared_folder(find_results(options.paths))
     report_folder = folder / REPORT_FOLDER if options.out is None else options.out
     name = find_campaign_name(folder)
@@ -36,7 +36,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _make_report(options: argparse.Namespace, folder: Path) -> None:
-    """Write the report; options that are not given are those of the report in the folder."""
+    """Write the report; missing options are those of the earlier report in the folder, if any."""
     files = find_results(options.paths)
     report_options = parse_report_options(options).fill_from(ReportOptions.read(folder))
     with show_completion("test", len(files) + 1, in_pipe=False) as (_, say):

@@ -1,8 +1,8 @@
 """Build the force-displacement curve of a test and correct it for compliance, slips and slack.
 
 The curve consists of the force and the displacement at the same times. After the split into
-branches it is corrected for the compliance, then for slips, then for slack. The aligned signals are
-not changed.
+branches, its branches are filtered. The curve is then corrected for the compliance, for slips and
+for slack, in this order. The failure is found after the correction for the compliance.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ def build_curve(
 
     Returns
     -------
-    The curve without findings; None with a finding if force and motion do not overlap in time.
+    The curve and no findings; or None and a finding if force and motion do not overlap in time.
     """
     displacement = test.displacement
     time = displacement.time
@@ -86,7 +86,7 @@ def build_curve(
         return None, [Finding.of("process.no_overlap", "align", is_blocking=True, **facts)]
     branches, motion_time = motion.branches, motion.signal.time
     if len(motion_time) != len(time):
-        # The sample indices of the branches refer to another channel with the same clock.
+        # The indices of the branches refer to the samples of the motion; convert them to the curve.
         last_samples = [min(branch.stop, len(motion_time)) - 1 for branch in branches]
         starts = np.searchsorted(time, motion_time[[branch.start for branch in branches]]).tolist()
         stops = np.searchsorted(time, motion_time[last_samples]).tolist()
@@ -144,7 +144,7 @@ def _report_slip(channel: str, slip: Slip) -> Finding:
 
 
 def bridge_outliers(signals: Signals) -> tuple[Signal, list[Finding]]:
-    """Replace outliers of the force by linear interpolation.
+    """Replace outliers of the raw force by linear interpolation.
 
     Parameters
     ----------
@@ -152,7 +152,7 @@ def bridge_outliers(signals: Signals) -> tuple[Signal, list[Finding]]:
 
     Returns
     -------
-    The raw force without outliers, and a note if there are outliers.
+    The raw force without outliers, and a list with a finding if there are outliers.
     """
     raw_force = signals.raw[signals.force]
     outliers = find_spikes(raw_force.values)
@@ -169,8 +169,9 @@ def bridge_outliers(signals: Signals) -> tuple[Signal, list[Finding]]:
 def _subtract_compliance(test: ReducedTest, settings: MachineCompliance) -> CorrectionOutcome:
     """Subtract the deformation of the machine from the displacement.
 
-    A perturbed displacement is corrected by the compliance plus its uncertainty. The compliance is
-    negative if force and displacement have opposite signs in loading.
+    The displacement that is perturbed by `COMPLIANCE` is corrected with the compliance plus its
+    standard uncertainty. The stored compliance is negative if force and displacement have opposite
+    signs in loading.
     """
     curve = test.required_curve
     sign = find_loading_sign(curve, curve.displacement) * find_loading_sign(curve, curve.force)
@@ -190,7 +191,7 @@ def _subtract_compliance(test: ReducedTest, settings: MachineCompliance) -> Corr
 def _check_compliance(
     test: ReducedTest, curve: Curve, corrected_displacement: Floats, compliance: float
 ) -> None:
-    """Raise an error if the corrected displacement does not increase up to the peak force.
+    """Raise an error if block means of the displacement do not increase up to the peak force.
 
     Parameters
     ----------
@@ -199,7 +200,7 @@ def _check_compliance(
     corrected_displacement : shape (n,), m, displacement after the correction
     compliance : compliance of the machine, m/N
     """
-    max_blocks = 20  # block means are compared, because samples scatter
+    max_blocks = 20  # largest number of blocks; means are compared, because samples scatter
     branch, sign = test.first_loading, find_loading_sign(curve, curve.displacement)
     if branch is None:
         return
@@ -243,7 +244,7 @@ def find_final_loss(test: ReducedTest, criteria: LossOfForce) -> int | Failure |
 def _find_failure(
     curve: Curve, loss_start: int | Failure | None, criteria: LossOfForce
 ) -> FailurePoint | Failure | None:
-    """Find the failure of the specimen, or the reason why there is none.
+    """Find the failure of the specimen, or the reason why there is none; None without a loss.
 
     A failure is a sudden loss of force, a low force at the end of the record, or a slow loss.
     """
@@ -295,7 +296,8 @@ def _filter_branches(test: ReducedTest, loss_start: int | Failure | None) -> Red
 def _correct_slips(test: ReducedTest, settings: SlipsBlock) -> CorrectionOutcome:
     """Find the slips of the first loading, and treat them as the protocol states.
 
-    The slips are marked, the lost force is added back, or the curve is cut at the first slip.
+    Slips are only marked, or the lost force is also added back, or the curve is cut at the first
+    slip.
     """
     curve, loading = test.required_curve, select_first_loading(make_trace(test))
     start = loading.start
@@ -325,7 +327,7 @@ def _correct_slips(test: ReducedTest, settings: SlipsBlock) -> CorrectionOutcome
 
 
 def _cut_curve(curve: Curve, stop: int) -> Curve:
-    """Replace the force by NaN from sample `stop` on, and end the branches at this sample."""
+    """Replace the force by NaN from sample `stop` on, where branches end; drop later ones."""
     force = np.where(np.arange(len(curve.force)) < stop, curve.force, np.nan)
     stop_time = float(curve.time[stop - 1])
     branches = tuple(
@@ -357,31 +359,30 @@ def _subtract_slack(test: ReducedTest, settings: SlackBlock) -> CorrectionOutcom
 
 
 def measure_slack(test: ReducedTest, read_slack: Choice) -> MeasuredNumber | Failure:
-    """Measure the slack of a curve that has a toe.
+    """Measure the slack of a curve, or return the reason why it cannot be subtracted.
 
     Parameters
     ----------
     test : test with a curve
-    read_slack : function that fits a line to the linear region of a curve, and finds the
-        displacement at which this line meets zero force
+    read_slack : function that chooses the samples of the linear region; its extractor computes the
+        displacement at which the line through them meets zero force
 
     Returns
     -------
-    The slack (m), or a failure with the code ``not_rising``, ``no_toe`` or one of `read_slack`.
+    The slack (m), or a failure with the code ``not_rising``, ``no_toe`` or one of the measurement.
     """
-    max_falling_fraction = 0.025  # fraction of the replicate curves that do not rise
-    # The line of a taut specimen may meet zero force before the curve begins, by at most this
-    # fraction of the travel.
-    taut_fraction = 1e-3
+    max_missing_fraction = 0.025  # largest fraction of replicates whose lines do not rise
+    # The line may meet zero force before the curve begins, by this fraction of the travel.
+    max_early_fraction = 1e-3
     slack, trace = return_failure(test.measure_number)(read_slack), make_trace(test)
     if isinstance(slack, Failure):
         return slack
-    if np.isnan(slack.deviations).mean() > max_falling_fraction:
+    if np.isnan(slack.deviations).mean() > max_missing_fraction:
         return Failure.of("process.not_rising")
     start = select_first_loading(trace).start
     first_displacement, first_force = float(trace.displacement[start]), float(trace.force[start])
-    is_taut = slack.value >= first_displacement - taut_fraction * float(np.ptp(trace.displacement))
-    if not is_taut and not _is_preloaded(slack, read_slack, trace, start):
+    first_zero = first_displacement - max_early_fraction * float(np.ptp(trace.displacement))
+    if not slack.value >= first_zero and not _is_preloaded(slack, read_slack, trace, start):
         facts = {"zero": 1e3 * slack.value, "first": 1e3 * first_displacement, "load": first_force}
         return Failure.of("process.steepest_at_begin", **facts)
     return slack
@@ -390,11 +391,11 @@ def measure_slack(test: ReducedTest, read_slack: Choice) -> MeasuredNumber | Fai
 def _is_preloaded(slack: MeasuredNumber, read_slack: Choice, trace: Trace, start: int) -> bool:
     """Return whether a preload explains a slack that is less than the first displacement.
 
-    The force at the first sample is subtracted from the curve, and the slack of this shifted curve
-    is measured. If the curve is straight from its first sample, as after a preload, the slack of
-    the shifted curve is near the first displacement. If the curve is steepest at its first sample,
-    the slack of the shifted curve is near the measured slack. The limit is halfway between these
-    two displacements.
+    It does if the interval of the slack reaches the first displacement. Otherwise, the force at the
+    first sample is subtracted from the curve, and the slack of this shifted curve is measured. If
+    the curve is straight from its first sample, as after a preload, the slack of the shifted curve
+    is near the first displacement. If the curve is steepest at its first sample, the slack of the
+    shifted curve is near the measured slack. The limit is halfway between these two displacements.
     """
     first_displacement = float(trace.displacement[start])
     if slack.interval.upper >= first_displacement:

@@ -1,4 +1,4 @@
-"""Define the records of wires: specification, layout, table of the wire model, and calibration."""
+"""Define the records of wires: specification, layout, table of the model, calibration, curves."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from labpipe.records.curve import Interval
 from labpipe.records.quality import QualityNote, Reason
 
 AUTO_LAYOUT = "auto"
-"""Layout that labpipe chooses: hexagonal if possible, else concentric if possible, else packed."""
+"""Name for a layout that labpipe chooses: hexagonal, else concentric, else packed."""
 
 LAYOUTS = (AUTO_LAYOUT, "hexagonal", "concentric", "packed", "compressed")
 """Names of the layouts in a wire sheet."""
@@ -22,7 +22,7 @@ LAYOUTS = (AUTO_LAYOUT, "hexagonal", "concentric", "packed", "compressed")
 
 @dataclass(frozen=True, slots=True)
 class WireSpec:
-    """Specification of a wire, as a row of a wire sheet; defaults apply to missing columns.
+    """Specification of a wire, a row of a wire sheet; blank cells have defaults.
 
     Parameters
     ----------
@@ -31,7 +31,8 @@ class WireSpec:
     layer_counts : number of strands of each layer, from the axis outwards; a core has one strand
     strand_diameters : diameter of the strands of each layer, m; for compressed strands the diameter
         of a circle of equal area
-    lay_angles : signed lay angle of each layer but the core, rad
+    lay_angles : lay angle of each layer except the core, rad; layers of opposite hand have opposite
+        signs
     insulation_thickness : wall thickness of the insulation, m
     insulation_modulus, conductor_modulus : elastic moduli, Pa
     poisson, insulation_poisson : Poisson's ratios of the strands and of the insulation
@@ -54,8 +55,8 @@ class WireSpec:
     length : free length of the cantilever, m
     tension : tension of the wire, N
     orientation : angle of the section from the neutral axis, rad
-    largest_curvature : largest curvature of the wire table, 1/m; None for a bending radius of five
-        wire diameters
+    largest_curvature : largest curvature of the wire table, 1/m; if None, that of a bending radius
+        of five wire diameters
     defaults : description of each default that was used, keyed by field
     place : place of the row, for messages, such as ``sheet 'wires', row 4``
     """
@@ -120,10 +121,10 @@ class WireAtRest:
 
     Parameters
     ----------
-    force : force at the tip, N, which the zero of a load cell removes
+    force : force at the tip, N, which a zeroed load cell does not show
     moment : moment at the clamp, N m; negative, because weight bends the wire away from the pull
     curvature : curvature at the clamp, 1/m
-    sag : distance of the lowest point below the axis, m
+    sag : distance of the lowest point below the undeformed axis, m
     """
 
     force: float
@@ -134,7 +135,7 @@ class WireAtRest:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WireTable(ArrayRecord):
-    """Law of a wire on first loading, and its stiffnesses; arrays have the shape (n,).
+    """Law of a wire on first loading, and its stiffnesses; shape (n,) unless stated.
 
     Parameters
     ----------
@@ -144,25 +145,26 @@ class WireTable(ArrayRecord):
     curvature : curvatures, 1/m, increasing from 0
     moment : moment, N m, the sum of its five components
     stick, slip : moment of the axial forces in sticking and in slipping strands, N m
-    bending : moment of the strands about their own axes, N m
-    plastic : change of the moment because strands yield, N m
+    bending : moment of elastic strands about their own axes, N m
+    plastic : change of this moment because strands yield, N m
     insulation : moment of the insulation, N m
     tangent_stiffness, secant_stiffness : bending stiffness at each curvature, N m^2
-    stick_stiffness, slip_stiffness : bending stiffness if no strand slips, and if all strands slip,
-        N m^2
+    stick_stiffness, slip_stiffness : bending stiffness if no strand slips, and if all strands slip
+        without friction, N m^2
     axial_stiffness : axial stiffness EA at zero twist, N
     torsional_stiffness : torsional stiffness GJ at zero axial strain, N m^2
     free_torsional_stiffness : torsional stiffness GJ - C^2 / EA at zero axial force, N m^2
     stretch_twist_coupling : coupling C, N m: torque per strain, and axial force per twist in rad/m
-    slip_onsets : curvatures at which strands begin to slip, 1/m, increasing; the first is 0 if
-        strands slip immediately
+    slip_onsets : shape (onsets,), curvatures within the table at which strands begin to slip, 1/m,
+        increasing; the first is 0 if strands slip immediately
     lowest_moment, highest_moment : extremes of the moment over all orientations of the section, N m
     tip_deflection, tip_force : shape (m,), m and N, deflection and force of a cantilever of
         `spec.length` under an end load normal to the clamped axis, both relative to rest
     mass_per_length : mass per length, kg/m
     rest : state of this cantilever at rest; None if its weight is neglected
     doubtful_curvature, doubtful_deflection : curvature, 1/m, and deflection, m, beyond which the
-        strain at the rim exceeds `spec.insulation_strain`; infinite for a stress table
+        strain at the rim exceeds `spec.insulation_strain`; infinite for a stress table of the
+        insulation
     notes : quality notes on defaults and limits
     """
 
@@ -219,7 +221,7 @@ class WireTable(ArrayRecord):
         return bool(np.any(self.slip_onsets == 0.0))
 
     def find_slip_onset(self, index: int) -> float | str:
-        """Find the curvature at which strands begin to slip, or a word if there is none.
+        """Find the curvature at which strands begin to slip, or a text in its place.
 
         Parameters
         ----------
@@ -249,12 +251,13 @@ class CurveAgreement(ArrayRecord):
     deflection, force : shape (n,), measured deflection, m, and force, N
     model : shape (n,), N, force of the model without `sample_factor`
     sample_factor : factor of this sample and load cell on the force of the model
-    sse : sum of the squared errors of the model, N^2
-    rmse : root mean square error of the model, N
-    rmse_share : root mean square error divided by the largest force
-    lag_one_correlation : correlation of neighbouring residuals divided by the noise, with
-        `sample_factor` on the model
-    runs_p : p-value of the runs test of these residuals; small if signs rarely change
+    sse : sum of the squared errors of the model without `sample_factor`, N^2
+    rmse : root mean square of these errors, N
+    rmse_share : root mean square divided by the largest measured force
+    lag_one_correlation : correlation of neighbouring normalised residuals,
+        (force - sample_factor x model) / noise
+    runs_p : p-value of the runs test of these residuals; small if signs change too rarely or too
+        often
     """
 
     test: str
@@ -281,8 +284,8 @@ class IsotropicShare:
     intervals : 95 % interval from residual deflections only, and from peaks only, keyed
         by the name of the result
     n_tests : number of tests with cycles
-    is_creep : whether these two intervals disagree, probably because of creep; the fraction is then
-        not calibrated
+    is_creep : whether the two values differ by more than 2.5 standard errors, probably by creep;
+        the fraction is then not calibrated
     """
 
     value: float
@@ -299,7 +302,7 @@ class Prediction(ArrayRecord):
     Parameters
     ----------
     deflection, force : predicted deflection, m, and force, N
-    lower, upper : ends of the pointwise band of the curve of one more sample, with noise, N
+    lower, upper : ends of the pointwise band for the curve of a further sample, with noise, N
     lower_mean, upper_mean : ends of the pointwise band of the curve of the mean sample, without
         noise, N
     notes : quality notes on causes of uncertainty that the bands do not include
@@ -316,14 +319,14 @@ class Prediction(ArrayRecord):
 
 @dataclass(frozen=True, slots=True)
 class CurveErrors:
-    """Errors of a model relative to measured forces, as in Table 3.3 of [1]_.
+    """Errors of one curve relative to another, as in Table 3.3 of [1]_.
 
     Parameters
     ----------
     n : number of compared points
     sse : sum of the squared errors, N^2
     rmse : root mean square error, N
-    rmse_share : root mean square error divided by the largest measured force
+    rmse_share : root mean square error divided by the largest force of the reference
     coverage : fraction of the points that lie inside the band; NaN without a band
 
     References
@@ -374,7 +377,7 @@ class CurveMatch(ArrayRecord):
     ----------
     reference : shape (n,), N, force of the other curve; NaN where that curve has no force
     errors : errors over the common points, relative to the largest force of the other curve and its
-        95 % band; None without common points
+        95 % band; None for fewer than three common points
     n_excluded : number of points that were not compared
     explanation : reason why points were not compared; empty if all points were compared
     """
@@ -395,7 +398,8 @@ class ExternalCurveComparison:
     tests : comparison with the mean of the tests of the wire and length of the curve; None without
         tests
     model : comparison with the model
-    prediction : curve of the model over the range of curve and tests; None if the model has none
+    prediction : curve of the model over the range of curve and tests; None if the model has no
+        solution
     notes : quality notes on points that were not compared
     """
 
@@ -407,14 +411,15 @@ class ExternalCurveComparison:
 
 
 RADIAL_FRICTION = "radial_friction"
-"""Radial friction phi = F_rad (mu_s + mu_p), N, the only effect of friction on a loading curve."""
+"""Name of the radial friction phi = F_rad (mu_s + mu_p), N, on which alone a loading curve depends
+of `radial_force`, `friction_strand` and `friction_insulation`."""
 INSULATION_MODULUS = "insulation_modulus"
-"""Elastic modulus of the insulation, Pa."""
+"""Name of the elastic modulus of the insulation, Pa."""
 COPPER_SCALE = "copper_scale"
-"""Factor on the strength of the copper in its stress-strain curve."""
+"""Name of the factor on the strength of the copper in its stress-strain curve."""
 
 PARAMETERS = (RADIAL_FRICTION, INSULATION_MODULUS, COPPER_SCALE)
-"""Calibrated parameters, in the order of every array over parameters."""
+"""Names of the calibrated parameters, in the order of every array over parameters."""
 PARAMETER_UNITS = {RADIAL_FRICTION: "N", INSULATION_MODULUS: "Pa", COPPER_SCALE: "1"}
 """SI unit of each parameter."""
 DISPLAY_UNITS = {
@@ -452,19 +457,20 @@ class Identifiability(StrEnum):
     """Degree to which the tests identify a parameter."""
 
     IDENTIFIED = "identified"
-    """The 95 % interval, and the values that the tests allow at 99 %, span less than a factor 2."""
+    """The 95 % interval, and the values that the tests allow at 99 %, span less than a factor of
+    2."""
     WEAKLY_IDENTIFIED = "weakly identified"
-    """The values that the tests allow span more than a factor 2, the interval is bounded, and no
+    """The values that the tests allow span a factor of 2 or more, the interval is bounded, and no
     other verdict applies."""
     TWO_SOLUTIONS = "two solutions"
-    """The 95 % interval combines different solutions, or the tests allow a solution outside the
-    interval at 99 %."""
+    """The values span a factor of 2 or more, and the 95 % interval has separate parts or the tests
+    allow a solution outside it at 99 %."""
     NOT_IDENTIFIED = "not identified"
-    """The 95 % interval is unbounded on a side, or spans more than a factor 100."""
+    """The 95 % interval is unbounded on a side, or spans more than a factor of 100."""
     BY_PRIOR = "known from its prior"
     """The tests add hardly any information to the prior."""
     AGAINST_PRIOR = "contradicts its prior"
-    """The values of prior and tests differ; the calibrated value is between them."""
+    """The values of prior and tests differ at the 95 % level; the calibrated value is between."""
     AT_BOUND = "at its bound"
     """The search ended at a bound of the parameter."""
     FIXED = "fixed"
@@ -478,10 +484,10 @@ class Profile(ArrayRecord):
     Parameters
     ----------
     value : shape (n,), values of the parameter, increasing
-    deviance : shape (n,), increase of the objective above the minimum, with all other parameters
-        fitted again
+    deviance : shape (n,), increase of the objective above its lowest minimum, with all other
+        parameters fitted again
     threshold_below, threshold_above : deviance at the lower and the upper end of the 95 % interval:
-        the square of a quantile of t, averaged over the possible scatters of samples
+        the square of the quantile of the mixture of t distributions, in standard errors
     """
 
     value: Vector
@@ -492,7 +498,7 @@ class Profile(ArrayRecord):
 
 @dataclass(frozen=True, slots=True)
 class PriorConflict:
-    """Comparison of a prior with the value from the tests alone.
+    """Comparison of a prior with the value that is fitted without it.
 
     Parameters
     ----------
@@ -524,12 +530,13 @@ class CalibratedParameter:
     ----------
     name, unit : name of the parameter, one of `PARAMETERS`, and its SI unit
     value : value at the minimum of the objective; NaN if the parameter has no effect on the wire
-    intervals : 95 % intervals by profile likelihood, the union of those of all solutions, in
-        increasing order. An open interval ends at the bound of the search. Empty if the parameter
-        was not fitted
+    intervals : 95 % intervals by profile likelihood, the union of those of the solutions in
+        the 95 % set, in increasing order. An open interval ends at the bound of the search. Empty
+        if the parameter was not fitted
     log_error : standard error of the logarithm at the minimum of the objective; 0 if not fitted
     freedom : degrees of freedom of `log_error`
-    is_open_below, is_open_above : whether the tests do not bound the parameter on that side
+    is_open_below, is_open_above : whether the interval ends at the bound of the search, because
+        the tests give no limit on this side
     at_bound : bound of the search that the value equals, ``lower`` or ``upper``; empty for none
     verdict : identifiability of the parameter
     explanation : sentence that explains the verdict
@@ -572,8 +579,8 @@ class Separability(ArrayRecord):
     singular_values : shape (n,), decreasing, singular values of the derivatives of all forces with
         respect to the logarithms of the parameters, divided by the noise: a combination with the
         singular value s has a standard error of 1 / s
-    combinations : shape (n, n), weights of the logarithms, one row per singular value; the largest
-        weight of a row is positive
+    combinations : shape (n, n), weights of the logarithms, one row per singular value; the weight
+        of largest magnitude in a row is positive
     are_identified : whether each parameter is identified, keyed by the name of the parameter
     explanation : one or two sentences on the combinations
     """
@@ -593,7 +600,7 @@ class ScatterMixture(ArrayRecord):
     ----------
     chance : shape (scatters,), probability of each scatter, with the sum 1
     scatter : shape (scatters,), standard deviation of the logarithms of the sample factors
-    shift : shape (scatters, 4), change of the logarithms of parameters and gain from the best fit
+    shift : shape (scatters, 4), change of the logarithms of parameters and gain from the fit
     covariance : shape (scatters, 4, 4), covariance of these logarithms
     freedom : degrees of freedom of the noise
     """
@@ -612,7 +619,8 @@ class Solution(ArrayRecord):
     Parameters
     ----------
     values : shape (3,), values of `PARAMETERS`; NaN for a parameter that the wire does not have
-    rise : increase of the objective above the best solution; exp(-rise / 2) is the likelihood ratio
+    rise : increase of the objective above that of the best solution; exp(-rise / 2) is the
+        likelihood ratio
     rmse : root mean square error over all curves, N
     covariance : shape (4, 4), covariance of the logarithms of the parameters and of the gain of the
         load cell; 0 for fixed parameters
@@ -671,10 +679,10 @@ class Calibration(ArrayRecord):
     solutions : local minima of the objective that the tests allow at 99 %, the best first
     widening : factor on quantiles, at least 1, because insulation and copper compensate each other
         along a curved valley of the objective
-    correlations : shape (3, 3), correlations of the logarithms at the best solution; NaN in rows of
-        fixed parameters
+    correlations : shape (3, 3), correlations of the logarithms at the best solution; NaN in rows
+        and columns of fixed parameters
     levels : noise of the points, scatter of the samples, and gain of the load cell
-    separability : separability of the three parameters, as if all were fitted
+    separability : separability of the parameters that affect the wire, as if all were fitted
     curves : agreement of each curve with the model
     n_points, n_samples : numbers of points and of samples of the calibration
     sse, rmse, rmse_share : errors over all curves, as in `CurveErrors`

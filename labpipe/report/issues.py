@@ -2,8 +2,9 @@
 
 One camera that loses markers in thirty tests is one cause with many issues. The effect of a cause
 is the shift of a mean when the affected tests are left out, or the widening of the interval of a
-mean because tests are missing. It is computed for each number of the affected groups, and the
-largest effect is reported.
+mean because tests are missing. The effect is computed for each result of the affected groups that
+the rig does not impose, and the largest is reported. Unreadable and rejected tests have fixed
+effects.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from labpipe.statistics.means import compute_t_quantile
 
 
 class Kind(StrEnum):
-    """Kinds of issues, in the order in which `find_issues` returns them."""
+    """Kinds of issues with their headings, in the order in which `find_issues` returns them."""
 
     UNREADABLE = "Tests that could not be read"
     REJECTED = "Tests that were rejected"
@@ -44,7 +45,7 @@ class Kind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Issue:
-    """Issue that a person checks before the numbers of a test or of a group are used.
+    """Issue of a test or a group that a person should check, or a note without consequences.
 
     Parameters
     ----------
@@ -111,13 +112,13 @@ SLIP_TREATMENTS = {
     SlipDecision.REPAIRED: "Repaired: the lost force is added to all later samples.",
     SlipDecision.CUT: "Cut: the curve ends before the slip.",
 }
-"""Sentence on the treatment of a slip, keyed by treatment."""
+"""Sentence on the treatment of a slip, keyed by the decision on it."""
 
 
 def _list_sample_issues(group: Group, test: str, sample: Sample) -> Iterator[Issue]:
-    """Yield the issues of the results, slips and notes of a sample, which the group names `test`.
+    """Yield the issues of the results, slips and notes of the sample with the name `test`.
 
-    Notes with the code of a reason of an issue are skipped.
+    A note is skipped if its code is that of a reason already reported for a result.
     """
     tests = (test,)
     results_by_reasons: dict[tuple[Kind, tuple[Reason, ...]], list[Result]] = {}
@@ -145,7 +146,7 @@ def _list_sample_issues(group: Group, test: str, sample: Sample) -> Iterator[Iss
 
 
 def _list_number_issues(group: Group) -> Iterator[Issue]:
-    """Yield an issue for each outlier and each excluded value, except those of failed results."""
+    """Yield an issue for each outlier, and each value that a mean excludes and did not fail."""
     failed_results = {
         (test, result.name)
         for test, sample in zip(name_samples(group.samples), group.samples, strict=True)
@@ -176,12 +177,12 @@ def _list_note_issues(
 ) -> Iterator[Issue]:
     """Yield one issue per combination of code and message in the notes.
 
-    All notes that tests were processed differently are one issue.
+    All notes which state that tests were processed differently are one issue.
 
     Parameters
     ----------
     group : name of the group
-    tests : name of the test of the notes; empty for notes of the group
+    tests : tuple of the name of the test with the notes; empty for notes on the group
     notes : notes; those of severity ``info`` or with a code in `_REPEATED_NOTE_CODES` are skipped
     """
     notes_by_code: dict[tuple[str, str], list[QualityNote]] = {}
@@ -190,7 +191,7 @@ def _list_note_issues(
             message = "" if note.code == PROTOCOLS_DIFFER else note.message
             notes_by_code.setdefault((note.code, message), []).append(note)
     for (code, _), members in notes_by_code.items():
-        # a warning in a test without an affected result has no consequence
+        # The caller skips notes that explain a result; other warnings have no consequence.
         is_harmless = tests and members[0].severity is not Severity.ERROR
         kind = Kind.NOTE if is_harmless else Kind.WARNING
         sentences = dict.fromkeys(wording.make_sentence(note.message) for note in members)
@@ -205,14 +206,14 @@ def _list_note_issues(
 
 
 class Effect(NamedTuple):
-    """Effect of a cause on the number that it changes most.
+    """Effect of a cause on the mean that it changes most.
 
     Parameters
     ----------
     size : shift of the mean, relative to half the width of its interval, or relative widening of
         the interval. It is infinite if no value is left, if the mean shifts and its interval has no
-        width, and for unreadable tests; a fixed size if one value is left or all values are
-        affected; 0 if the mean has no interval, and for rejected tests
+        width, and for unreadable tests; 10 if missing values leave one value; 5 if all averaged
+        values are affected; otherwise 0 without an interval; 0 for rejected tests
     text : sentence on the effect, without a full stop
     """
 
@@ -227,7 +228,7 @@ class Cause:
     Parameters
     ----------
     issues : issues of one kind, at least one
-    effect : effect on the number that changes most; None if the cause affects no mean
+    effect : largest effect on a mean; None before ranking, for notes, and if no mean is affected
     """
 
     issues: tuple[Issue, ...]
@@ -240,7 +241,7 @@ class Cause:
 
     @property
     def code(self) -> str:
-        """Codes of the first issue, separated by commas; empty if it has none."""
+        """Codes of the first issue, separated by commas; empty if this issue has none."""
         return self.issues[0].code
 
     @property
@@ -266,10 +267,10 @@ class Cause:
 
     @property
     def sentence(self) -> str:
-        """First reason and the number of other reasons, or the settings that differ in a group."""
+        """First reason and the number of other reasons, or what was processed differently."""
         if self.kind is Kind.PROCESSING:
-            settings = [setting for issue in self.issues for setting in issue.topic.split("; ")]
-            text = ", ".join(dict.fromkeys(settings))
+            topics = [topic for issue in self.issues for topic in issue.topic.split("; ")]
+            text = ", ".join(dict.fromkeys(topics))
             return f"Processed differently from other tests of their group: {text}."
         reasons = list(dict.fromkeys(issue.reason for issue in self.issues))
         suffix = f" And {len(reasons) - 1} more." if len(reasons) > 1 else ""
@@ -277,7 +278,7 @@ class Cause:
 
 
 def find_causes(campaign: Campaign) -> tuple[list[Cause], list[Cause]]:
-    """Group issues by cause and rank them by their effect on a number.
+    """Group issues by cause and rank the causes by their largest effect on a mean.
 
     Parameters
     ----------
@@ -287,7 +288,7 @@ def find_causes(campaign: Campaign) -> tuple[list[Cause], list[Cause]]:
     -------
     causes : causes in the order of decreasing effect; causes that affect no mean are last, and
         causes of equal effect are in the order of `Kind`
-    notes : causes of the kind `Kind.NOTE`, without an effect, the most frequent first
+    notes : causes of the kind `Kind.NOTE`, without an effect, those with the most issues first
     """
     groups = {group.name: group for group in campaign.groups}
     causes, notes = [], []
@@ -303,7 +304,8 @@ def find_causes(campaign: Campaign) -> tuple[list[Cause], list[Cause]]:
 def _group_by_cause(issues: Sequence[Issue]) -> list[Cause]:
     """Group issues of one kind that share a code, directly or through other issues.
 
-    All slips have one cause. The order of the issues does not change the groups.
+    All slips are one cause. Any other issue without a code is a cause of its own. The order of the
+    issues does not change the groups.
     """
     clusters: list[tuple[set[tuple[Kind, str]], list[int]]] = []
     for index, issue in enumerate(issues):
@@ -318,9 +320,9 @@ def _group_by_cause(issues: Sequence[Issue]) -> list[Cause]:
 
 
 def _find_effect(cause: Cause, groups: Mapping[str, Group]) -> Effect | None:
-    """Find the largest effect of a cause on a number of any group; None if it affects no mean.
+    """Find the largest effect of a cause on a mean of any group; None if it affects no mean.
 
-    Numbers that the rig sets are ignored.
+    Results that the rig imposes are ignored. Unreadable and rejected tests have fixed effects.
     """
     if cause.kind is Kind.UNREADABLE:
         return Effect(inf, format_sentence("report.effect_unreadable"))
@@ -344,10 +346,10 @@ def _find_effect(cause: Cause, groups: Mapping[str, Group]) -> Effect | None:
 def _compute_effect(group: Group, number: GroupNumber, tests: set[str]) -> Effect | None:
     """Compute the effect of tests on the mean of a number; None if they do not affect the mean.
 
-    If any of the tests has no value, the effect is that of the missing values. Otherwise, it is the
-    shift of the mean when the values of the tests are left out.
+    If the mean excludes any of the tests, the effect is that of the excluded values. Otherwise, it
+    is the shift of the mean when the values of the tests are left out.
     """
-    single_value_size = 10.0  # size of the effect if one value is left, whose mean has no interval
+    single_value_size = 10.0  # `Effect.size` if one value is left, without an interval
     label, n = f"{wording.format_label(number.name)} of {group.name}", number.mean.chosen.n
     members, missing_tests = _get_members(group, number), tests & number.exclusions.keys()
     averaged_members = {members[test] for test in number.values}
@@ -372,7 +374,7 @@ def _compute_effect(group: Group, number: GroupNumber, tests: set[str]) -> Effec
 
 
 def _get_members(group: Group, number: GroupNumber) -> dict[str, str]:
-    """Get what the mean averages, keyed by name of the sample: its spool, or the sample itself."""
+    """Return what the mean averages for each sample: the sample if pooled, otherwise its spool."""
     return {
         name: name if number.mean.is_pooled else sample.specimen.spool
         for name, sample in zip(name_samples(group.samples), group.samples, strict=True)
@@ -385,11 +387,11 @@ def _compute_shift(group: Group, number: GroupNumber, tests: set[str], label: st
     Parameters
     ----------
     group : group of the tests
-    number : number of the group
+    number : result of the group
     tests : names of the tests whose values are left out
     label : text that names the number and the group
     """
-    all_values_size = 5.0  # size of the effect if no other values are left to compare with
+    all_values_size = 5.0  # `Effect.size` if all averaged values are affected
     members, values_by_member = _get_members(group, number), dict[str, list[float]]()
     for test, result in number.values.items():
         if test not in tests and result.value is not None:

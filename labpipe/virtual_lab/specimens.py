@@ -1,18 +1,19 @@
-"""Define the specimens of the virtual rigs and their laws: wires, an elastic bar, bundles.
+"""Define the specimens of the virtual rigs and their laws: stranded wires and bundles.
 
-The law of a stranded wire is that of `wire.bending_law` for first loading, as plays
-(`fit_play_law`). After a reversal, strands slip and copper yields in the other direction at twice
-the change of moment (Masing's rule), unless a fraction of the copper's hardening is isotropic.
-Calibrations use the same law with another solver: `cantilever_scenarios` solves one position after
-the other, with the history of the wire, whereas `wire.first_loading` solves for all deflections at
-once.
+On first loading, a stranded wire follows the law of `wire.bending_law`, represented by plays
+(`fit_play_law`). After a reversal, a strand slips or yields in the other direction when the moment
+has changed by twice the moment of its first slip or yield (Masing's rule), unless a fraction of the
+copper's hardening is isotropic. Calibrations use the same law with the solver `wire.first_loading`,
+which solves for all deflections at once; `cantilever_scenarios` solves one position after the other
+and keeps the history of the wire.
 
 All wires of a bundle have the same curvature. The moment of the bundle is the sum of the moments of
-its wires, each bent about its own axis, and of the moments of their axial forces, which are limited
-by friction between neighbours and by the tape:
+its wires, each bent about its own axis, of the moments of their axial forces, which are limited by
+friction between neighbours and by the tape, and of the moment of an elastic conduit:
 
     M(kappa) = sum M_i(kappa) + sum |y_i| min(h EA_i |y_i| kappa, T_i)
                               + g min(kappa, e / R) sum over the outer wires EA_i y_i^2
+                              + EI_conduit kappa
 
 Here y_i is the distance of a wire from the neutral axis and EA_i the axial stiffness of its copper.
 The fractions h and g are effective values, because friction and glue are compliant. Friction
@@ -20,15 +21,16 @@ between neighbours carries up to T_i = h EA_i c kappa_s. Here c is the root mean
 wires off the axis, and kappa_s is the curvature at which a wire at this distance slips. A wire at
 twice the distance slips at half of this curvature. Slip causes the kink. The glue of the tape holds
 the outer wires until the strain kappa R at the radius R of the bundle is e; then the tape slides on
-all of them at once. Sliding causes the plateau, where only the wires themselves are stiff. Without
-further effects the force would still increase by 1 % per millimetre, because the lever arm of a
-strongly bent bundle becomes shorter. However, a sliding tape holds the bundle less firmly: all slip
-moments are multiplied by the larger of 1 - q (kappa_max R / e - 1) and 0.5, where kappa_max is the
-largest curvature so far. Before the tape slides, this factor is 1.
+all of them at once. Sliding causes the plateau, where only single wires and the conduit are stiff.
+With these terms alone the force of a cantilever would still increase by 1 % per millimetre, because
+the lever arm of a strongly bent bundle becomes shorter. However, a sliding tape holds the bundle
+less firmly: moments and curvatures of all corners of the law are multiplied by the larger of
+1 - q (kappa_max R / e - 1) and 0.5, where kappa_max is the largest curvature so far. Before the
+tape slides, this factor is 1.
 
 Parallel Coulomb sliders are equivalent to plays in series, and their loops follow Masing's rule.
 Therefore the law of a bundle is one `PlayLaw`. Wires that have slipped resist the next slip more:
-from the second cycle on, all slip moments and slip curvatures are multiplied by `locking`.
+from the second cycle on, moments and curvatures of all corners are multiplied by `locking`.
 
 References
 ----------
@@ -98,9 +100,9 @@ class WireModel:
     stick_moment : moment below which nothing slips, N m
     slip_stiffness : secant stiffness of the power law at `reference_moment` above `stick_moment`,
         N m^2
-    reference_moment : moment at which `slip_stiffness` is stated, N m
-    hardening : exponent of the power law, from 0 to 1
-    last_moment : moment of the last corner of the law, which continues beyond it, N m
+    reference_moment : moment above `stick_moment` at which `slip_stiffness` is stated, N m
+    hardening : exponent of the power law, larger than 0 and smaller than 1
+    last_moment : moment of the last point of the law, which continues as a line beyond it, N m
     n_plays : number of plays
     mass_per_length : mass per length, kg/m
     """
@@ -136,12 +138,12 @@ class StrandedWire:
     is_compressed : whether the strands are compressed without gaps; otherwise they form a hexagon
     friction_strand : coefficient of friction mu_s between strands
     friction_insulation : coefficient of friction mu_p between strands and insulation
-    radial_force : F_rad of the insulation, N per radian of lay angle and strand of the outer ring
+    radial_force : F_rad of the insulation on a strand of the outer ring, N per radian of lay angle
     insulation_modulus : Young's modulus of the insulation, Pa
     copper_scale : factor on the strength of annealed copper
     isotropic_share : fraction of the copper's hardening that is isotropic; 0 gives Masing's rule
     factor : factor of this sample on all moments at given curvatures
-    largest_curvature : curvature at the end of the law, beyond which the wire cannot be bent, 1/m
+    largest_curvature : curvature at the end of the law, beyond which no equilibrium is solved, 1/m
     n_plays : number of corners of the law, in addition to the onsets of slip
     """
 
@@ -245,7 +247,7 @@ thickness of 0.3 mm; here the thickness is 0.2 mm."""
 
 
 _PACKED, _, _ASYMMETRIC = ARRANGEMENTS
-_SHELL_TOLERANCE = 1e-6
+_DISTANCE_TOLERANCE = 1e-6
 """Largest difference of two distances that count as equal, in pitches of the lattice."""
 
 
@@ -259,14 +261,14 @@ class BundleModel:
     arrangement : one of `records.harness_bundle.ARRANGEMENTS`. With two types, ``asymmetric`` has
         the second type on the side of the pull; the other arrangements distribute it over the
         section
-    friction_share : fraction h of the axial stiffness that friction holds
+    friction_share : fraction h of the axial stiffness of a wire that is effective before it slips
     slip_curvature : curvature kappa_s at which a wire at the root-mean-square distance c slips, 1/m
-    glue_share : fraction g of the axial stiffness of the outer wires that the glue of the tape
-        holds
+    glue_share : fraction g of the axial stiffness of the outer wires that is effective before the
+        tape slides
     glue_strain : strain e at which the tape slides on the wires; None if the tape never slides
     slide_loss : fraction q of the slip moments that is lost between the curvature at which the tape
         slides and twice this curvature; at least half of the moments remains
-    locking : factor on slip moments and curvatures from the second cycle on, at least 1
+    locking : factor on moments and curvatures of all corners from the second cycle on, at least 1
     conduit_stiffness : bending stiffness of an elastic conduit around the bundle, N m^2
     tape, taping, conduit : fields of `records.harness_bundle.Bundle` for the test sheet
     conduit_bore : inner diameter of the conduit for the test sheet, m; None without a conduit
@@ -306,7 +308,7 @@ class BundleModel:
         Raises
         ------
         ValueError
-            If the wires do not fill shells.
+            If the number of wires does not fill complete shells.
         """
         locking = 1.0 if cycle == 1 else self.locking
         law = _build_law(replace(self, factor=1.0))
@@ -368,15 +370,15 @@ class BundleModel:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WirePositions:
-    """Positions of the wires of a bundle; arrays are (wires,), in the order of the wire types.
+    """Positions of the wires of a bundle; arrays have shape (wires,), in the order of the types.
 
     Parameters
     ----------
-    x, y : centre of each wire relative to the neutral axis of the bundle, m; y is the direction of
-        bending
+    x, y : centre of each wire relative to the centre of stiffness of the bundle, m; y is the
+        direction of bending
     diameter : diameter of each wire, m
     axial_stiffness : axial stiffness EA of the copper of each wire, N
-    is_outer : whether the tape touches the wire
+    is_outer : whether the wire has fewer than six neighbours, so that a tape touches it
     """
 
     x: Floats
@@ -401,7 +403,7 @@ def lay_wires(bundle: BundleModel) -> WirePositions:
     Raises
     ------
     ValueError
-        If the wires do not fill shells.
+        If the number of wires does not fill complete shells.
     """
     wires = [WIRES[name] for name, count in bundle.wires for _ in range(count)]
     diameter = np.array([wire.diameter for wire in wires])
@@ -418,17 +420,17 @@ def lay_wires(bundle: BundleModel) -> WirePositions:
 
 def _fill_shells(n_wires: int) -> tuple[Floats, Flags]:
     """Compute positions in full shells, shape (wires, 2), in pitches, and whether each is outer."""
-    for centre in (np.zeros(2), np.array([0.5, 0.5 / np.sqrt(3.0)])):  # a wire, a gap
+    for centre in (np.zeros(2), np.array([0.5, 0.5 / np.sqrt(3.0)])):  # on a wire, in a gap
         i, j = np.meshgrid(np.arange(-9, 10), np.arange(-9, 10))
         lattice = np.column_stack([(i + 0.5 * j).ravel(), (0.5 * np.sqrt(3.0) * j).ravel()])
         positions = lattice - centre
         distance = np.hypot(*positions.T)
         order = np.lexsort((np.arctan2(positions[:, 1], positions[:, 0]), np.round(distance, 6)))
         last_inside, first_outside = distance[order[n_wires - 1 : n_wires + 1]]
-        if first_outside - last_inside > _SHELL_TOLERANCE:
+        if first_outside - last_inside > _DISTANCE_TOLERANCE:
             positions = positions[order[:n_wires]]
             distances = np.hypot(*(positions[:, None, :] - positions).transpose(2, 0, 1))
-            n_neighbours = np.sum(np.abs(distances - 1.0) < _SHELL_TOLERANCE, axis=1)
+            n_neighbours = np.sum(np.abs(distances - 1.0) < _DISTANCE_TOLERANCE, axis=1)
             return positions, n_neighbours < 6
     raise ValueError(format_sentence("virtual_lab.open_shell", count=n_wires))
 
@@ -472,7 +474,7 @@ def _build_law(bundle: BundleModel) -> PlayLaw:
 def _compute_sliders(bundle: BundleModel) -> tuple[Floats, Floats]:
     """Compute the slip curvatures, 1/m, and the stiffnesses, N m^2, of friction and glue."""
     layout = lay_wires(bundle)
-    is_off_axis = np.abs(layout.y) > _SHELL_TOLERANCE * np.max(layout.diameter)
+    is_off_axis = np.abs(layout.y) > _DISTANCE_TOLERANCE * np.max(layout.diameter)
     distance = np.abs(layout.y[is_off_axis])
     friction_limits = bundle.slip_curvature * float(np.sqrt(np.mean(distance**2))) / distance
     glue_limit = np.inf if bundle.glue_strain is None else bundle.glue_strain / bundle.radius
@@ -482,7 +484,7 @@ def _compute_sliders(bundle: BundleModel) -> tuple[Floats, Floats]:
 
 
 def _build_bundles(catalog_key: str) -> dict[str, BundleModel]:
-    """Build the bundles of a part of the catalog, whose groups have values for all bundles."""
+    """Build the bundles of a table of the catalog; ``all`` has values of a whole group."""
     bundles = {}
     for group in read_catalog()[catalog_key]:
         for name, values in group["types"].items():
@@ -497,4 +499,5 @@ TAPED_TYPES = _build_bundles("taped")
 """Taped bundle of each type of Table 4.1 of [1]_; PET tape never slides."""
 CONDUIT_TYPES = _build_bundles("conduits")
 """Bundle in a conduit of each type of Table 4.2 of [1]_. Wires in a tube are taped only at their
-ends, so that friction and glue hold them less; tape on the conduit has almost no effect."""
+ends, so that friction and glue hold them less; tape on the conduit increases moments by 1 to 2
+%."""

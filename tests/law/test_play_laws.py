@@ -24,14 +24,15 @@ from tests.approved import Approve
 from tests.builders.bilinear_laws import bilinear_law
 
 
-def stick_slip(hardening: float = 0.5) -> PlayLaw:
+def stick_slip(hardening: float = 0.5, last_moment: float = 0.2, n_plays: int = 40) -> PlayLaw:
     return make_stick_slip_law(
         stick_stiffness=5e-3,
         stick_moment=0.002,
         slip_stiffness=5e-3,
         reference_moment=0.05,
         hardening=hardening,
-        last_moment=0.2,
+        last_moment=last_moment,
+        n_plays=n_plays,
     )
 
 
@@ -145,6 +146,8 @@ CASES: dict[str, list[Callable[[], object]]] = {
         lambda: require_within(PlayLaw(2.0, row(1.0), row(0.5), 3.0), row(1.0, -4.0), "bending"),
         lambda: stick_slip(hardening=0.0),
         lambda: stick_slip(hardening=1.0),
+        lambda: stick_slip(last_moment=0.001),
+        lambda: stick_slip(n_plays=0),
         lambda: make_polygon_law(row(1.0, 2.0, 3.0), row(1e-3, 1.5e-3, 1.4e-3)),
         lambda: make_polygon_law(row(1.0, 2.0, 3.0), row(1.0, 3.0, 3.5)),
         lambda: make_concave_law(row(1.0, 2.0, 3.0), row(4.0, 5.0, 7.0)),

@@ -78,6 +78,7 @@ REFUSED: list[Callable[[], object]] = [
     lambda: build_line(np.array([[0.0, 0, 0], [1.0, 0, 0], [1.0, 0, 0]]), SECTION),
     lambda: build_line(np.zeros((1, 3)), SECTION),
     lambda: build_line(np.array([[0.0, 0, 0], [np.nan, 0, 0]]), SECTION),
+    lambda: build_line(np.array([[0.0, 0, 0], [np.inf, 0, 0]]), SECTION),
     lambda: Held(0, np.zeros((2, 2))),
     lambda: Held(0, np.zeros(3), np.array([2.0, 0.0, 0.0, 0.0])),
     lambda: Held(0, np.zeros(3), release=0),

@@ -6,13 +6,14 @@ spring in series with play operators:
     kappa = M / EI0 + sum_j c_j p_j        p_j <- min(max(p_j, M - r_j), M + r_j)
 
 On first loading p_j = max(0, M - r_j). The law is then a polygon with a corner at each half-width
-r_j. After a reversal no play moves until the moment has changed by twice the smallest r_j.
+r_j. After first loading beyond the smallest r_j and a reversal, no play moves until the moment
+has changed by twice this r_j.
 Unloading therefore starts with the stiffness EI0, loops follow Masing's rule and close, and a
 residual curvature remains at zero moment. The law is rate-independent. Moments are in N m,
 curvatures in 1/m.
 
 A law may have a largest moment. Beyond it, functions of this module extrapolate with the last
-slope, and iterations may therefore leave the range. `require_within` checks results. A
+slope, and iterations may therefore leave the range. `require_within` checks final moments. A
 `LoadingTable` tabulates a law on first loading.
 """
 
@@ -36,7 +37,7 @@ class Response:
     ----------
     curvature : shape (stations,), 1/m
     compliance : shape (stations,), 1/(N m^2), derivative of the curvature with respect to the
-        moment, for a further change in the same direction
+        moment at the end of the change, from within it; 1 / EI0 if the moment did not change
     history : history after the change of the moment, in the shape and unit of
         `make_unbent_history` of the law
     """
@@ -48,7 +49,7 @@ class Response:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlayLaw(ArrayRecord):
-    """Law of plays: concave on first loading, with Masing loops and residual curvature.
+    """Law of plays: no stiffening on first loading, Masing loops, and residual curvature.
 
     Parameters
     ----------
@@ -158,8 +159,8 @@ def require_within(law: PlayLaw, moment: Floats, context: str) -> None:
     Raises
     ------
     ValueError
-        If `is_within` is false for a moment. The message states the curvatures at the largest
-        moment and at the end of the law.
+        If `is_within` is false for a moment. The message states the curvatures at the moment
+        of largest magnitude and at the end of the law.
     """
     if is_within(law, moment).all():
         return
@@ -231,9 +232,9 @@ def make_polygon_law(curvature: Floats, moment: Floats) -> PlayLaw:
     ------
     ValueError
         If the moment does not increase (softening), or a slope is larger than the preceding slope
-        (stiffening). The message states the curvature.
+        (stiffening). The message states the curvature of a faulty corner.
     """
-    # Relative to the first slope: allows for rounding errors between close corners.
+    # Largest increase, relative to the first slope, that is a rounding error of close corners.
     slope_tolerance = 1e-7
     slopes = np.diff(moment, prepend=0.0) / np.diff(curvature, prepend=0.0)
     if not np.all(slopes > 0.0):
@@ -258,7 +259,7 @@ def make_stick_slip_law(
     last_moment: float,
     n_plays: int = 40,
 ) -> PlayLaw:
-    """Build a law of sticking strands up to a moment, with Ramberg-Osgood slip and yield beyond.
+    """Build a law that is linear up to a moment, and a Ramberg-Osgood curve beyond it.
 
     The law is a polygon with corners on
     kappa = M / EI0 + (M0 / EI1) (max(M - Ms, 0) / M0)^(1 / n).
@@ -267,10 +268,10 @@ def make_stick_slip_law(
     ----------
     stick_stiffness : EI0, N m^2, bending stiffness while all strands stick
     stick_moment : Ms, N m, moment up to which all strands stick, positive
-    slip_stiffness : EI1, N m^2, M0 divided by the curvature of the power law at Ms + M0
-    reference_moment : M0, N m, unit of the moment in the power law
+    slip_stiffness : EI1, N m^2, M0 divided by the second term of the curvature at Ms + M0
+    reference_moment : M0, N m, by which the moment above Ms is divided
     hardening : exponent n, between 0 (perfectly plastic) and 1 (linear), both excluded
-    last_moment : N m, moment at the last point of the polygon; the law continues linearly beyond
+    last_moment : N m, moment at the last point of the polygon, above Ms; the law is linear beyond
     n_plays : number of plays, at least 1
 
     Raises
@@ -281,6 +282,8 @@ def make_stick_slip_law(
     require_positive("slip_stiffness", slip_stiffness)
     require_positive("reference_moment", reference_moment)
     require("hardening", hardening, "between 0 and 1", holds=0.0 < hardening < 1.0)
+    require("last_moment", last_moment, "above stick_moment", holds=last_moment > stick_moment)
+    require_whole("n_plays", n_plays, 1)
     moment = stick_moment + np.linspace(0.0, 1.0, n_plays + 1) ** 2 * (last_moment - stick_moment)
     power = ((moment - stick_moment) / reference_moment) ** (1.0 / hardening)
     curvature = moment / stick_stiffness + reference_moment / slip_stiffness * power
@@ -320,7 +323,7 @@ class LoadingTable:
     def of_plays(cls, law: PlayLaw) -> LoadingTable:
         """Tabulate a `PlayLaw`; the table is exact, because the law is linear between corners."""
         moment, curvature, compliances = find_corners(law)
-        # The width of the last interval is arbitrary, because the law is linear beyond its start.
+        # The width of the last interval is arbitrary: the law is linear beyond the last corner.
         step = moment[-1] or law.stiffness
         moment = np.append(moment, moment[-1] + step)
         curvature = np.append(curvature, curvature[-1] + compliances[-1] * step)
@@ -368,9 +371,9 @@ class LoadingTable:
 
         Notes
         -----
-        By Masing's rule, the curvature after a reversal at M0 is kappa0 + 2 k((M - M0) / 2) until
-        the moment is -M0, and k(M) beyond. k is the law of first loading, and kappa0 is the
-        curvature at M0.
+        By Masing's rule, the curvature after a reversal at the moment Mr at rest is
+        k(Mr) + 2 k((M - Mr) / 2) until the moment is -Mr, and k(M) beyond. k is the law of first
+        loading.
         """
         curvature, compliance = self.bend(moment)
         is_reversed = self._is_reversed(rest_moment, moment)
@@ -385,13 +388,13 @@ class LoadingTable:
     def bend_from_peak(
         self, rest_moment: Floats, peak_moment: Floats, moment: Floats
     ) -> CurvatureAndCompliance:
-        """Return curvature and compliance after bending from rest to a peak and unloading from it.
+        """Return curvature and compliance after loading from rest to a peak and unloading.
 
         Parameters
         ----------
         rest_moment : as for `bend_from_rest`
         peak_moment : shape (n, stations), N m, largest moment so far
-        moment : shape (n, stations), N m, current moment
+        moment : shape (n, stations), N m, current moment, not above `peak_moment`
         """
         curvature, compliance = self.bend_from_rest(rest_moment, peak_moment)
         is_unloaded = moment < peak_moment

@@ -2,7 +2,8 @@
 
 n elements connect n + 1 nodes. Each element is straight and has a frame. The third axis d3 of the
 frame points along the element, and the other two are material directions normal to the element. The
-bending law acts at the nodes, over half an element on each side.
+bending law acts at each inner node, over half an element on each side, and at a clamped end, over
+the half element beside it.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ class Section:
 
     Parameters
     ----------
-    law : isotropic bending law
+    law : bending law, the same in all directions normal to the axis
     torsional_stiffness : N m^2, GJ at fixed length
     axial_stiffness : N, EA at fixed twist; infinite for an inextensible line
     coupling : N m, stretch-twist coupling C, positive for positive lay angles; without effect on an
@@ -48,7 +49,7 @@ class Section:
     ------
     ValueError
         If the law has no stiffness, the torsional or axial stiffness is not positive, mass or
-        diameter is negative, or the coupling is not below sqrt(EA GJ) in magnitude.
+        diameter is negative or infinite, or the coupling is not below sqrt(EA GJ) in magnitude.
     """
 
     law: SliderLaw
@@ -100,7 +101,7 @@ class Line(ArrayRecord):
     def rest_curvature_at_nodes(self) -> Floats:
         """Return the curvature at rest at all nodes, 1/m, shape (n + 1, 3).
 
-        At an end, the value is that of the neighbouring node. A line of one element has zeros.
+        At an end, the value is that of the nearest inner node. A line of one element has zeros.
         """
         inner_curvature = self.rest_curvature
         if not len(inner_curvature):
@@ -114,7 +115,7 @@ class Line(ArrayRecord):
 
         Parameters
         ----------
-        node : node from 0, or negative from the end of the line
+        node : index of the node, from 0; -1 is the last node
         """
         index = node % len(self.positions)
         curvature = self.rest_curvature_at_nodes[index]
@@ -124,7 +125,7 @@ class Line(ArrayRecord):
             rotation = multiply(conjugate(frame_before), frame_after)
             curvature = to_rotation_vectors(rotation) / centre_distance
         element = max(index - 1, 0)
-        # The distance from the middle of the element to the node is half the length.
+        # Distance along d3 from the middle of the element to the node.
         distance = (0.5 if index else -0.5) * self.lengths[element]
         return multiply(self.frames[element], from_rotation_vectors(distance * curvature))
 
@@ -152,28 +153,28 @@ def build_line(
     ----------
     positions : shape (n + 1, 3), m, positions of the nodes
     section : section of the line
-    up : shape (3,), direction that d1 of the first frame approaches as closely as possible
+    up : shape (3,), direction; d1 of the first frame is the nearest normal of the first element
     is_rest_shape : True if the positions are the shape at rest, for example of a line curled by its
         spool; False for a line that is straight at rest and is bent to these positions
 
     Raises
     ------
     ValueError
-        If the shape of `positions` is wrong, successive positions coincide or are not finite, or
-        `up` is zero or parallel to the first element.
+        If `positions` is not an array of shape (n + 1, 3) with n >= 1, successive positions
+        coincide or are not finite, or `up` is zero or parallel to the first element.
 
     Notes
     -----
-    Each frame is the previous frame after the smallest possible rotation. On a closed curve in
-    space, d1 of the last frame therefore differs from d1 of the first frame by the holonomy angle
-    of the curve.
+    Each frame is the previous frame after the smallest possible rotation. If the last
+    element has the direction of the first, d1 of the last frame therefore differs from d1 of the
+    first by the holonomy angle of the directions.
     """
     positions = np.asarray(positions, dtype=np.float64)
     if positions.ndim != 2 or positions.shape[1:] != (3,) or len(positions) < 2:
         raise ValueError(format_sentence("mechanics.rod.points_shape", shape=positions.shape))
     edges = np.diff(positions, axis=0)
     lengths = np.linalg.norm(edges, axis=1)
-    if len(faulty_edges := np.flatnonzero(~(lengths > 0.0))):
+    if len(faulty_edges := np.flatnonzero(~((lengths > 0.0) & np.isfinite(lengths)))):
         node = int(faulty_edges[0])
         raise ValueError(format_sentence("mechanics.rod.same_points", first=node, second=node + 1))
     directions = edges / lengths[:, None]
