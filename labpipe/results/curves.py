@@ -572,13 +572,19 @@ def _sample_on_curve(test: ReducedTest, signal: Signal, time: Floats) -> Floats:
     # Each sample is the mean over a step around it, so the ends are half a step earlier.
     curve_ends = np.array([time - half_step, time + half_step])
     ends = test.clocks.from_curve(curve_ends, signal.clock) - 0.5 * step
-    sample_ends, is_finite = np.append(signal.time[0] - step, signal.time), ~np.isnan(signal.values)
-    sums, counts = (
-        np.diff(
-            np.interp(ends, sample_ends, np.append(0.0, np.cumsum(values)), np.nan, np.nan), axis=0
-        )[0]
-        for values in (np.where(is_finite, signal.values, 0.0), is_finite)
-    )
+    end_samples = np.searchsorted(signal.time[:-1], ends, side="right")
+    starts = np.where(end_samples > 0, signal.time[end_samples - 1], signal.time[0] - step)
+    fractions = (ends - starts) / (signal.time[end_samples] - starts)
+    is_inside = ((fractions >= 0.0) & (fractions < 1.0)).all(axis=0)
+
+    blanks, values = np.flatnonzero(np.isnan(signal.values)), signal.values
+    values = np.where(np.isnan(values), 0.0, values) if len(blanks) else values
+    interval_sums = np.add.reduceat(values, end_samples.T.ravel())[::2]  # reduceat has no empty sum
+    head, tail = fractions * values[end_samples]
+    sums = np.where(end_samples[1] > end_samples[0], interval_sums, 0.0) + tail - head
+    head, tail = fractions * ~np.isnan(signal.values[end_samples])
+    counts = np.diff(end_samples - np.searchsorted(blanks, end_samples), axis=0)[0] + tail - head
+    counts = np.where(is_inside, counts, 0.0)
     mean: Floats = sums / np.where(counts > 0.5, counts, np.nan)
     is_missing = np.isnan(mean)
     mean[is_missing] = test.clocks.interpolate(signal, time[is_missing])

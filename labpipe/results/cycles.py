@@ -6,7 +6,7 @@ import math
 from abc import abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import cache, lru_cache, partial
 from itertools import pairwise
 from typing import ClassVar, Literal
 
@@ -339,6 +339,7 @@ def find_noise_doubts(values: Floats, quantity: str) -> tuple[Reason, ...]:
     return (Reason.of("results.noise_at_peak", quantity=quantity, ratio=max(nearby) / usual),)
 
 
+@lru_cache(maxsize=1)  # the kinds of results and the cycles of a test ask for the same curve
 def find_lead_doubts(curve: Curve) -> tuple[Reason, ...]:
     """Find a doubt ``force_leads`` if the force turns before the displacement, and more sharply.
 

@@ -501,7 +501,7 @@ class Tangents:
             raise UnavailableError.of("results.too_short", reached=reached, length=1e3 * length)
         low, high = float(d.min()) + 0.5 * length, float(d.max()) - 0.5 * length
         midpoints = np.arange(high, low, -length / _TANGENTS_PER_LENGTH)
-        force_weights, slope_weights, counts = _weigh_parabolas(d, midpoints, length)
+        indices, force_weights, slope_weights, counts = _weigh_parabolas(d, midpoints, length)
         curves.require_samples(int(counts[0]), _MIN_TANGENT_SAMPLES)
         is_determined = np.isfinite(force_weights[:, 0])
         if not is_determined[0]:
@@ -511,9 +511,9 @@ class Tangents:
             path=curves.CommonPath.of(displacement, force, samples),
             length=length,
             midpoints=midpoints[:n_tangents],
-            slope_weights=slope_weights[:n_tangents],
-            end_force_weights=force_weights[0],
-            end_samples=np.flatnonzero(force_weights[0]),
+            slope_weights=_expand_weights(indices, slope_weights, len(d))[:n_tangents],
+            end_force_weights=_expand_weights(indices, force_weights, len(d))[0],
+            end_samples=indices[0][indices[0] < len(d)],
         )
 
     @property
@@ -625,10 +625,10 @@ class Tangents:
         positions = mean_onset + self.length * np.linspace(0.5, -0.5, 2 * _TANGENTS_PER_LENGTH + 1)
         first, last = d.min() + 0.5 * half_length, d.max() - 0.5 * half_length
         positions = positions[(positions <= last) & (positions >= first)]
-        _, weights, _ = _weigh_parabolas(d, positions, half_length)
+        samples, _, weights, _ = _weigh_parabolas(d, positions, half_length)
         is_determined = np.isfinite(weights[:, 0])
-        slopes = f @ weights[is_determined].T
-        half_onset = _interpolate_first_crossing(positions[is_determined], slopes, slope)
+        weights = _expand_weights(samples[is_determined], weights[is_determined], len(d))
+        half_onset = _interpolate_first_crossing(positions[is_determined], f @ weights.T, slope)
         onset_change = np.where(np.isnan(half_onset), 0.0, half_onset - onset)
         mean_onsets = np.full(len(f), mean_onset)
         force_change = _fit_forces(d, f, mean_onsets, half_length)
@@ -657,12 +657,16 @@ def _fit_forces(d: Floats, f: Floats, positions: Floats, length: float) -> Float
     """Fit the forces of curves (R, k) at positions (R,), by parabolas around the positions."""
     is_finite = np.isfinite(positions)
     forces = np.full(len(positions), np.nan)
-    force_weights, _, _ = _weigh_parabolas(d, positions[is_finite], length)
-    forces[is_finite] = np.vecdot(force_weights, f[is_finite])
+    if is_finite.any():
+        samples, weights, _, _ = _weigh_parabolas(d, positions[is_finite], length)
+        samples = np.minimum(samples, len(d) - 1)  # padding has zero weight
+        forces[is_finite] = np.vecdot(weights, np.take_along_axis(f[is_finite], samples, axis=1))
     return forces
 
 
-def _weigh_parabolas(d: Floats, positions: Floats, length: float) -> tuple[Floats, Floats, Ints]:
+def _weigh_parabolas(
+    d: Floats, positions: Floats, length: float
+) -> tuple[Ints, Floats, Floats, Floats]:
     """Compute the weights of forces in least-squares parabolas around positions of a path.
 
     Parameters
@@ -673,7 +677,8 @@ def _weigh_parabolas(d: Floats, positions: Floats, length: float) -> tuple[Float
 
     Returns
     -------
-    force_weights, slope_weights : shape (p, k), 1 and 1/m, weights of the forces in force and slope
+    samples : shape (p, m), indices of the samples of each stretch, padded with k
+    force_weights, slope_weights : shape (p, m), 1 and 1/m, weights of the forces in force and slope
         at the position; NaN for a stretch with fewer than 8 samples, with samples over less than
         half of `length`, or with samples that do not determine a parabola
     counts : shape (p,), number of samples of each stretch
@@ -682,22 +687,30 @@ def _weigh_parabolas(d: Floats, positions: Floats, length: float) -> tuple[Float
     # The determinant of the mean products of 1, x, x^2 over the samples is of the order of rounding
     # for samples at only two displacements, and 5e-4 for evenly spaced samples.
     min_determinant = 1e-9
-    largest_so_far, margin = np.maximum.accumulate(d), edge_tolerance * length
-    starts = np.searchsorted(largest_so_far, positions - 0.5 * length - margin)
-    stops = np.searchsorted(largest_so_far, positions + 0.5 * length - margin) + 1
-    stops = np.minimum(stops, len(d))
-    weights = np.zeros((2, len(positions), len(d)))
-    for row, (start, stop, position) in enumerate(zip(starts, stops, positions, strict=True)):
-        x = (d[start:stop] - position) / length
-        powers = x ** np.arange(3.0)[:, None]
-        determinant = np.linalg.det(powers @ powers.T / max(len(x), 1))
-        is_enough = len(x) >= _MIN_TANGENT_SAMPLES and np.ptp(x) >= 0.5
-        if not (is_enough and determinant > min_determinant):
-            weights[:, row] = np.nan
-            continue
-        parabola = curves.compute_polynomial_weights(x, degree=2)
-        weights[:, row, start:stop] = parabola[0], parabola[1] / length
-    return weights[0], weights[1], stops - starts
+    largest_so_far = np.maximum.accumulate(d)
+    start = np.searchsorted(largest_so_far, positions - (0.5 + edge_tolerance) * length)
+    stop = np.searchsorted(largest_so_far, positions + (0.5 - edge_tolerance) * length) + 1
+    stop = np.minimum(stop, len(d))
+    samples = start[:, None] + np.arange(int((stop - start).max()))
+    is_inside = samples < stop[:, None]
+    samples = np.where(is_inside, samples, len(d))
+    x = np.where(is_inside, (np.append(d, 0.0)[samples] - positions[:, None]) / length, 0.0)
+    travel = np.ptp(np.where(is_inside, x, x[:, :1]), axis=1)
+    powers = np.stack([is_inside * x**power for power in range(3)], axis=1)
+    products = powers @ powers.transpose(0, 2, 1)
+    counts = products[:, 0, 0]
+    is_determined = (travel >= 0.5) & (np.linalg.det(products) > min_determinant * counts**3)
+    is_enough = ((counts >= _MIN_TANGENT_SAMPLES) & is_determined)[:, None, None]
+    weights = np.linalg.solve(np.where(is_enough, products, np.eye(3)), powers)
+    force_weights, slope_weights, _ = np.moveaxis(np.where(is_enough, weights, np.nan), 1, 0)
+    return samples, force_weights, slope_weights / length, counts
+
+
+def _expand_weights(samples: Ints, weights: Floats, count: int) -> Floats:
+    """Expand weights (p, m) of the samples of each stretch to weights (p, count) of all samples."""
+    all_weights = np.zeros((len(samples), count + 1))
+    np.put_along_axis(all_weights, samples, weights, axis=1)
+    return all_weights[:, :-1]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -29,7 +29,6 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
-import scipy
 from numpy.polynomial.polynomial import polyder, polyint, polyval
 
 from labpipe.markers.specimen_shape import (
@@ -1071,8 +1070,10 @@ class LawData:
 
     def _integrate(self, values: Floats) -> Floats:
         """Integrate values of shape (n, points, ...) from the clamped end by trapezoids."""
-        integral = scipy.integrate.cumulative_trapezoid(values, self.arc_length, axis=1, initial=0)
-        return np.asarray(integral, dtype=np.float64)
+        steps = np.diff(self.arc_length).reshape(-1, *(1,) * (values.ndim - 2))
+        integral = np.zeros_like(values)
+        np.cumsum(steps * (values[:, 1:] + values[:, :-1]) / 2.0, axis=1, out=integral[:, 1:])
+        return integral
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -1098,11 +1099,14 @@ class LawBasis:
 
         The curvature is an odd function of the moment.
         """
-        magnitude = np.abs(moment)
-        clipped = np.minimum(magnitude, self.knots[-1])
-        hats = scipy.interpolate.make_interp_spline(self.knots, np.eye(len(self.knots)), k=1)
-        curvatures = hats.antiderivative()(clipped)
-        curvatures[..., -1] += magnitude - clipped
+        widths, magnitude = np.diff(self.knots), np.abs(moment)
+        clipped = np.clip(magnitude, 0.0, self.knots[-1])
+        spans = np.clip(clipped[..., None] - self.knots[:-1], 0, widths)
+        upper_weights = spans**2 / (2.0 * widths)
+        curvatures = np.zeros((*np.shape(magnitude), len(self.knots)))
+        curvatures[..., :-1] += spans - upper_weights
+        curvatures[..., 1:] += upper_weights
+        curvatures[..., -1] += np.maximum(magnitude - self.knots[-1], 0.0)
         return np.asarray(np.sign(moment)[..., None] * curvatures, dtype=np.float64)
 
     def compute_curvature_changes(self, start_moment: Floats, moment: Floats) -> Floats:
